@@ -17,6 +17,11 @@ and observers do not know the sequence numbers of requests.
 The topic exists as soon as introspection is on, since tools subscribe only to topics that they can
 see. A message is built only while somebody reads the topic.
 
+Readers in the same process get an event at once. For other processes, the events of `GATHER`
+seconds are built and sent together: to send each at once would delay the reply that the caller
+waits for. Until then only the bytes of a request or response are kept, which no handler can change.
+The stamp of an event says when the call happened.
+
 Source: rcl ``service_event_publisher.c``; ``service_msgs/msg/ServiceEventInfo``; REP 2012.
 """
 
@@ -24,14 +29,15 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast, get_args
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias, get_args
 
+import anyio
 import msgspec
 
 from turtleact.errors import InvalidOption
-from turtleact.interfaces import Service, WireFormat, snapshotter, stamp_of
-from turtleact.interfaces.classes import event_message
+from turtleact.interfaces import EventFormat, WireFormat
 from turtleact.interfaces.standard import ServiceEventInfo
+from turtleact.tasks import Background, current_tasks
 from turtleact.transports.base import CallObserver, QoS
 
 if TYPE_CHECKING:
@@ -46,6 +52,12 @@ Introspection: TypeAlias = Literal["off", "metadata", "contents"]
 
 EVENT_QOS = QoS(depth=100)
 """The quality of service of the topic: reliable and volatile."""
+
+_Event: TypeAlias = tuple[int, int, bytes, int, bytes]
+"""Kind, stamp (ns), the client's gid, sequence number, and the encoded request or response."""
+
+GATHER: Final = 0.02
+"""How long events to other processes wait to be sent together (s, event loop time)."""
 
 
 class ServiceEvents(CallObserver):
@@ -73,7 +85,6 @@ class ServiceEvents(CallObserver):
         if mode not in get_args(Introspection):
             words = ", ".join(get_args(Introspection))
             raise InvalidOption("introspection", f"expected one of {words}, not {mode!r}")
-        self._find_type = find_type
         self._has_contents = mode == "contents"
         is_client = service.kind == "client"
         info = ServiceEventInfo
@@ -84,41 +95,86 @@ class ServiceEvents(CallObserver):
         described = endpoint("publisher", self._topic, f"{service.type_name}_Event", EVENT_QOS)
         if service.on_demand:
             described = msgspec.structs.replace(described, on_demand=True)
-        format = WireFormat(self._message_type)
-        self._publication = transport.advertise(described, format)
+        self._format = EventFormat(find_type)
+        self._encode_request = WireFormat(find_type, asks=True).encode
+        self._encode_response = WireFormat(find_type).encode
+        self._publication = transport.advertise(described, self._format)
+        self._tasks = current_tasks()
+        self._unsent: list[_Event] = []
+        self._is_gathering = False
+        self._gathering: Background | None = None
 
     def requested(self, request: object, gid: bytes, sequence: int) -> None:
         """Publish that a request has been sent or received."""
         if self._publication.has_readers:
-            shown = [request] if self._has_contents else []
-            self._publish(self._info(self._request, gid, sequence), shown, [])
+            self._publish(self._request, gid, sequence, request)
 
     def responded(self, response: object, gid: bytes, sequence: int) -> None:
         """Publish that a response has been sent or received."""
         if self._publication.has_readers:
-            shown = [response] if self._has_contents else []
-            self._publish(self._info(self._response, gid, sequence), [], shown)
+            self._publish(self._response, gid, sequence, response)
 
     def close(self) -> None:
-        """Leave the topic."""
+        """Send the events that wait, and leave the topic."""
+        if self._gathering is not None:
+            self._gathering.cancel()
+        self._send_all()
         self._publication.close()
 
-    def _info(self, kind: int, gid: bytes, sequence: int) -> ServiceEventInfo:
-        return ServiceEventInfo(kind, stamp_of(self._now()), list(gid), sequence)
-
-    def _publish(self, info: ServiceEventInfo, request: list[Any], response: list[Any]) -> None:
+    def _publish(self, kind: int, gid: bytes, sequence: int, message: object) -> None:
         """Publish an event. A failure is logged, because it must not affect the call."""
-        event_type: Any = self._message_type()
         try:
-            event = event_type(info, request, response)
-            if self._publication.has_near_readers:  # a handler may change its request later
-                event = snapshotter(event_type)(event)
-            self._publication.publish(event)
+            data = b""
+            if self._has_contents:
+                encode = self._encode_request if kind == self._request else self._encode_response
+                data = message if isinstance(message, bytes) else encode(message)
+            event = kind, self._now(), gid, sequence, data
+            if self._publication.has_near_readers:
+                self._send_all()
+                self._publication.publish(self._format.decode(self._written(event)))
+            else:
+                self._send_later(event)
         except Exception:
-            logger.exception("an event of topic %s cannot be published", self._topic)
+            self._complain()
 
-    def _message_type(self) -> type[Any]:
-        return event_message(cast("type[Service]", self._find_type()))
+    def _written(self, event: _Event) -> bytes:
+        kind, stamp, gid, sequence, data = event
+        info = self._format.info(kind, stamp, gid, sequence)
+        if not self._has_contents:
+            return self._format.write(info)
+        if kind == self._request:
+            return self._format.write(info, request=data)
+        return self._format.write(info, response=data)
+
+    # Threads other than the event loop's may bring events, too. To append to a list is safe there.
+    # The flag is cleared before the list is taken, so an event that arrives in between is either
+    # taken, too, or starts the next wait.
+
+    def _send_later(self, event: _Event) -> None:
+        self._unsent.append(event)
+        if not self._is_gathering:
+            self._is_gathering = True
+            self._tasks.from_anywhere(self._gather)
+
+    def _gather(self) -> None:
+        name = f"the events of topic {self._topic}"
+        self._gathering = Background(self._send_soon(), name, self._tasks)
+
+    async def _send_soon(self) -> None:
+        await anyio.sleep(GATHER)
+        self._is_gathering = False
+        self._send_all()
+
+    def _send_all(self) -> None:
+        unsent, self._unsent = self._unsent, []
+        for event in unsent:
+            try:
+                self._publication.send(self._written(event))
+            except Exception:
+                self._complain()
+
+    def _complain(self) -> None:
+        logger.exception("an event of topic %s cannot be published", self._topic)
 
 
 def event_topic(service: str) -> str:

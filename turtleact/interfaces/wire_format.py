@@ -6,12 +6,13 @@ get such a format with each endpoint, so that they need not know any message cla
 
 from __future__ import annotations
 
+import struct
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from turtleact.errors import InvalidMessage
-from turtleact.interfaces.classes import implied
-from turtleact.interfaces.conversion import name_of
+from turtleact.interfaces.classes import event_message, implied
+from turtleact.interfaces.conversion import SECOND, name_of
 from turtleact.interfaces.standard.unique_identifier_msgs.msg import UUID
 from turtleact.interfaces.type_hash import type_hash
 from turtleact.interfaces.types import Action, Message, Service
@@ -22,10 +23,16 @@ if TYPE_CHECKING:
 
     from turtleact.interfaces.types import Interface
 
-__all__ = ["GOAL_ID", "FeedbackFormat", "WireFormat"]
+__all__ = ["GOAL_ID", "EventFormat", "FeedbackFormat", "WireFormat"]
 
 GOAL_ID: Final = slice(4, 20)
 """Where a feedback message has the id of its goal, after the CDR header, in either byte order."""
+
+_EVENT: Final = struct.Struct("<4sB3xiI16s4xq")
+"""The CDR header and a ``service_msgs/msg/ServiceEventInfo``; two sequences follow."""
+
+_NONE: Final = struct.pack("<I", 0)
+_ONE: Final = struct.pack("<I", 1)
 
 
 class WireFormat:
@@ -203,4 +210,83 @@ class FeedbackFormat(WireFormat):
     @cached_property
     def _read(self) -> Callable[[bytes], Message]:
         found: Callable[[bytes], Message] = self._cdr.reader_behind(self._feedback, GOAL_ID.stop)
+        return found
+
+
+class EventFormat(WireFormat):
+    """The format of a service's event topic.
+
+    An event consists of some facts about a call and, at most, its request or response. This class
+    can also write it from the bytes of the request or response, in a fifth of the time.
+
+    Args:
+        find_service: Returns the class of the service.
+
+    >>> from turtleact.interfaces.standard.std_srvs.srv import SetBool
+    >>> events, requests = EventFormat(lambda: SetBool), WireFormat(SetBool, asks=True)
+    >>> sent = requests.encode(SetBool.Request(data=True))
+    >>> event = events.decode(events.write(events.info(0, 7, bytes(16), 1), request=sent))
+    >>> event.request, event.response
+    ([SetBool.Request(data=True)], [])
+    """
+
+    def __init__(self, find_service: Callable[[], object]) -> None:
+        self._find_service = find_service
+        super().__init__(lambda: event_message(self._service))
+
+    def info(self, kind: int, stamp: int, gid: bytes, sequence: int) -> bytes:
+        """Encode the beginning of an event.
+
+        Args:
+            kind: A constant of ``ServiceEventInfo``.
+            stamp: When it happened (ns since the epoch).
+            gid: The gid of the client.
+            sequence: The sequence number of the request.
+        """
+        return _EVENT.pack(self._header, kind, *divmod(stamp, SECOND), gid, sequence)
+
+    def write(
+        self, info: bytes, *, request: bytes | None = None, response: bytes | None = None
+    ) -> bytes:
+        """Encode an event.
+
+        Args:
+            info: See `info`.
+            request: The encoded request.
+            response: The encoded response.
+
+        Raises:
+            InvalidMessage: if the bytes are not a request or a response of the service.
+        """
+        if response is not None and response[:2] == self._order:
+            # It begins at a multiple of the widest alignment, so its padding stays as it is. What
+            # ROS 2 leaves behind a message does no harm at the end.
+            return b"".join((info, _NONE, _ONE, response[4:]))
+        if response is not None:
+            swapped = self._responses.encode(self._responses.decode(response))
+            return self.write(info, response=swapped)
+        if request is None:
+            return info + _NONE + _NONE
+        # It begins where its padding may differ, and nothing may be left behind it.
+        written = self._write_request(self._requests.decode(request), info + _ONE)
+        return b"".join((written, bytes(-len(written) % 4), _NONE))
+
+    @cached_property
+    def _service(self) -> type[Service]:
+        return cast("type[Service]", self._find_service())
+
+    @cached_property
+    def _requests(self) -> WireFormat:
+        return WireFormat(self._service.Request)
+
+    @cached_property
+    def _responses(self) -> WireFormat:
+        return WireFormat(self._service.Response)
+
+    @cached_property
+    def _write_request(self) -> Callable[[object, bytes], bytes]:
+        place = _EVENT.size + len(_ONE)
+        found: Callable[[object, bytes], bytes] = self._cdr.writer_behind(
+            self._service.Request, place
+        )
         return found

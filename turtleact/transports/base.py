@@ -366,7 +366,8 @@ class CallObserver(Protocol):
     A call is identified by the gid of its client and by its sequence number. The methods must not
     raise. They are called where the call is handled: in the event loop, unless the client or the
     server works in other threads. A handler has its observer in the attribute ``observer``, which
-    must be set before the handler is offered.
+    must be set before the handler is offered. A request or response that travels between processes
+    is given as its bytes.
     """
 
     def requested(self, request: object, gid: bytes, sequence: int) -> None:

@@ -111,8 +111,7 @@ def writer_behind(
 
     Args:
         cls: The class.
-        place: Where the message begins: at the end of the header, or a multiple of eight bytes
-            after it.
+        place: Where the message begins, counted with the header.
         is_strict: Whether to accept only what ``snapshot`` would copy unchanged.
     """
     return encoder(cls, place, is_strict=is_strict)

@@ -175,7 +175,7 @@ class WireService:
             return
         request = self.under_way[key] = _Request(self, offers[0], query, key)
         if offers[0].observer is not None:
-            offers[0].observer.requested(message, *key)
+            offers[0].observer.requested(query.payload, *key)
         if beside.note:  # the handler's task inherits it from this context
             context = copy_context()
             context.run(REQUEST_NOTE.set, beside.note)
@@ -226,7 +226,7 @@ class _Request(msgspec.Struct, eq=False):
             attachment = write_attachment(sequence, time.time_ns(), gid, reply.note)
             service.context.outbox.post(partial(self.query.reply, payload, attachment))
             if self.offer.observer is not None:
-                self.offer.observer.responded(reply.message, gid, sequence)
+                self.offer.observer.responded(payload, gid, sequence)
 
     def refuse(self, error: TurtleactError) -> None:
         """Answer it with an error, unless it was answered."""
@@ -358,7 +358,7 @@ class WireCaller:
         await self.wait_for_route()
         if not self.is_matching or not self._context.is_open:
             raise self._unavailable(self.why_not_served())
-        return await self._send(request, payload, note, is_cancelable=True).reply()
+        return await self._send(payload, note, is_cancelable=True).reply()
 
     def ask(
         self,
@@ -372,7 +372,7 @@ class WireCaller:
             return None
         payload = self._format.encode(request)
         ends = None if on_end is None else [on_end]
-        return self._send(request, payload, note, is_cancelable=False, on_end=ends)
+        return self._send(payload, note, is_cancelable=False, on_end=ends)
 
     def close(self) -> None:
         """Leave the graph when the calls under way are over. A second call does nothing.
@@ -408,7 +408,6 @@ class WireCaller:
 
     def _send(
         self,
-        request: object,
         payload: bytes,
         note: str,
         *,
@@ -422,7 +421,7 @@ class WireCaller:
         self._calls.add(call)
         self._context.outbox.post(call.send)
         if self._observer is not None:
-            self._observer.requested(request, self._endpoint.gid, call.sequence)
+            self._observer.requested(payload, self._endpoint.gid, call.sequence)
         return call
 
     def forget(self, call: WireCall) -> None:
@@ -455,7 +454,7 @@ class WireCaller:
             raise ServiceError(self._endpoint.name, problem) from error
         if self._observer is not None and not call.is_observed:
             call.is_observed = True  # a reply may be taken twice
-            self._observer.responded(message, self._endpoint.gid, call.sequence)
+            self._observer.responded(payload, self._endpoint.gid, call.sequence)
         return Reply(message, note_in(attachment))
 
     # finding servers
