@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.commands.overrides import Override, of_node, read_overrides, unheard
+from turtleact.commands.node_parameters import of_node, read_overrides, unheard
+from turtleact.commands.settings import Override
 from turtleact.errors import UsageError
 
 FILE = """

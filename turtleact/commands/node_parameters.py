@@ -1,13 +1,20 @@
-"""The verbs of ``param``: the parameters of a node, and their values as messages, text and files.
+"""Parameters at the command line: the verbs of ``param``, and the values that ``serve`` sets first.
 
 A node serves its parameters by six services. Their answers are printed as ``ros2`` prints them.
 
+``serve`` takes first values from ``-p NAME:=VALUE`` and ``--params-file FILE``. As in ROS 2,
+``NAME`` may have the name of a node before it (``lab:max_speed``), a file has a block for each
+node, and ``/**`` stands for all nodes. Values in files are set first, in the order of the files,
+then those of ``-p``.
+
 Source: ros2cli ``ros2param/verb/*.py`` and recordings of ROS 2 Jazzy for the order of things and
-for the words; rclpy ``parameter.py`` for how text is parsed, and for the file format.
+for the words; rclpy ``parameter.py`` for how text is parsed, and for the file format; the ROS 2
+article "ROS Command Line Arguments" and rcl_yaml_param_parser for first values.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar, cast
 
 import msgspec
@@ -15,9 +22,11 @@ import msgspec
 from turtleact.clock import within
 from turtleact.commands.message_text import read_text_file
 from turtleact.commands.output import note, say_names
+from turtleact.commands.settings import Override, quoted
 from turtleact.errors import InvalidParameter, TurtleactError, UsageError
 from turtleact.graph import is_hidden_node, names_like, types_by_name
 from turtleact.interfaces import Message
+from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.standard import (
     DescribeParameters,
     GetParameters,
@@ -54,15 +63,19 @@ __all__ = [
     "kind_name",
     "load",
     "names_of",
+    "of_node",
     "parameter_value",
     "plain",
     "print_names",
     "print_value",
     "read_file",
+    "read_overrides",
     "set_value",
+    "unheard",
 ]
 
 Req = TypeVar("Req", bound=Message)
+
 Res = TypeVar("Res", bound=Message)
 
 DONE, FAILED = 0, 1
@@ -231,6 +244,160 @@ async def load(
         else:
             note(f"Set parameter {name} failed{reason}")
     return DONE if all(result.successful for result in results) else FAILED
+
+
+WILDCARD = "/**"
+"""Stands for all nodes in a file of parameters."""
+
+BELOW = "ros__parameters"
+"""The key that holds a node's parameters in such a file."""
+
+
+class Kind(NamedTuple):
+    """A type of parameter.
+
+    Attributes:
+        field: The field of ``ParameterValue`` that holds the value.
+        name: The name of the type.
+        label: Printed before a value.
+    """
+
+    field: str
+    name: str
+    label: str
+
+
+KINDS: Final = {
+    ParameterType.PARAMETER_BOOL: Kind("bool_value", "boolean", "Boolean value is:"),
+    ParameterType.PARAMETER_INTEGER: Kind("integer_value", "integer", "Integer value is:"),
+    ParameterType.PARAMETER_DOUBLE: Kind("double_value", "double", "Double value is:"),
+    ParameterType.PARAMETER_STRING: Kind("string_value", "string", "String value is:"),
+    ParameterType.PARAMETER_BYTE_ARRAY: Kind("byte_array_value", "byte array", "Byte values are:"),
+    ParameterType.PARAMETER_BOOL_ARRAY: Kind(
+        "bool_array_value", "boolean array", "Boolean values are:"
+    ),
+    ParameterType.PARAMETER_INTEGER_ARRAY: Kind(
+        "integer_array_value", "integer array", "Integer values are:"
+    ),
+    ParameterType.PARAMETER_DOUBLE_ARRAY: Kind(
+        "double_array_value", "double array", "Double values are:"
+    ),
+    ParameterType.PARAMETER_STRING_ARRAY: Kind(
+        "string_array_value", "string array", "String values are:"
+    ),
+}
+
+SINGLE: Final = {
+    bool: ParameterType.PARAMETER_BOOL,
+    int: ParameterType.PARAMETER_INTEGER,
+    float: ParameterType.PARAMETER_DOUBLE,
+    str: ParameterType.PARAMETER_STRING,
+}
+"""The types of single values; the type of a list of them is five higher."""
+
+ARRAY: Final = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
+
+
+def parameter_value(text: str) -> ParameterValue:
+    """The value in a text: a bool, a number, a list of one type, or else the text itself.
+
+    Raises:
+        UsageError: if it is a list of mixed types, or empty.
+        InvalidMessage: if it is not YAML.
+
+    >>> parameter_value("150").integer_value, parameter_value("it: is").string_value
+    (150, 'it: is')
+    """
+    value = tree_of(Document(text, "value", "value", allow_nonfinite=True))
+    return _message(text if isinstance(value, dict) else value, "value")
+
+
+def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, ParameterValue]]:
+    """The parameters in a file, by the node names in that file.
+
+    Args:
+        path: A YAML file such as `dump` prints.
+        use_wildcard: Whether to include those for all nodes (``/**``).
+
+    Raises:
+        UsageError: if the file cannot be read, or has another form.
+        InvalidMessage: if it is not YAML.
+    """
+    if not path:
+        raise UsageError("FILE: the path is empty")
+    text = read_text_file(path, path)
+    tree = tree_of(Document(text, "parameters", path, allow_nonfinite=True))
+    if not tree or not isinstance(tree, dict):
+        problem = "is empty" if tree in ({}, None) else "holds no nodes with their parameters"
+        raise UsageError(f"{path}: {problem}: 'param dump' prints such a file")
+    found: dict[str, dict[str, ParameterValue]] = {}
+    for name, below in tree.items():
+        values = below.get(BELOW) if isinstance(below, dict) else None
+        if not isinstance(values, dict):
+            raise UsageError(f"{path}: {name} has no {BELOW}: 'param dump' prints such a file")
+        if use_wildcard or name != WILDCARD:
+            found[name] = {key: _message(each, f"{path}: {key}") for key, each in _flat(values)}
+    return found
+
+
+def plain(value: ParameterValue) -> object:
+    """A value as a Python object; None if it is not set."""
+    found = value_of(value)
+    return list(found) if isinstance(found, bytes) else found
+
+
+def kind_name(number: int) -> str:
+    """The name of a type of parameter."""
+    kind = KINDS.get(number)
+    return "not set" if kind is None else kind.name
+
+
+def read_overrides(files: Sequence[str], assignments: Sequence[str]) -> list[Override]:
+    """Read files of parameters, then single assignments.
+
+    Raises:
+        UsageError: if a file cannot be read or has another form, or an assignment is malformed.
+        InvalidMessage: if a value is not YAML.
+    """
+    found: list[Override] = []
+    for path in files:
+        for node, values in read_file(path, use_wildcard=True).items():
+            found += [Override(node, name, plain(value)) for name, value in values.items()]
+    return found + [_assignment(text) for text in assignments]
+
+
+def of_node(overrides: Iterable[Override], node: str) -> dict[str, object]:
+    """The values for a node, by the names of the parameters; later ones count.
+
+    Args:
+        overrides: Those of all nodes.
+        node: The fully qualified name of the node.
+
+    >>> of_node([Override("/**", "a", 1), Override("lab", "a", 2), Override("arm", "a", 3)], "/lab")
+    {'a': 2}
+    """
+    names = (WILDCARD, node, node.removeprefix("/"))
+    return {each.name: each.value for each in overrides if each.node in names}
+
+
+def unheard(overrides: Iterable[Override], node: str, declared: Iterable[str]) -> list[str]:
+    """What to tell the user about values that set nothing.
+
+    Args:
+        overrides: All of them.
+        node: The fully qualified name of the node.
+        declared: The parameters that the user's modules declare.
+    """
+    known, own = set(declared), of_node(overrides, node)
+    said = [
+        f"no module declares a parameter {quoted(name)}{did_you_mean(name, known)}"
+        for name in own
+        if name not in known
+    ]
+    if not own and (others := dict.fromkeys(each.node for each in overrides)):
+        named = ", ".join(others)
+        said.append(f"the node of this server is {node}, but the parameters are for {named}")
+    return said
 
 
 # what is asked of a node
@@ -410,112 +577,6 @@ def _insert(tree: dict[str, object], name: str, value: object) -> None:
         tree[name] = value
 
 
-WILDCARD = "/**"
-"""Stands for all nodes in a file of parameters."""
-
-BELOW = "ros__parameters"
-"""The key that holds a node's parameters in such a file."""
-
-
-class Kind(NamedTuple):
-    """A type of parameter.
-
-    Attributes:
-        field: The field of ``ParameterValue`` that holds the value.
-        name: The name of the type.
-        label: Printed before a value.
-    """
-
-    field: str
-    name: str
-    label: str
-
-
-KINDS: Final = {
-    ParameterType.PARAMETER_BOOL: Kind("bool_value", "boolean", "Boolean value is:"),
-    ParameterType.PARAMETER_INTEGER: Kind("integer_value", "integer", "Integer value is:"),
-    ParameterType.PARAMETER_DOUBLE: Kind("double_value", "double", "Double value is:"),
-    ParameterType.PARAMETER_STRING: Kind("string_value", "string", "String value is:"),
-    ParameterType.PARAMETER_BYTE_ARRAY: Kind("byte_array_value", "byte array", "Byte values are:"),
-    ParameterType.PARAMETER_BOOL_ARRAY: Kind(
-        "bool_array_value", "boolean array", "Boolean values are:"
-    ),
-    ParameterType.PARAMETER_INTEGER_ARRAY: Kind(
-        "integer_array_value", "integer array", "Integer values are:"
-    ),
-    ParameterType.PARAMETER_DOUBLE_ARRAY: Kind(
-        "double_array_value", "double array", "Double values are:"
-    ),
-    ParameterType.PARAMETER_STRING_ARRAY: Kind(
-        "string_array_value", "string array", "String values are:"
-    ),
-}
-
-SINGLE: Final = {
-    bool: ParameterType.PARAMETER_BOOL,
-    int: ParameterType.PARAMETER_INTEGER,
-    float: ParameterType.PARAMETER_DOUBLE,
-    str: ParameterType.PARAMETER_STRING,
-}
-"""The types of single values; the type of a list of them is five higher."""
-
-ARRAY: Final = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
-
-
-def parameter_value(text: str) -> ParameterValue:
-    """The value in a text: a bool, a number, a list of one type, or else the text itself.
-
-    Raises:
-        UsageError: if it is a list of mixed types, or empty.
-        InvalidMessage: if it is not YAML.
-
-    >>> parameter_value("150").integer_value, parameter_value("it: is").string_value
-    (150, 'it: is')
-    """
-    value = tree_of(Document(text, "value", "value", allow_nonfinite=True))
-    return _message(text if isinstance(value, dict) else value, "value")
-
-
-def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, ParameterValue]]:
-    """The parameters in a file, by the node names in that file.
-
-    Args:
-        path: A YAML file such as `dump` prints.
-        use_wildcard: Whether to include those for all nodes (``/**``).
-
-    Raises:
-        UsageError: if the file cannot be read, or has another form.
-        InvalidMessage: if it is not YAML.
-    """
-    if not path:
-        raise UsageError("FILE: the path is empty")
-    text = read_text_file(path, path)
-    tree = tree_of(Document(text, "parameters", path, allow_nonfinite=True))
-    if not tree or not isinstance(tree, dict):
-        problem = "is empty" if tree in ({}, None) else "holds no nodes with their parameters"
-        raise UsageError(f"{path}: {problem}: 'param dump' prints such a file")
-    found: dict[str, dict[str, ParameterValue]] = {}
-    for name, below in tree.items():
-        values = below.get(BELOW) if isinstance(below, dict) else None
-        if not isinstance(values, dict):
-            raise UsageError(f"{path}: {name} has no {BELOW}: 'param dump' prints such a file")
-        if use_wildcard or name != WILDCARD:
-            found[name] = {key: _message(each, f"{path}: {key}") for key, each in _flat(values)}
-    return found
-
-
-def plain(value: ParameterValue) -> object:
-    """A value as a Python object; None if it is not set."""
-    found = value_of(value)
-    return list(found) if isinstance(found, bytes) else found
-
-
-def kind_name(number: int) -> str:
-    """The name of a type of parameter."""
-    kind = KINDS.get(number)
-    return "not set" if kind is None else kind.name
-
-
 def _message(value: object, where: str) -> ParameterValue:
     """A plain value as a message."""
     items = value if isinstance(value, list) else [value]
@@ -536,3 +597,12 @@ def _flat(tree: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, o
             yield from _flat(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
+
+
+def _assignment(text: str) -> Override:
+    before, separator, value = text.partition(":=")
+    node, _, name = before.rpartition(":")
+    if not (separator and name and value):
+        problem = f"takes NAME:=VALUE, such as max_speed:=2.0, not {quoted(text)}"
+        raise UsageError(f"-p {problem}")
+    return Override(node or WILDCARD, name, plain(parameter_value(value)))

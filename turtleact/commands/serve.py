@@ -21,11 +21,10 @@ import anyio
 
 from turtleact.body import ActionDeclaration
 from turtleact.commands import runner
+from turtleact.commands.node_parameters import of_node, unheard
 from turtleact.commands.observing import json_line, observing, set_up_logging
 from turtleact.commands.output import abandon, note, printable
-from turtleact.commands.overrides import of_node, unheard
 from turtleact.commands.reloading import Kept, Reloader, Watch
-from turtleact.commands.settings import Watched
 from turtleact.commands.targets import Found, Modules
 from turtleact.commands.terminal import can_move
 from turtleact.errors import ActionConflict, InvalidOption, TurtleactError, UsageError
@@ -41,14 +40,12 @@ if TYPE_CHECKING:
     from turtleact.clock import Clock
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.live import Dashboard
-    from turtleact.commands.overrides import Override
-    from turtleact.commands.settings import Fleet, Keeping, Page, Reach
-    from turtleact.introspection import Introspection
+    from turtleact.commands.settings import Page, Service
     from turtleact.node import ActionServer, ServerGoalHandle
     from turtleact.node.conflicts import OnConflict
     from turtleact.transports import Transport, ZenohTransport
 
-__all__ = ["ServerLog", "Service", "listed", "run", "serve_declared"]
+__all__ = ["ServerLog", "listed", "run", "serve_declared"]
 
 logger = logging.getLogger("turtleact.serve")
 
@@ -65,44 +62,6 @@ STANDBY = 0.2
 
 MOST_LISTED = 12
 """How many actions the ready line names."""
-
-
-class Service(NamedTuple):
-    """What to serve, and where.
-
-    Attributes:
-        targets: The user's actions, as `turtleact.commands.targets` reads them.
-        listen: The endpoints to listen at; if there are none, the default above applies.
-        reach: The endpoints to connect to, and the domain.
-        fleet: The turtles; None for no world and no built-in actions.
-        page: The page and rosbridge; None for neither.
-        config: Paths and values of Zenoh's configuration, such as those for access control.
-        is_live: Whether a terminal shows a dashboard.
-        turtlesim_only: Whether the world serves only what turtlesim does, and no built-in actions.
-        wait: Whether to wait until no other node serves an action, instead of refusing to serve it.
-        reload: Whether to reload the user's actions when their files change.
-        node_name: The name of the node that serves the actions, if there is no world.
-        keeping: The journal of the goals; None for no journal.
-        overrides: The first values of parameters.
-        introspection: The introspection of all actions and services of the process.
-        watched: How other programs can watch the goals.
-    """
-
-    targets: tuple[str, ...]
-    listen: tuple[str, ...]
-    reach: Reach
-    fleet: Fleet | None
-    page: Page | None
-    config: dict[str, object]
-    is_live: bool
-    turtlesim_only: bool = False
-    wait: bool = False
-    reload: bool = False
-    node_name: str = "turtleact"
-    keeping: Keeping | None = None
-    overrides: tuple[Override, ...] = ()
-    introspection: Introspection = "off"
-    watched: Watched = Watched()
 
 
 def run(service: Service, interrupts: Interrupts) -> int:

@@ -15,6 +15,7 @@ from turtleact.errors import UsageError
 if TYPE_CHECKING:
     from turtleact.commands.locks import Locks
     from turtleact.goal_journal import OnRestart
+    from turtleact.introspection import Introspection
     from turtleact.transports import QoS
 
 __all__ = [
@@ -22,12 +23,14 @@ __all__ = [
     "Fleet",
     "Keeping",
     "LogFormat",
+    "Override",
     "Page",
     "Place",
     "Placing",
     "Policies",
     "Reach",
     "Reliability",
+    "Service",
     "Watched",
     "endpoints",
     "quoted",
@@ -169,6 +172,58 @@ class Watched(NamedTuple):
     otel: bool = False
     metrics: tuple[str, int] | None = None
     log_format: LogFormat | None = None
+
+
+class Override(NamedTuple):
+    """The first value of one parameter.
+
+    Attributes:
+        node: The name of the node, with or without its slash; ``/**`` for any.
+        name: The name of the parameter.
+        value: The value.
+    """
+
+    node: str
+    name: str
+    value: object
+
+
+class Service(NamedTuple):
+    """What ``serve`` serves, and where.
+
+    Attributes:
+        targets: The user's actions, as `turtleact.commands.targets` reads them.
+        listen: The endpoints to listen at; if there are none, that of a router.
+        reach: The endpoints to connect to, and the domain.
+        fleet: The turtles; None for no world and no built-in actions.
+        page: The page and rosbridge; None for neither.
+        config: Paths and values of Zenoh's configuration, such as those for access control.
+        is_live: Whether a terminal shows a dashboard.
+        turtlesim_only: Whether the world serves only what turtlesim does, and no built-in actions.
+        wait: Whether to wait until no other node serves an action, instead of refusing to serve it.
+        reload: Whether to reload the user's actions when their files change.
+        node_name: The name of the node that serves the actions, if there is no world.
+        keeping: The journal of the goals; None for no journal.
+        overrides: The first values of parameters.
+        introspection: The introspection of all actions and services of the process.
+        watched: How other programs can watch the goals.
+    """
+
+    targets: tuple[str, ...]
+    listen: tuple[str, ...]
+    reach: Reach
+    fleet: Fleet | None
+    page: Page | None
+    config: dict[str, object]
+    is_live: bool
+    turtlesim_only: bool = False
+    wait: bool = False
+    reload: bool = False
+    node_name: str = "turtleact"
+    keeping: Keeping | None = None
+    overrides: tuple[Override, ...] = ()
+    introspection: Introspection = "off"
+    watched: Watched = Watched()
 
 
 class Policies(NamedTuple):

@@ -20,8 +20,8 @@ from turtleact.commands.verbs.options import (
     Interfaces,
     folder,
     hertz,
+    in_seconds,
     reach,
-    seconds,
     whole,
 )
 from turtleact.errors import TurtleactError, UsageError
@@ -181,13 +181,11 @@ MaxSize: TypeAlias = Annotated[
 ]
 MaxDuration: TypeAlias = Annotated[
     float,
-    typer.Option(
+    in_seconds(
         "--max-bag-duration",
         "-d",
-        metavar="SECONDS",
-        parser=seconds,
-        help="Begin another file after this time; 0 for never.",
-        rich_help_panel=FILES,
+        text="Begin another file after this time; 0 for never.",
+        panel=FILES,
     ),
 ]
 CacheSize: TypeAlias = Annotated[
@@ -248,34 +246,16 @@ Loop: TypeAlias = Annotated[
 ]
 StartOffset: TypeAlias = Annotated[
     float,
-    typer.Option(
-        "--start-offset",
-        metavar="SECONDS",
-        parser=seconds,
-        help="Begin this many seconds after the start of the bag.",
-        rich_help_panel=PLAYING,
+    in_seconds(
+        "--start-offset", text="Begin this many seconds after the start of the bag.", panel=PLAYING
     ),
 ]
 PlayDuration: TypeAlias = Annotated[
     float | None,
-    typer.Option(
-        "--playback-duration",
-        metavar="SECONDS",
-        parser=seconds,
-        help="Leave out what was recorded later.",
-        rich_help_panel=PLAYING,
-    ),
+    in_seconds("--playback-duration", text="Leave out what was recorded later.", panel=PLAYING),
 ]
 Delay: TypeAlias = Annotated[
-    float,
-    typer.Option(
-        "--delay",
-        "-d",
-        metavar="SECONDS",
-        parser=seconds,
-        help="Wait before playing.",
-        rich_help_panel=PLAYING,
-    ),
+    float, in_seconds("--delay", "-d", text="Wait before playing.", panel=PLAYING)
 ]
 Remap: TypeAlias = Annotated[
     list[str] | None,

@@ -28,17 +28,21 @@ from turtleact.commands.verbs.options import (
     NoArrays,
     NoStrings,
     Plain,
+    ShowTypes,
     Truncate,
+    count_of,
     folder,
+    in_seconds,
     journal_in,
     message_of,
+    name_of,
     on_graph,
     on_known_graph,
     only_one,
     reach,
-    seconds,
     span,
     speed_or_max,
+    stdin_of,
     style,
     type_and_text,
     type_of,
@@ -69,12 +73,7 @@ EXAMPLES = """\
 EMBEDDED = "Embedded world"
 """The heading of the options that start a world."""
 
-Name: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        metavar="NAME", help="The action, such as /patrol.", autocompletion=completion.actions
-    ),
-]
+Name: TypeAlias = Annotated[str, name_of("action", "/patrol", completion.actions)]
 Type: TypeAlias = Annotated[str | None, type_of("action", is_asked=True)]
 PartsOrFolder: TypeAlias = Annotated[
     str | None,
@@ -92,25 +91,20 @@ Feedback: TypeAlias = Annotated[
 ]
 Timeout: TypeAlias = Annotated[
     float | None,
-    typer.Option(
+    in_seconds(
         "--timeout",
         "-t",
-        metavar="SECONDS",
-        parser=seconds,
-        help="Cancel the goal if it takes longer. With 0, exit as soon as a server has accepted "
+        text="Cancel the goal if it takes longer. With 0, exit as soon as a server has accepted "
         "it: the goal goes on.",
     ),
 ]
 Reattach: TypeAlias = Annotated[
     float,
-    typer.Option(
-        "--reattach",
-        metavar="SECONDS",
-        parser=seconds,
-        help="If the server is not there yet or goes away, wait so long for it.",
+    in_seconds(
+        "--reattach", text="If the server is not there yet or goes away, wait so long for it."
     ),
 ]
-Stdin: TypeAlias = Annotated[bool, typer.Option("--stdin", help="Read the goal from stdin.")]
+Stdin: TypeAlias = Annotated[bool, stdin_of("goal")]
 GoalFile: TypeAlias = Annotated[
     Path | None, typer.Option("--goal-file", metavar="PATH", help="Read the goal from a file.")
 ]
@@ -189,11 +183,8 @@ AllPaused: TypeAlias = Annotated[
 ]
 Standing: TypeAlias = Annotated[
     float,
-    typer.Option(
-        "--timeout",
-        metavar="SECONDS",
-        parser=seconds,
-        help="If a body does not stand still within this time, its goal goes on.",
+    in_seconds(
+        "--timeout", text="If a body does not stand still within this time, its goal goes on."
     ),
 ]
 Before: TypeAlias = Annotated[
@@ -206,15 +197,8 @@ Before: TypeAlias = Annotated[
 ]
 
 KnownType: TypeAlias = Annotated[str, type_of("action")]
-ShowTypes: TypeAlias = Annotated[
-    bool, typer.Option("--show-types", "-t", help="Print the types too.")
-]
-CountActions: TypeAlias = Annotated[
-    bool, typer.Option("--count-actions", "-c", help="Print only how many there are.")
-]
-Count: TypeAlias = Annotated[
-    bool, typer.Option("--count", "-c", help="Print only how many there are.")
-]
+CountActions: TypeAlias = Annotated[bool, count_of("--count-actions")]
+Count: TypeAlias = Annotated[bool, count_of("--count")]
 
 _CANCELING = """\
 [bold]Examples[/]

@@ -22,14 +22,18 @@ from turtleact.commands.verbs.options import (
     MessageVerb,
     NoArrays,
     NoStrings,
+    ShowTypes,
     Truncate,
+    count_of,
     hertz,
+    in_seconds,
     message_of,
+    name_of,
     on_graph,
     on_known_graph,
     only_one,
     reach,
-    seconds,
+    stdin_of,
     style,
     type_and_text,
     type_of,
@@ -45,12 +49,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "param", "service"]
 
-NodeName: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        metavar="NODE", help="The node, such as /turtlesim.", autocompletion=completion.nodes
-    ),
-]
+NodeName: TypeAlias = Annotated[str, name_of("node", "/turtlesim", completion.nodes, "NODE")]
 AnyNode: TypeAlias = Annotated[
     str | None,
     typer.Argument(
@@ -81,10 +80,7 @@ Hidden: TypeAlias = Annotated[
     bool, typer.Option("--include-hidden-nodes", help="Include hidden nodes.")
 ]
 Timeout: TypeAlias = Annotated[
-    float,
-    typer.Option(
-        "--timeout", metavar="SECONDS", parser=seconds, help="How long to wait for the node."
-    ),
+    float, in_seconds("--timeout", text="How long to wait for the node.")
 ]
 Filter: TypeAlias = Annotated[
     str | None,
@@ -100,37 +96,25 @@ Prefixes: TypeAlias = Annotated[
         help="Only names with this prefix. Can be given several times.",
     ),
 ]
-ShowTypes: TypeAlias = Annotated[bool, typer.Option("--param-type", help="Print the types too.")]
+ParamTypes: TypeAlias = Annotated[bool, typer.Option("--param-type", help="Print the types too.")]
 HideType: TypeAlias = Annotated[bool, typer.Option("--hide-type", help="Print the value only.")]
 NoWildcard: TypeAlias = Annotated[
     bool,
     typer.Option("--no-use-wildcard", help="Skip what the file sets for all nodes (/**)."),
 ]
-SomeNode: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        metavar="NAME", help="The node, such as /turtlesim.", autocompletion=completion.nodes
-    ),
-]
+SomeNode: TypeAlias = Annotated[str, name_of("node", "/turtlesim", completion.nodes)]
 All: TypeAlias = Annotated[bool, typer.Option("--all", "-a", help="List hidden nodes too.")]
-Count: TypeAlias = Annotated[
-    bool, typer.Option("--count-nodes", "-c", help="Print only how many there are.")
-]
+Count: TypeAlias = Annotated[bool, count_of("--count-nodes")]
 ShowHidden: TypeAlias = Annotated[
     bool,
     typer.Option("--include-hidden", help="Print hidden topics, services and actions too."),
 ]
 
-ServiceName: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        metavar="NAME", help="The service, such as /spawn.", autocompletion=completion.services
-    ),
-]
+ServiceName: TypeAlias = Annotated[str, name_of("service", "/spawn", completion.services)]
 ServiceType: TypeAlias = Annotated[str, type_of("service")]
 AskedType: TypeAlias = Annotated[str | None, type_of("service", is_asked=True)]
 Values: TypeAlias = Annotated[str | None, message_of("request")]
-Stdin: TypeAlias = Annotated[bool, typer.Option("--stdin", help="Read the request from stdin.")]
+Stdin: TypeAlias = Annotated[bool, stdin_of("request")]
 Rate: TypeAlias = Annotated[
     float | None,
     typer.Option(
@@ -141,12 +125,7 @@ Rate: TypeAlias = Annotated[
         help="Repeat the call this many times per second.",
     ),
 ]
-ShowServiceTypes: TypeAlias = Annotated[
-    bool, typer.Option("--show-types", "-t", help="Print the types too.")
-]
-CountServices: TypeAlias = Annotated[
-    bool, typer.Option("--count-services", "-c", help="Print only how many there are.")
-]
+CountServices: TypeAlias = Annotated[bool, count_of("--count-services")]
 HiddenServices: TypeAlias = Annotated[
     bool, typer.Option("--include-hidden-services", help="Include hidden services.")
 ]
@@ -199,7 +178,7 @@ def list_parameters(
     hidden: Hidden = False,
     filter_: Filter = None,
     prefixes: Prefixes = None,
-    types: ShowTypes = False,
+    types: ParamTypes = False,
     connect: Connect = None,
     domain: Domain = 0,
     config: Config = None,
@@ -353,7 +332,7 @@ def load_(
 @service.command("list", cls=Verb)
 def list_services(
     *,
-    types: ShowServiceTypes = False,
+    types: ShowTypes = False,
     count: CountServices = False,
     hidden: HiddenServices = False,
     connect: Connect = None,

@@ -31,10 +31,14 @@ __all__ = [
     "MessageVerb",
     "Plain",
     "Plan",
+    "ShowTypes",
+    "count_of",
     "folder",
     "hertz",
+    "in_seconds",
     "journal_in",
     "message_of",
+    "name_of",
     "on_graph",
     "on_known_graph",
     "only_one",
@@ -44,6 +48,7 @@ __all__ = [
     "span",
     "speed",
     "speed_or_max",
+    "stdin_of",
     "type_and_text",
     "type_of",
     "whole",
@@ -177,6 +182,10 @@ Plain: TypeAlias = Annotated[
     bool, typer.Option("--plain", help="Print plain lines, even on a terminal.")
 ]
 
+ShowTypes: TypeAlias = Annotated[
+    bool, typer.Option("--show-types", "-t", help="Print the types too.")
+]
+
 Csv: TypeAlias = Annotated[
     bool, typer.Option("--csv", help="Print all values on one line, separated by commas.")
 ]
@@ -266,6 +275,13 @@ def style(*, csv: bool, flow: bool, longest: int | None, no_arr: bool, no_str: b
     return Style(csv=csv, flow=flow, longest=longest, arrays=not no_arr, strings=not no_str)
 
 
+def name_of(what: str, example: str, known: Callable[..., Any], metavar: str = "NAME") -> Any:  # noqa: ANN401  # likewise
+    """The argument that names something of the graph."""
+    return typer.Argument(
+        metavar=metavar, help=f"The {what}, such as {example}.", autocompletion=known
+    )
+
+
 def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # likewise
     """The argument that takes a message."""
     return typer.Argument(
@@ -274,6 +290,21 @@ def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # li
         autocompletion=completion.messages,
         show_default=False,
     )
+
+
+def stdin_of(what: str) -> Any:  # noqa: ANN401  # as typer.Option
+    """The switch that reads a message from stdin."""
+    return typer.Option("--stdin", help=f"Read the {what} from stdin.")
+
+
+def count_of(name: str) -> Any:  # noqa: ANN401  # likewise
+    """The switch that prints only a count."""
+    return typer.Option(name, "-c", help="Print only how many there are.")
+
+
+def in_seconds(*names: str, text: str, panel: str | None = None) -> Any:  # noqa: ANN401  # likewise
+    """An option that takes a number of seconds, 0 or more."""
+    return typer.Option(*names, metavar="SECONDS", parser=seconds, help=text, rich_help_panel=panel)
 
 
 def type_and_text(

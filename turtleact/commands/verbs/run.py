@@ -14,7 +14,7 @@ import typer
 
 from turtleact.commands import VERBS, completion
 from turtleact.commands.output import printable
-from turtleact.commands.settings import Fleet, Reach, quoted
+from turtleact.commands.settings import Fleet, Reach, Service, quoted
 from turtleact.commands.verbs import SETTINGS, Job, Verb
 from turtleact.commands.verbs.options import (
     Config,
@@ -226,7 +226,7 @@ def _built_in(package: str, executable: str, arguments: Sequence[str], where: Re
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
-        from turtleact.commands.serve import Service, run
+        from turtleact.commands.serve import run
 
         make_known(None)
         service = Service(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
@@ -13,9 +15,11 @@ from turtleact.commands.settings import (
     Fleet,
     Keeping,
     LogFormat,
+    Override,
     Page,
     Placing,
     Reach,
+    Service,
     Watched,
     endpoints,
     quoted,
@@ -37,7 +41,6 @@ from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
-    from turtleact.commands.overrides import Override
 
 __all__ = ["app", "serve"]
 
@@ -318,13 +321,9 @@ def serve(
     keeping = _keeping(journal, on_restart, max_starts, abort_goals=abort_goals)
     page, where = _page(web, token, allow_host, allow_origin), reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
-        from turtleact.commands.interfaces import make_known
-        from turtleact.commands.serve import Service, run
-
-        make_known(folder(interfaces))
+    def service() -> Service:  # not before the job: this reads files and imports modules
         access = _access(where, at, insecure=insecure)
-        service = Service(
+        return Service(
             *(tuple(targets or ()), at, where, None if no_sim else fleet, page, access),
             *(not (headless or plain), False, wait, reload),  # not only turtlesim
             node_name=node_name or _node_name(targets, no_sim=no_sim),
@@ -333,14 +332,21 @@ def serve(
             introspection=introspection,
             watched=watched,
         )
-        return run(service, interrupts)
 
-    return job
+    return partial(_serve, folder(interfaces), service)
+
+
+def _serve(known: str | None, service: Callable[[], Service], interrupts: Interrupts) -> int:
+    from turtleact.commands.interfaces import make_known
+    from turtleact.commands.serve import run
+
+    make_known(known)
+    return run(service(), interrupts)
 
 
 def _overrides(files: list[Path] | None, assignments: list[str] | None) -> tuple[Override, ...]:
     """The first values of parameters; raises as `read_overrides` does."""
-    from turtleact.commands.overrides import read_overrides
+    from turtleact.commands.node_parameters import read_overrides
 
     return tuple(read_overrides([str(each) for each in files or ()], assignments or ()))
 

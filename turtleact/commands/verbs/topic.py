@@ -20,14 +20,18 @@ from turtleact.commands.verbs.options import (
     MessageVerb,
     NoArrays,
     NoStrings,
+    ShowTypes,
     Truncate,
+    count_of,
     hertz,
+    in_seconds,
     message_of,
+    name_of,
     on_graph,
     on_known_graph,
     only_one,
     reach,
-    seconds,
+    stdin_of,
     style,
     type_and_text,
     type_of,
@@ -71,21 +75,11 @@ PROFILES: dict[ProfileName, Policies] = {
 QOS = "Quality of service"
 """The heading of these options."""
 
-Name: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        metavar="NAME", help="The topic, such as /turtle1/pose.", autocompletion=completion.topics
-    ),
-]
+Name: TypeAlias = Annotated[str, name_of("topic", "/turtle1/pose", completion.topics)]
 Type: TypeAlias = Annotated[str, type_of("topic")]
 AskedType: TypeAlias = Annotated[str | None, type_of("topic", is_asked=True)]
 Values: TypeAlias = Annotated[str | None, message_of("message")]
-ShowTypes: TypeAlias = Annotated[
-    bool, typer.Option("--show-types", "-t", help="Print the types too.")
-]
-Count: TypeAlias = Annotated[
-    bool, typer.Option("--count-topics", "-c", help="Print only how many there are.")
-]
+Count: TypeAlias = Annotated[bool, count_of("--count-topics")]
 Hidden: TypeAlias = Annotated[
     bool, typer.Option("--include-hidden-topics", help="Include hidden topics.")
 ]
@@ -97,10 +91,7 @@ Field: TypeAlias = Annotated[
     str | None,
     typer.Option("--field", metavar="FIELD", help="Print only this field, such as linear.x."),
 ]
-Timeout: TypeAlias = Annotated[
-    float | None,
-    typer.Option("--timeout", metavar="SECONDS", parser=seconds, help="Exit after this time."),
-]
+Timeout: TypeAlias = Annotated[float | None, in_seconds("--timeout", text="Exit after this time.")]
 Filter: TypeAlias = Annotated[
     str | None,
     typer.Option(
@@ -140,7 +131,7 @@ Wait: TypeAlias = Annotated[
         help="Wait for this many subscriptions first: 1 with --once or --times, else 0.",
     ),
 ]
-Stdin: TypeAlias = Annotated[bool, typer.Option("--stdin", help="Read the message from stdin.")]
+Stdin: TypeAlias = Annotated[bool, stdin_of("message")]
 Profile: TypeAlias = Annotated[
     ProfileName | None,
     typer.Option(
