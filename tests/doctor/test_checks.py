@@ -89,6 +89,52 @@ def test_a_node_without_type_hashes_is_named_as_of_an_old_release():
     assert (fault.kind, fault.names) == ("version", ("/old",))
 
 
+def test_an_empty_domain_is_a_fault_if_another_one_is_in_use():
+    assert str(only(domains=(5, 9))) == (
+        "domain: no node is in domain 0, but there are some in 5, 9; set ROS_DOMAIN_ID=5, or give "
+        "--domain 5"
+    )
+    assert not faults(domains=(0, 5), nodes=(NodeSeen("/a", "1"),))
+    assert not faults(domains=(0,))
+
+
+def test_tools_that_take_whatever_they_find_are_no_fault():
+    hidden = "/_recorder"
+    assert not faults(
+        nodes=(NodeSeen(hidden, "1"), NodeSeen(hidden, "2")),
+        endpoints=(
+            end("publisher", "/a"),
+            end("subscription", hidden, type_hash="TypeHashNotSupported"),
+            end("subscription", hidden, type_hash=THEIRS),
+            end("subscription", hidden, type_name="std_msgs/msg/String"),
+        ),
+    )
+
+
+def test_a_type_that_nobody_offers_under_a_name_is_named():
+    other = "lab_interfaces/action/Other"
+    known = {**KNOWN, f"{other}_SendGoal": OURS, f"{other}_GetResult": OURS}
+    wrong = [
+        end("client", "/b", name=f"/count/_action/{part}", type_name=f"{other}_{word}")
+        for part, word in (("send_goal", "SendGoal"), ("get_result", "GetResult"))
+    ]
+    ends = (server("/a"), server("/a", "get_result"), *wrong)
+    fault = only(known=known, endpoints=ends)
+    assert fault.names == ("/count", other, "/b", "/a")
+    assert str(fault) == (
+        f"type: /count has type {COUNT} at /a, but {other} at /b; use the same type on both sides, "
+        "or another name"
+    )
+
+
+def test_a_name_may_be_offered_with_several_types():
+    other = "std_msgs/msg/String"
+    known = {**KNOWN, other: OURS}
+    both = (end("publisher", "/a"), end("publisher", "/a", type_name=other))
+    assert not faults(known=known, endpoints=(*both, end("subscription", "/b", type_name=other)))
+    assert not faults(endpoints=(end("subscription", "/b"),))
+
+
 def test_a_process_that_does_not_answer_is_named_with_all_its_nodes():
     fault = only(
         nodes=(NodeSeen("/b", "1"), NodeSeen("/a", "1"), NodeSeen("/c", "2")),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import AsyncIterator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from turtleact.doctor.snapshot import Snapshot
     from turtleact.node import Node
 
-__all__ = ["run"]
+__all__ = ["fact_lines", "run"]
 
 HEALTHY, FAULTY = 0, 1
 """Exit statuses."""
@@ -41,12 +40,13 @@ def run(reach: Reach, interrupts: Interrupts, *, as_json: bool, verbose: bool) -
 
     async def look(node: Node) -> int:
         snapshot = await take_snapshot(node, with_domains=verbose)
-        facts = _facts(snapshot) if verbose else {}
-        return _print(find_faults(snapshot), facts, as_json=as_json)
+        return _print(find_faults(snapshot), snapshot if verbose else None, as_json=as_json)
 
     async def act(found: Node | Fault) -> int:
         return (
-            _print([found], {}, as_json=as_json) if isinstance(found, Fault) else await look(found)
+            _print([found], None, as_json=as_json)
+            if isinstance(found, Fault)
+            else await look(found)
         )
 
     return runner.run(graph.until_interrupted(_open(reach), act, interrupts), interrupts)
@@ -78,13 +78,14 @@ def _unreachable(problem: str) -> Fault:
     return Fault("no-router", (), problem, advice)
 
 
-def _print(faults: list[Fault], facts: dict[str, object], *, as_json: bool) -> int:
+def _print(faults: list[Fault], seen: Snapshot | None, *, as_json: bool) -> int:
+    """Print faults, and the facts of a snapshot; return the exit status."""
     if as_json:
         lines = [json.dumps(_as_dict(each)) for each in faults]
-        lines += [json.dumps({"facts": facts})] * bool(facts)
+        lines += [] if seen is None else [json.dumps({"facts": _facts(seen)})]
     else:
-        found = list(map(str, faults)) or ["no faults found"]
-        lines = [*found, *_fact_lines(facts)]
+        lines = list(map(str, faults)) or ["no faults found"]
+        lines += [] if seen is None else fact_lines(seen)
     say_names("".join(f"{line}\n" for line in lines))
     return FAULTY if faults else HEALTHY
 
@@ -100,7 +101,6 @@ def _as_dict(fault: Fault) -> dict[str, object]:
 
 def _facts(snapshot: Snapshot) -> dict[str, object]:
     """What the snapshot says about a graph, whether it is at fault or not."""
-    sessions = Counter(each.session for each in snapshot.nodes)
     return {
         "domain": snapshot.domain,
         "domains in use": list(snapshot.domains),
@@ -109,7 +109,7 @@ def _facts(snapshot: Snapshot) -> dict[str, object]:
             for each in snapshot.routers or ()
         ],
         "zenoh": snapshot.zenoh,
-        "sessions with nodes": len(sessions),
+        "sessions with nodes": len(_sessions(snapshot)),
         "nodes": len(snapshot.nodes),
         "endpoints": len(snapshot.endpoints),
         "clocks": {
@@ -118,10 +118,25 @@ def _facts(snapshot: Snapshot) -> dict[str, object]:
     }
 
 
-def _fact_lines(facts: dict[str, object]) -> Iterator[str]:
-    for name, value in facts.items():
-        if isinstance(value, list | dict):
-            text = json.dumps(value).strip("[]") or "none"
-        else:
-            text = str(value)
-        yield f"{name}: {text}"
+def _sessions(snapshot: Snapshot) -> set[str]:
+    """The sessions that have nodes."""
+    return {each.session for each in snapshot.nodes}
+
+
+def fact_lines(snapshot: Snapshot) -> Iterator[str]:
+    """The same facts, for people."""
+    others = ", ".join(str(each) for each in snapshot.domains if each != snapshot.domain)
+    if snapshot.domain is not None:
+        yield f"domain: {snapshot.domain} (others in use: {others or 'none'})"
+    for router in snapshot.routers or ():
+        version = router.version or "unknown"
+        sessions = "unknown" if router.sessions is None else router.sessions
+        yield f"router: {router.zid}, Zenoh {version}, sessions: {sessions}"
+    yield f"Zenoh here: {snapshot.zenoh or 'none'}"
+    yield f"nodes: {len(snapshot.nodes)} in {len(_sessions(snapshot))} sessions"
+    yield f"endpoints: {len(snapshot.endpoints)}"
+    for answer in snapshot.answers:
+        if answer.offset is not None:
+            where = "ahead" if answer.offset > 0 else "behind"
+            off, doubt = abs(answer.offset), answer.uncertainty
+            yield f"clock of {answer.node}: {off:.4f} s {where} (± {doubt:.4f} s)"

@@ -77,6 +77,19 @@ def missing_router(snapshot: Snapshot) -> Iterator[Fault]:
         )
 
 
+def empty_domain(snapshot: Snapshot) -> Iterator[Fault]:
+    """The domain has no nodes, but another one has."""
+    others = [domain for domain in snapshot.domains if domain != snapshot.domain]
+    if others and not snapshot.nodes:
+        used = ", ".join(map(str, others))
+        yield Fault(
+            "domain",
+            (),
+            f"no node is in domain {snapshot.domain}, but there are some in {used}",
+            f"set ROS_DOMAIN_ID={others[0]}, or give --domain {others[0]}",
+        )
+
+
 def unfitting_versions(snapshot: Snapshot) -> Iterator[Fault]:
     """A router has another major version of Zenoh, or a peer a release of ROS 2 without hashes."""
     for router in snapshot.routers or ():
@@ -90,7 +103,7 @@ def unfitting_versions(snapshot: Snapshot) -> Iterator[Fault]:
             )
     found = {
         each.endpoint.node
-        for each in snapshot.endpoints
+        for each in _listed(snapshot.endpoints)
         if each.endpoint.type_hash and not HASHED.fullmatch(each.endpoint.type_hash)
     }
     for node in sorted(found):
@@ -136,7 +149,7 @@ def silent_nodes(snapshot: Snapshot) -> Iterator[Fault]:
 
 def duplicate_nodes(snapshot: Snapshot) -> Iterator[Fault]:
     """Several nodes have one name."""
-    counts = Counter(each.name for each in snapshot.nodes)
+    counts = Counter(each.name for each in snapshot.nodes if not is_hidden_node(each.name))
     for name, count in sorted(counts.items()):
         if count > 1:
             yield Fault(
@@ -166,6 +179,35 @@ def several_servers(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 # types
+
+
+def differing_types(snapshot: Snapshot) -> Iterator[Fault]:
+    """A node wants a topic, service or action with a type that nobody offers it with.
+
+    A node may offer several types under one name, and does so for ``/fibonacci``.
+    """
+    told: set[tuple[str, str]] = set()
+    for name, ends in sorted(_by_name(snapshot).items()):
+        for offering, wanting in (("publisher", "subscription"), ("service", "client")):
+            offers, wants = _nodes_by_type(ends, offering), _nodes_by_type(ends, wanting)
+            for type_name in sorted(wants.keys() - offers.keys()):
+                subject = _plain(name), type_name
+                if offers and subject not in told:
+                    told.add(subject)
+                    yield _type_fault(*subject, wants[type_name], offers)
+
+
+def _type_fault(
+    name: str, type_name: str, wanting: list[str], offers: dict[str, list[str]]
+) -> Fault:
+    offering = sorted({node for nodes in offers.values() for node in nodes})
+    return Fault(
+        "type",
+        (name, type_name, *wanting, *offering),
+        f"{name} has type {' and '.join(offers)} at {', '.join(offering)}, but {type_name} at "
+        f"{', '.join(wanting)}",
+        "use the same type on both sides, or another name",
+    )
 
 
 def differing_definitions(snapshot: Snapshot) -> Iterator[Fault]:
@@ -199,7 +241,7 @@ def _holders(
 ) -> dict[str, list[str]]:
     """Who has which definition: the nodes by type hash; this process counts as ``here``."""
     holders: dict[str, set[str]] = {}
-    for each in found:
+    for each in _listed(found):
         if HASHED.fullmatch(each.endpoint.type_hash):
             holders.setdefault(each.endpoint.type_hash, set()).add(each.endpoint.node)
     ours = snapshot.known.get(type_name, "")
@@ -211,8 +253,8 @@ def _holders(
 def unknown_interfaces(snapshot: Snapshot) -> Iterator[Fault]:
     """A type on the graph is not known here."""
     where: dict[str, set[str]] = {}
-    for each in snapshot.endpoints:
-        if each.endpoint.type_name not in snapshot.known and not is_hidden_node(each.endpoint.node):
+    for each in _listed(snapshot.endpoints):
+        if each.endpoint.type_name not in snapshot.known:
             owner = _owner(each.endpoint.type_name)
             where.setdefault(owner, set()).add(_plain(each.endpoint.name))
     for type_name, names in sorted(where.items()):
@@ -230,7 +272,7 @@ def unknown_interfaces(snapshot: Snapshot) -> Iterator[Fault]:
 def incompatible_qos(snapshot: Snapshot) -> Iterator[Fault]:
     """A subscription asks for more than a publisher of its topic offers."""
     for (name, _), found in sorted(_by_name_and_type(snapshot).items()):
-        ends = {each.endpoint for each in found if not is_hidden_node(each.endpoint.node)}
+        ends = {each.endpoint for each in _listed(found)}
         publishers = sorted((e for e in ends if e.kind == "publisher"), key=_order)
         readers = sorted((e for e in ends if e.kind == "subscription"), key=_order)
         for publisher, reader in product(publishers, readers):
@@ -263,11 +305,13 @@ def reported(snapshot: Snapshot) -> Iterator[Fault]:
 
 CHECKS: Final[tuple[Callable[[Snapshot], Iterable[Fault]], ...]] = (
     missing_router,
+    empty_domain,
     unfitting_versions,
     silent_nodes,
     clocks_apart,
     duplicate_nodes,
     several_servers,
+    differing_types,
     differing_definitions,
     unknown_interfaces,
     incompatible_qos,
@@ -290,6 +334,26 @@ def _list(what: str, names: tuple[str, ...]) -> str:
 
 def _do(names: tuple[str, ...]) -> str:
     return "does" if len(names) == 1 else "do"
+
+
+def _listed(endpoints: Iterable[EndpointSeen]) -> Iterator[EndpointSeen]:
+    """Those of nodes that are not hidden. Command-line tools take whatever they find."""
+    return (each for each in endpoints if not is_hidden_node(each.endpoint.node))
+
+
+def _by_name(snapshot: Snapshot) -> dict[str, list[Endpoint]]:
+    found: dict[str, list[Endpoint]] = {}
+    for each in _listed(snapshot.endpoints):
+        found.setdefault(each.endpoint.name, []).append(each.endpoint)
+    return found
+
+
+def _nodes_by_type(endpoints: Iterable[Endpoint], kind: str) -> dict[str, list[str]]:
+    found: dict[str, set[str]] = {}
+    for each in endpoints:
+        if each.kind == kind:
+            found.setdefault(_owner(each.type_name), set()).add(each.node)
+    return {type_name: sorted(nodes) for type_name, nodes in sorted(found.items())}
 
 
 def _by_name_and_type(snapshot: Snapshot) -> dict[tuple[str, str], list[EndpointSeen]]:

@@ -71,7 +71,7 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
 
     Args:
         node: A node on the graph. It is left out of the snapshot.
-        with_domains: Whether to find out which other ROS domains are in use.
+        with_domains: Whether to find out which ROS domains are in use, even if this one is.
 
     Raises:
         TurtleactError: if the node is closed, or loses the graph meanwhile.
@@ -87,7 +87,7 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
             for session, asked in _to_ask(endpoints).items():
                 group.start_soon(_ask, node, session, asked, answers)
             group.start_soon(_collect_reports, node, reports)
-            group.start_soon(_look_around, node, around, with_domains)
+            group.start_soon(_look_around, node, around, with_domains or not nodes)
             group.start_soon(_find_fields, node, endpoints, known, fields)
     return msgspec.structs.replace(
         around[0],
