@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import anyio
+import anyio.lowlevel
 import pytest
 
 from turtleact import GoalStatus, Node, open_node
@@ -129,6 +130,39 @@ async def test_a_background_task_runs_until_the_next_reload(desk):
     assert desk.node.beats == ["begun", "ended", "begun"]
     await desk.reloader.aclose()
     assert desk.node.beats[2:] == ["begun", "ended"]
+
+
+PAIR = """
+import anyio
+import turtleact
+
+begun = [anyio.Event(), anyio.Event()]
+
+async def end_together(own, other):
+    try:
+        await anyio.sleep_forever()
+    finally:
+        with anyio.move_on_after(1, shield=True) as waiting:
+            own.set()
+            await other.wait()
+        print("too late" if waiting.cancelled_caught else "in time")
+
+@turtleact.background
+async def one(node):
+    await end_together(*begun)
+
+@turtleact.background
+async def two(node):
+    await end_together(*reversed(begun))
+"""
+
+
+async def test_background_tasks_end_together(desk, capsys):
+    desk.write(text=PAIR)
+    await desk.rest()
+    await anyio.lowlevel.checkpoint()
+    await desk.reloader.aclose()
+    assert capsys.readouterr().out == "in time\n" * 2
 
 
 async def test_a_module_may_have_background_tasks_alone(desk, caplog):

@@ -152,9 +152,13 @@ class Reloader:
 
     async def aclose(self) -> None:
         """End the background tasks; the node closes everything else."""
-        for task in self._tasks:
-            await task.aclose(GRACE)
-        self._tasks.clear()
+        tasks, self._tasks = self._tasks, []
+        # All at once, so that tasks that ignore their cancellation cost `GRACE` seconds together.
+        # Shielded: a child that is cancelled before its first step would not cancel its task.
+        with anyio.CancelScope(shield=True):
+            async with anyio.create_task_group() as closing:
+                for task in tasks:
+                    closing.start_soon(task.aclose, GRACE)
 
     async def run(self) -> None:
         """Watch and replace, until cancelled."""
