@@ -8,7 +8,7 @@ import pytest
 
 from turtleact.actions.patrol import Patrol
 from turtleact.interfaces import get_action, load_action, load_interfaces, load_message
-from turtleact.web.forms import form
+from turtleact.web.page_values import form
 
 INNER = """\
 float64 x 1.5   # where to go [m]

@@ -16,7 +16,7 @@ import msgspec
 
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import Message
-from turtleact.web.excerpts import Plain, excerpt, numbers_in
+from turtleact.web.page_values import Plain, excerpt, numbers_in
 
 __all__ = ["MOST_ACTIVE", "MOST_ENDED", "REJECTED", "GoalHistory", "GoalRecord", "Series"]
 

@@ -46,10 +46,9 @@ from turtleact.tasks import Background, current_tasks
 from turtleact.topics import Subscription
 from turtleact.transports import QoS
 from turtleact.transports.base import STATUS_QOS
-from turtleact.web.excerpts import Plain, excerpt
-from turtleact.web.forms import form
 from turtleact.web.goal_history import REJECTED, GoalHistory, GoalRecord
 from turtleact.web.name_lookup import action_class, message_class
+from turtleact.web.page_values import Plain, excerpt, form
 from turtleact.web.pen_trails import Pen, PenTrails
 
 __all__ = [

@@ -1,7 +1,8 @@
-"""What the page shows of a message: plain values of bounded size, and the numbers to plot.
+"""What the page shows of messages: plain values of bounded size, numbers to plot, and forms.
 
 A message may hold a million numbers, and the page shows a few of them. So nothing here looks at
-more than it returns.
+more than it returns. `form` describes an action's fields, so that the page can ask for a goal and
+label values; `turtleact.interfaces.comments` has the comments.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import Any, Final, TypeAlias, cast
 
-from turtleact.interfaces import Message, fields
+from turtleact.interfaces import Action, Message, fields
+from turtleact.interfaces.comments import comments
+from turtleact.interfaces.definition import INTEGER_RANGES, Field
 from turtleact.interfaces.types import nested_classes
 
 __all__ = [
@@ -20,6 +23,7 @@ __all__ = [
     "MOST_VALUES",
     "Plain",
     "excerpt",
+    "form",
     "numbers_in",
 ]
 
@@ -44,6 +48,8 @@ NUMBERS: Final = frozenset(
     {"float32", "float64", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"}
 )
 
+Described: TypeAlias = dict[str, Any]
+
 
 def excerpt(message: Message) -> Plain:
     """The values of a message as JSON can write them; long lists and texts are cut.
@@ -64,6 +70,21 @@ def numbers_in(message: Message) -> Iterator[tuple[str, float]]:
         for attribute in attributes:
             value = getattr(value, attribute)
         yield path, value
+
+
+def form(action: type[Action]) -> Described:
+    """The fields of an action's goal, result and feedback.
+
+    Each field has ``name``, ``type``, ``default`` and ``comment``, and where they apply ``array``
+    (``form`` and ``size``), ``longest``, ``least`` and ``most``, and ``fields``.
+    """
+    parts: dict[str, type[Message]] = {
+        "goal": action.Goal,
+        "result": action.Result,
+        "feedback": action.Feedback,
+    }
+    described = {part: _described(cls, comments(cls)) for part, cls in parts.items()}
+    return {"type": action.type_name, **described}
 
 
 class _Cutter:
@@ -125,3 +146,31 @@ def _walk(
             yield from _walk(nested, f"{path}.", here)
         elif field.type.name in NUMBERS:
             yield path, here
+
+
+def _described(cls: type[Message], notes: dict[str, str]) -> list[Described]:
+    defaults: Any = excerpt(cls())
+    return [
+        _field(field, nested, defaults[field.name], notes.get(field.name, ""))
+        for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
+    ]
+
+
+def _field(field: Field, nested: type[Message] | None, default: object, comment: str) -> Described:
+    kind = field.type
+    said: Described = {
+        "name": field.name,
+        "type": kind.name,
+        "default": default,
+        "comment": comment,
+    }
+    if kind.is_sequence:
+        said["array"] = {"form": kind.form.name.lower(), "size": kind.size}
+    if kind.string_bound is not None:
+        said["longest"] = kind.string_bound
+    if kind.name in INTEGER_RANGES:  # as text: JavaScript would round the largest
+        least, most = INTEGER_RANGES[kind.name]
+        said |= {"least": str(least), "most": str(most)}
+    if nested is not None:
+        said["fields"] = _described(nested, comments(nested))
+    return said

@@ -10,7 +10,7 @@ import pytest
 
 from turtleact.interfaces import Message, array, bool_, float64, int64, string, uint8
 from turtleact.interfaces.standard import Point, Twist, Vector3
-from turtleact.web.excerpts import (
+from turtleact.web.page_values import (
     CHARACTERS,
     LONGEST_TEXT,
     MOST_PLOTTED,
