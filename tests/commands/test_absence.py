@@ -10,8 +10,8 @@ import threading
 import pytest
 
 from turtleact import open_node, open_zenoh
-from turtleact.commands import absence, graph, send_goal
-from turtleact.commands.absence import no_router, none_in_domain, not_served
+from turtleact.commands import graph, send_goal
+from turtleact.commands.graph import no_router, none_in_domain, not_served
 from turtleact.commands.settings import Reach
 from turtleact.errors import TurtleactError
 
@@ -84,9 +84,9 @@ async def test_an_empty_domain_names_the_domains_that_have_nodes(at):
 async def test_a_domain_with_hidden_nodes_only_is_empty(at, capsys):
     async with open_zenoh(listen=[at], mode="router", domain=0) as alone:
         async with open_node("_hidden", transport=alone):
-            await absence.note_empty(alone, HERE)
+            await graph.note_empty(alone, HERE)
         async with open_node("lab", transport=alone):
-            await absence.note_empty(alone, HERE)
+            await graph.note_empty(alone, HERE)
     assert capsys.readouterr().err == (
         "turtleact: domain 0 has no nodes; is your server running?\n"
     )

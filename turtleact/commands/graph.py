@@ -1,7 +1,11 @@
-"""The graph that a verb uses: how to reach it, what to ask of it, and how the verb ends.
+"""The graph that a verb uses: how to reach it, what to ask of it, what it lacks, how the verb ends.
 
 A verb is a coroutine function that takes a `Node` and returns the exit status. The node is hidden
 and opens nothing by itself.
+
+A command may find no router, an empty domain, or an action that nobody serves. A server that is off
+and one in another domain look the same from here, so the texts about that name what is in reach
+instead.
 """
 
 from __future__ import annotations
@@ -15,12 +19,18 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 import anyio
 
 from turtleact.commands import runner
-from turtleact.commands.absence import note_empty
 from turtleact.commands.locks import mode_of
 from turtleact.commands.output import ELSEWHERE, note
-from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface, UsageError
-from turtleact.graph import Kind, names_like, types_by_name
+from turtleact.errors import (
+    InvalidInterface,
+    ServerUnavailable,
+    TurtleactError,
+    UnknownInterface,
+    UsageError,
+)
+from turtleact.graph import Kind, is_hidden_node, names_like, types_by_name
 from turtleact.interfaces import get_interface
+from turtleact.interfaces.definition import nearest
 from turtleact.node import Node, open_node
 
 if TYPE_CHECKING:
@@ -38,18 +48,31 @@ __all__ = [
     "chosen_class",
     "enter_if_there",
     "interface_class",
+    "no_router",
+    "none_in_domain",
+    "not_in_world",
+    "not_served",
     "note_differing",
+    "note_empty",
     "open_graph",
     "open_transport",
     "run",
     "until_interrupted",
+    "world_started",
 ]
 
 I = TypeVar("I", bound="Message | Service | Action")  # noqa: E741  # an interface
+
 T = TypeVar("T")
 
 Look: TypeAlias = Callable[[Node], Awaitable[int]]
 """A verb: looks at the graph and returns the exit status."""
+
+ROUTER = "tcp/localhost:7447"
+"""Where a command looks for a router unless ``--connect`` says otherwise."""
+
+MOST_SHOWN = 10
+"""How many names are listed if none is like the one that was looked for."""
 
 
 @asynccontextmanager
@@ -227,6 +250,77 @@ def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str
         note(f"{fault.problem}; {fault.advice}")
 
 
+def no_router(reach: Reach) -> str:
+    """Say that there is no router where the nodes of this machine look for one."""
+    rest = "answers" if reach.config is None else "answers, or lets in this --config,"
+    return f"no router {rest} at {ROUTER} ('turtleact serve' starts one)"
+
+
+async def note_empty(transport: Transport, reach: Reach) -> None:
+    """Tell the user if a domain has no nodes: most verbs print nothing then."""
+    from turtleact.transports import ZenohTransport  # an embedded world does without Zenoh
+
+    if isinstance(transport, ZenohTransport) and all(map(is_hidden_node, transport.nodes())):
+        note(await none_in_domain(transport, reach))
+
+
+async def none_in_domain(transport: Transport, reach: Reach, what: str = "nodes") -> str:
+    """Say that a domain has none of something, and in which domains there are nodes.
+
+    Args:
+        transport: The graph.
+        reach: Which graph it is.
+        what: What the domain has none of.
+    """
+    from turtleact.transports import ZenohTransport
+
+    lack = f"domain {reach.domain} has no {what}"
+    known = await transport.domains() if isinstance(transport, ZenohTransport) else ()
+    others = [str(each) for each in known if each != reach.domain]
+    if not others:
+        return f"{lack}; is your server running?"
+    there = f"domain {others[0]} has" if len(others) == 1 else f"domains {', '.join(others)} have"
+    return f"{lack} ({there} nodes: try --domain {others[0]})"
+
+
+def world_started(why: str = "") -> str:
+    """Say that a command has started a world of its own.
+
+    Args:
+        why: Why it has; empty if the user asked for one.
+    """
+    reason = f", because {why}" if why else ""
+    return f"started an embedded world, which ends with this command{reason}"
+
+
+def not_served(name: str, served: Iterable[str], where: str = "in reach") -> ServerUnavailable:
+    """The error for an action that nobody serves; it asks for the server and says what is there.
+
+    Args:
+        name: The full name of the action.
+        served: The actions that are served.
+        where: Where they are.
+    """
+    if near := nearest(name, served := sorted(set(served))):
+        hint = f"is your server running, or did you mean '{near}'?"
+    else:
+        hint = f"is your server running? The actions {where}: {_some(served)}"
+    return ServerUnavailable(name, "nobody serves it", hint=hint)
+
+
+def not_in_world(name: str, served: Iterable[str]) -> ServerUnavailable:
+    """The error for an action that the embedded world lacks, if the user asked for that world."""
+    near = nearest(name, served := sorted(set(served)))
+    there = f"did you mean '{near}'?" if near else f"it serves {_some(served)};"
+    hint = f"{there} --embedded, --speed and --seed use no other server"
+    return ServerUnavailable(name, "the embedded world does not serve it", hint=hint)
+
+
 async def _heed_interrupts(interrupts: Interrupts, scope: anyio.CancelScope) -> None:
     await interrupts.wait(1)
     scope.cancel()
+
+
+def _some(names: list[str]) -> str:
+    shown = [*names[:MOST_SHOWN], "…"] if len(names) > MOST_SHOWN else names
+    return ", ".join(shown) or "none"

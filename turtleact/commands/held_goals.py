@@ -24,8 +24,7 @@ import anyio
 
 from turtleact.client import Outcome
 from turtleact.clock import within
-from turtleact.commands.absence import not_served
-from turtleact.commands.graph import interface_class
+from turtleact.commands.graph import interface_class, not_served
 from turtleact.commands.output import duration, note, say, say_names
 from turtleact.commands.pause_requests import follow_paused, paused_goals, set_paused
 from turtleact.commands.transcript import Followed

@@ -12,7 +12,7 @@ import anyio
 import anyio.to_thread
 
 from turtleact.commands import graph, runner
-from turtleact.commands.absence import no_router, world_started
+from turtleact.commands.graph import no_router, world_started
 from turtleact.commands.output import note, say
 from turtleact.commands.send_goal import embedded_world
 from turtleact.errors import InvalidOption, TurtleactError, UsageError

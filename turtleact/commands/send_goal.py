@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 import anyio
 
 from turtleact.commands import graph, runner
-from turtleact.commands.absence import (
+from turtleact.commands.graph import (
     no_router,
     none_in_domain,
     not_in_world,

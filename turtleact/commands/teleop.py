@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import anyio
 
 from turtleact.commands import graph, runner
-from turtleact.commands.absence import no_router, none_in_domain, world_started
+from turtleact.commands.graph import no_router, none_in_domain, world_started
 from turtleact.commands.output import note, say
 from turtleact.commands.send_goal import embedded_world
 from turtleact.commands.terminal import LogLines, Region, can_move, keep_drawing, typed_keys
