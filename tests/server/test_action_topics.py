@@ -82,6 +82,35 @@ async def test_observers_hear_of_feedback_that_cannot_be_sent():
         assert losses.heard == [FeedbackLost(1)] * 3
 
 
+class States(GoalObserver):
+    def __init__(self, *, wants_acceptance: bool) -> None:
+        self.heard: list[GoalStatus] = []
+        self._wants_acceptance = wants_acceptance
+
+    @property
+    def wants_acceptance(self) -> bool:
+        return self._wants_acceptance
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
+        self.heard.append(after)
+
+
+async def test_a_goal_that_starts_at_once_is_shown_accepted_only_if_an_observer_wants_it():
+    accepted, executing, succeeded = (
+        GoalStatus.ACCEPTED,
+        GoalStatus.EXECUTING,
+        GoalStatus.SUCCEEDED,
+    )
+    async with lab(act) as served:
+        served.local.observers.add(content := States(wants_acceptance=False))
+        await send(served, 0)
+        assert content.heard == [executing, succeeded]
+        served.local.observers.add(curious := States(wants_acceptance=True))
+        await send(served, 0)
+        assert curious.heard == [accepted, executing, succeeded]
+        assert content.heard == [executing, succeeded, accepted, executing, succeeded]
+
+
 def check(source: StatusTopic, *expected: GoalStatus) -> None:
     """Both forms say the same, and this."""
     encode = WireFormat(GoalStatusArray).encode

@@ -101,7 +101,6 @@ class RemoteGoal(msgspec.Struct, eq=False):
     Attributes:
         goal: The goal object of this process.
         goal_id: Its id.
-        log: Its feedback.
         is_sender: Whether this client sent it.
         is_accepted: Whether the server has accepted it.
         is_abandoned: Whether it must be canceled as soon as it is accepted.
@@ -117,9 +116,8 @@ class RemoteGoal(msgspec.Struct, eq=False):
 
     goal: Goal
     goal_id: bytes
-    log: FeedbackLog
-    is_sender: bool
-    is_accepted: bool
+    is_sender: bool = True
+    is_accepted: bool = False
     is_abandoned: bool = False
     is_awaited: bool = False
     is_observed: bool = False
@@ -129,13 +127,6 @@ class RemoteGoal(msgspec.Struct, eq=False):
     sent: PendingCall | None = None
     asked: PendingCall | None = None
     task: Cancelable | None = None
-
-
-def _remote(goal: Goal, *, is_sender: bool) -> RemoteGoal:
-    log = goal.feedback = FeedbackLog()
-    goal.is_streamed = True
-    goal_id = cast("bytes", goal.id)
-    return RemoteGoal(goal, goal_id, log, is_sender=is_sender, is_accepted=not is_sender)
 
 
 class RemoteGoals:
@@ -181,9 +172,8 @@ class RemoteGoals:
         """
         if not self._endpoints.is_open:
             self.open()
-        remote = _remote(goal, is_sender=True)
-        remote.reattach = reattach
-        remote.note = REQUEST_NOTE.get()
+        goal_id = cast("bytes", goal.id)
+        remote = RemoteGoal(goal, goal_id, reattach=reattach, note=REQUEST_NOTE.get())
         is_under_way = self._send_both(remote)
         self.by_id[remote.goal_id] = remote
         if not is_under_way:
@@ -192,7 +182,8 @@ class RemoteGoals:
 
     def attach(self, goal: Goal, state: State) -> None:
         """Follow a goal that somebody else sent, starting from its current state."""
-        remote = _remote(goal, is_sender=False)
+        goal_id = cast("bytes", goal.id)
+        remote = RemoteGoal(goal, goal_id, is_sender=False, is_accepted=True)
         self.take_state(remote, state)
         self.by_id[remote.goal_id] = remote
         self._follow_in_task(remote)
@@ -451,7 +442,10 @@ class RemoteGoals:
 
     def _take_feedback(self, remote: RemoteGoal, feedback: Message) -> None:
         """Record a feedback message and call the sender's callback."""
-        goal, log = remote.goal, remote.log
+        goal = remote.goal
+        log = goal.feedback
+        if log is None:
+            log = goal.feedback = FeedbackLog()
         if goal.status < _EXECUTING:
             self._move(remote, _EXECUTING)
         remote.received += 1

@@ -161,6 +161,11 @@ class StatusTopic(GoalObserver):
         if has_readers:
             self._server.observers.add(self)
 
+    @property
+    def wants_acceptance(self) -> bool:
+        """Only for readers in this process. Others get the state at the loop's next turn."""
+        return self._publication is not None and self._publication.has_near_readers
+
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
         """Publish the status again, now or soon.
 

@@ -196,10 +196,6 @@ class _ActionService:
         """Return the class of the service."""
         raise NotImplementedError
 
-    def handle_nowait(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401, ARG002
-        """Answer a request if no waiting is needed; otherwise do nothing and return None."""
-        return None
-
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
         """Answer a request. ``caller`` is the client's gid; empty in the same process."""
         raise NotImplementedError
@@ -220,13 +216,9 @@ class _ActionService:
         with self._counting():
             return await self.handle(request, caller)
 
-    def reply_nowait(self, request: object, caller: bytes, respond: Respond) -> bool:
-        """Answer a request from another process without a task, if that is possible."""
-        reply = self.handle_nowait(request, caller)
-        if reply is None:
-            return False
-        respond(reply)
-        return True
+    def reply_nowait(self, request: Any, caller: bytes, respond: Respond) -> bool:  # noqa: ANN401, ARG002
+        """Answer a request from another process without a task; False if that is impossible."""
+        return False
 
     async def aclose(self) -> None:
         """Answer every waiting request."""
@@ -277,12 +269,17 @@ class _SendGoal(_ActionService):
         """Tell the server that a client in another process has gone."""
         self.server.client_lost(caller)
 
-    def handle_nowait(self, request: Any, caller: bytes) -> Reply | None:  # noqa: ANN401
+    def reply_nowait(self, request: Any, caller: bytes, respond: Respond) -> bool:  # noqa: ANN401
+        """Accept or reject a goal, unless that may take time."""
         try:
             goal = self.server.take_nowait(self._order(request, caller), is_streamed=False)
         except GoalRejected as rejected:
-            return self._decided(rejected)
-        return None if goal is None else self._decided(goal)
+            respond(self._decided(rejected))
+            return True
+        if goal is None:
+            return False
+        respond(self._decided(goal))
+        return True
 
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
         try:

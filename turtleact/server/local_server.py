@@ -366,10 +366,13 @@ class LocalActionServer:
         return goal
 
     def _show_accepted(self, goal: Goal) -> None:
-        """Show observers the ACCEPTED state of a goal that starts at once.
+        """Show observers a goal that starts at once, in its ACCEPTED state if one wants that.
 
         An observer may cancel the goal. It then never becomes EXECUTING and never starts.
         """
+        if not self.observers.want_acceptance:
+            self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _EXECUTING)
+            return
         goal.status, goal.history = _ACCEPTED, ()
         self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)
         if goal.status is _ACCEPTED:
