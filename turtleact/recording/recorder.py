@@ -140,12 +140,12 @@ class Recording:
         """Whether the recording has ended early."""
         return self._is_over
 
-    def end(self) -> None:
+    def _end(self) -> None:
         """Note that the spool writes no more."""
         self._is_over = True
         self._changed.fire()
 
-    async def look(self) -> None:
+    async def _look(self) -> None:
         """Subscribe to everything on the graph that is wanted and not yet recorded.
 
         Other tasks run in between: to describe hundreds of types takes a while.
@@ -164,7 +164,7 @@ class Recording:
             if self._record(key, publishers):
                 await checkpoint()
 
-    async def watch(self) -> None:
+    async def _watch(self) -> None:
         """Record what appears on the graph, until cancelled."""
         transport = self._node.transport
         seen = -1
@@ -172,9 +172,9 @@ class Recording:
             if transport.changes == seen:
                 await transport.wait_for_change()
             seen = transport.changes
-            await self.look()
+            await self._look()
 
-    def close(self) -> None:
+    def _close(self) -> None:
         """Leave all topics."""
         for each in self._subscriptions.values():
             each.close()
@@ -286,8 +286,8 @@ async def record(
     ended.append(recording)
     spool.start()
     try:
-        await recording.look()
-        watch = Background(recording.watch(), f"recording {path}")
+        await recording._look()
+        watch = Background(recording._watch(), f"recording {path}")
         own, folder = node.fully_qualified_name, Path(path)
         try:
             async with watching_disk(node.transport, own, folder, "recording"):
@@ -295,7 +295,7 @@ async def record(
         finally:
             await watch.aclose()
     finally:
-        recording.close()
+        recording._close()
         with anyio.CancelScope(shield=True), thread_work().counted():
             await anyio.to_thread.run_sync(spool.close)
     if recording.error is not None:
@@ -304,7 +304,7 @@ async def record(
 
 def _end_all(recordings: list[Recording]) -> None:
     for each in recordings:
-        each.end()
+        each._end()
 
 
 def _selection(node: Node, options: RecordOptions) -> Selection:
