@@ -157,21 +157,56 @@ def test_a_line_in_json_has_the_members_that_are_given():
     }
 
 
-async def test_a_collector_that_is_down_is_told_of_once(monkeypatch, caplog):
+KINDS = "metric", "trace"
+REFUSED = (
+    "Transient error HTTPConnectionPool(host='127.0.0.1', port=4318): Max retries exceeded with "
+    "url: /v1/traces (Caused by NewConnectionError(\"HTTPConnection(host='127.0.0.1', port=4318): "
+    'Failed to establish a new connection: [Errno 111] Connection refused")) encountered while '
+    "exporting spans batch, retrying in 1.07s."
+)
+BUSY = (
+    "Transient error Service Unavailable encountered while exporting spans batch, retrying in 1s."
+)
+GIVEN_UP = "Failed to export spans batch due to timeout, max retries or shutdown."
+MISSING = "Failed to export metrics batch code: 404, reason: Not Found"
+AT = "spans and measurements do not reach the collector at http://localhost:4318"
+SET = "start it, or set OTEL_EXPORTER_OTLP_ENDPOINT"
+
+
+@pytest.mark.parametrize(
+    ("problems", "told"),
+    [
+        ([REFUSED, GIVEN_UP], [f"{AT}: Connection refused; {SET}"]),
+        ([BUSY, GIVEN_UP], [f"{AT}: Service Unavailable; {SET}"]),
+        ([GIVEN_UP], [f"{AT}: no answer; {SET}"]),
+        (
+            [MISSING],
+            [
+                "the collector takes no measurements: 404 Not Found; OTEL_METRICS_EXPORTER=none "
+                "sends none",
+                "the collector takes no spans: 404 Not Found; OTEL_TRACES_EXPORTER=none sends none",
+            ],
+        ),
+    ],
+)
+async def test_a_collector_that_takes_nothing_is_told_of_once(monkeypatch, caplog, problems, told):
+    monkeypatch.delenv("OTEL_EXPORTER_OTLP_ENDPOINT", raising=False)
     for signal_ in ("TRACES", "METRICS"):
         monkeypatch.setenv(f"OTEL_{signal_}_EXPORTER", "none")
     monkeypatch.setattr(trace, "set_tracer_provider", lambda _: None)  # a process can do so once
     monkeypatch.setattr(metrics, "set_meter_provider", lambda _: None)
-    exporter = logging.getLogger("opentelemetry.exporter.otlp.proto.http.trace_exporter")
-    before = list(exporter.filters)
+    names = [f"opentelemetry.exporter.otlp.proto.http.{kind}_exporter" for kind in KINDS]
+    exporters = [logging.getLogger(name) for name in names]
+    before = [list(each.filters) for each in exporters]
     try:
         async with observing(Watched(otel=True), print):
-            for attempt in range(3):
-                exporter.warning("attempt %d failed", attempt)
-            exporter.error("given up")
+            for problem in problems * 2:
+                for each in exporters:
+                    each.error(problem)
     finally:
-        exporter.filters[:] = before
-    assert [each.getMessage() for each in caplog.records] == ["attempt 0 failed", "given up"]
+        for each, filters in zip(exporters, before, strict=True):
+            each.filters[:] = filters
+    assert [each.getMessage() for each in caplog.records] == told
 
 
 async def test_a_missing_package_for_traces_is_named(monkeypatch):

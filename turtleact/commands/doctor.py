@@ -74,8 +74,8 @@ async def _open(reach: Reach) -> AsyncIterator[Node | Fault]:
 
 
 def _unreachable(problem: str) -> Fault:
-    problem, _, advice = problem.partition("; ")
-    return Fault("no-router", (), problem, advice)
+    advice = "start a router there, with 'turtleact serve' or rmw_zenohd, or give --connect"
+    return Fault("no-router", (), problem.partition("; ")[0], advice)
 
 
 def _print(faults: list[Fault], seen: Snapshot | None, *, as_json: bool) -> int:

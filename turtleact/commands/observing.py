@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import re
 import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
@@ -21,8 +23,14 @@ __all__ = ["json_line", "observing", "set_up_logging"]
 
 EXPORTER = "opentelemetry.exporter.otlp.proto.http"
 
-REPEAT = 60.0
+REPEAT = 600.0
 """A failure of an exporter is told again after this time (s)."""
+
+ANSWER = re.compile(r"code: (?P<code>\d+), reason: (?P<reason>.*)")
+"""What an exporter logs about an answer that is no success."""
+
+NO_ANSWER = re.compile(r"Transient error (.*\[Errno -?\d+\] )?(?P<reason>.*?)[\")]* encountered")
+"""What it logs about the first of several attempts."""
 
 
 def set_up_logging(log_format: LogFormat | None) -> None:
@@ -107,26 +115,52 @@ async def _export(stack: AsyncExitStack, starts: list[Callable[[Node], None]]) -
             "--otel needs the extra otel-export: "
             "pip install 'opentelemetry-exporter-otlp-proto-http>=1.30,<2'"
         ) from None
+    problems = _ExporterProblems()
     for kind in ("trace", "metric"):
-        logging.getLogger(f"{EXPORTER}.{kind}_exporter").addFilter(_Seldom())
+        logging.getLogger(f"{EXPORTER}.{kind}_exporter").addFilter(problems)
     await stack.enter_async_context(exporting("turtleact"))
     starts.append(instrument)
 
 
-class _Seldom(logging.Filter):
-    """Lets a record pass at most once a minute: an exporter warns at each of its attempts."""
+class _ExporterProblems(logging.Filter):
+    """Says clearly, and once, what the exporters log at each of their attempts."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._told: dict[int, float] = {}
+        self._told: dict[str, float] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether the record is told."""
-        last = self._told.get(record.levelno, -REPEAT)
-        if record.created - last < REPEAT:
+        """Whether the record is told, with a message that says what to do."""
+        problem = _problem(record) or next(iter(self._told), _unreachable("no answer"))
+        if record.created - self._told.get(problem, -REPEAT) < REPEAT:
             return False
-        self._told[record.levelno] = record.created
+        self._told[problem] = record.created
+        record.msg, record.args = problem, ()
+        record.levelno, record.levelname = logging.WARNING, "WARNING"
         return True
+
+
+def _unreachable(reason: str) -> str:
+    at = os.environ.get("OTEL_EXPORTER_OTLP_ENDPOINT") or "http://localhost:4318"
+    return (
+        f"spans and measurements do not reach the collector at {at}: {reason}; start it, or set "
+        "OTEL_EXPORTER_OTLP_ENDPOINT"
+    )
+
+
+def _problem(record: logging.LogRecord) -> str:
+    """What is wrong, from the record of an exporter; empty if it says only that it gives up."""
+    text = record.getMessage()
+    if answer := ANSWER.search(text):
+        is_metrics = record.name.endswith("metric_exporter")
+        what, kind = ("measurements", "METRICS") if is_metrics else ("spans", "TRACES")
+        return (
+            f"the collector takes no {what}: {answer['code']} {answer['reason']}; "
+            f"OTEL_{kind}_EXPORTER=none sends none"
+        )
+    if attempt := NO_ANSWER.search(text):
+        return _unreachable(attempt["reason"])
+    return ""
 
 
 async def _serve_metrics(
