@@ -218,5 +218,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """List the public names too, imported or not."""
+    """List the names of the module and all public names, imported or not."""
     return sorted([*globals(), *__all__])

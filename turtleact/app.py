@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 __all__ = ["OpenGraph", "WorldNode", "open_world"]
 
 OpenGraph: TypeAlias = Callable[[Clock], AbstractAsyncContextManager[Transport]]
-"""A function that opens a graph; the nodes on it share the clock it is given."""
+"""A function that takes a clock and opens a graph. The nodes on the graph share that clock."""
 
 
 class WorldNode(Node):
-    """A node in the same process as a world; it can also pause and step that world.
+    """A node in the same process as a world. It can also pause and step that world.
 
-    Made by `open_world`.
+    `open_world` makes one.
 
     Attributes:
         sim: The world.
@@ -46,10 +46,10 @@ class WorldNode(Node):
         self._built_ins = built_ins
 
     async def aclose(self) -> None:
-        """Close the node, as `Node.aclose` does; the world is about to end.
+        """Close the node as `Node.aclose` does, just before the world ends.
 
-        Built-in actions that have made way for actions of this node do not come back: they would
-        serve for a moment, and the log would say so.
+        If a built-in action has made way for an action of this node, it does not come back: it
+        would serve for a moment, and the log would report that.
         """
         if self._built_ins is not None:
             await self._built_ins.close_withdrawn()
@@ -108,16 +108,16 @@ async def open_world(
         speed: Simulated seconds per wall-clock second, above 0 and at most 100, or ``"max"`` for
             virtual time, which runs as fast as the computer can and gives the same run every time.
             If the computer cannot keep up, time passes more slowly.
-        seed: Chooses the random starting poses of all turtles except the first.
+        seed: The seed of the random starting poses of all turtles except the first.
         turtles: How many turtles there are: ``turtle1``, ``turtle2``, …
         placing: Where they start: ``"random"``, ``"grid"`` or ``"ring"``.
         collide: Whether turtles block each other.
         paused: Whether the world starts paused.
         turtlesim_only: Whether the world serves only what the real turtlesim serves, on the node
             ``/turtlesim``. Otherwise it also serves the built-in actions (``/patrol``, ``/go_to``,
-            ``/command_turtle``, ``/fibonacci``) and a node ``/world`` with services for time and
-            pictures, and a topic with all poses in one message.
-        graph: Opens the graph that the world joins; left out, a graph within the process.
+            ``/command_turtle``, ``/fibonacci``). A second node, ``/world``, then has services for
+            time and pictures, and a topic with all poses in one message.
+        graph: Opens the graph that the world joins. If left out, the graph is within this process.
         on_transition: Called with each change of one of the world's goals; see
             `Node.on_transition`.
         on_start: Called with the turtles before anybody can send them commands.

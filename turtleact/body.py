@@ -8,7 +8,8 @@ coroutine function  ``handle.publish_feedback(...)``    ``return A.Result(...)``
 ==================  ==================================  =============================
 
 A body takes the goal message. If it has a second parameter, it also gets the server's goal handle.
-`ActionBody` tells type checkers so, and they reject a body that uses another action's messages.
+`ActionBody` describes these signatures to type checkers. They reject a body that uses another
+action's messages.
 """
 
 from __future__ import annotations
@@ -93,11 +94,11 @@ MYPY = False
 if MYPY:
 
     class ActionType(Protocol[G_co, R_co, F_co]):
-        """A subclass of `turtleact.Action` as mypy sees it: the makers of its messages."""
+        """A subclass of `turtleact.Action` as mypy sees it: methods that make its messages."""
 
         @property
         def type_name(self) -> str:
-            """``pkg/action/Name``."""
+            """The full name of the action type: ``pkg/action/Name``."""
 
         def Goal(self, *args: Any, **kwargs: Any) -> G_co:  # noqa: ANN401  # any arguments
             """Make a goal."""
@@ -149,7 +150,7 @@ def check_options(options: ServerOptions) -> None:
     """Check the values of a server's options.
 
     Raises:
-        InvalidOption: for the first option with a wrong value.
+        InvalidOption: if an option has a wrong value. The error is about the first such option.
     """
     lost, kept = options.get("on_client_lost", "keep"), options.get("result_timeout")
     if lost not in ("keep", "cancel"):
@@ -179,13 +180,14 @@ def check_options(options: ServerOptions) -> None:
 
 
 class ActionDeclaration(Generic[P, T]):
-    """A body with its action and name; the decorator `turtleact.action` makes one.
+    """A body with its action and name. The decorator `turtleact.action` makes one.
 
-    Nothing is served until a node serves it. You can still call it like the plain function.
+    The action is served only when a node serves this declaration. You can still call the
+    declaration like the plain function.
 
     Attributes:
         action_type: The action.
-        name: The name under which it is served, unless the node gives another one.
+        name: The name under which the action is served, unless the node gives it another name.
         execute: The function.
         options: Keyword arguments for the server.
     """
@@ -242,11 +244,11 @@ class Declare(Protocol[G, R, F]):
 def action(
     action_type: ActionType[G, R, F], name: str, **options: Unpack[ServerOptions]
 ) -> Declare[G, R, F]:
-    """Declare the function below as the body of an action. Nothing is served yet.
+    """Declare the function below as the body of an action. This does not serve it yet.
 
     Args:
         action_type: The action, a subclass of `turtleact.Action`.
-        name: The name under which `Node.serve` serves it.
+        name: The name under which `Node.serve` serves the action.
         **options: See `Node.action_server`.
 
     Raises:
@@ -262,9 +264,9 @@ def action(
 
 
 class BackgroundDeclaration(Generic[H]):
-    """A function that runs beside a module's actions; `turtleact.background` makes one.
+    """A function that runs beside a module's actions. `turtleact.background` makes one.
 
-    Nothing runs until ``turtleact serve`` serves the module. You can still call it.
+    The function runs once ``turtleact serve`` serves the module. You can still call it yourself.
 
     Attributes:
         run: The function.
@@ -285,9 +287,10 @@ class BackgroundDeclaration(Generic[H]):
 def background(run: Callable[[H], Coroutine[Any, Any, object]]) -> BackgroundDeclaration[H]:
     """Run the ``async def`` below in the background while ``turtleact serve`` serves its module.
 
-    It is called with the node once the module's actions are served. It is cancelled at a reload,
-    and when the server ends, before the goals end. If it raises, the error is logged, and the
-    server goes on. A program of your own starts such a task itself.
+    The function is called with the node once the module's actions are served. It is cancelled at a
+    reload, and also when the server ends, before the goals end. If the function raises an
+    exception, that is logged, and the server goes on. Without ``turtleact serve``, start such a
+    task yourself.
 
     Raises:
         InvalidOption: if the function is no coroutine function with one parameter.

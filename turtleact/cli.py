@@ -36,7 +36,7 @@ __all__ = ["main", "run", "serve"]
 FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 
 PATIENCE = 1.5
-"""After so many seconds the Tab key offers nothing, because nobody waits longer."""
+"""After this many seconds the Tab key offers nothing, because nobody waits longer."""
 
 
 def main() -> int:
@@ -70,7 +70,7 @@ def main() -> int:
 def serve(*targets: str, node: str) -> NoReturn:
     """Do what ``turtleact serve TARGET... --no-sim --node-name NODE`` does, then end the program.
 
-    This is for the ``main`` of a package. The program's own arguments are options of ``serve``.
+    Call this in the ``main`` of a package. The program's own arguments become options of ``serve``.
 
     Args:
         *targets: The modules with the actions, such as ``lab.server``, or single actions, such as
@@ -82,7 +82,7 @@ def serve(*targets: str, node: str) -> NoReturn:
 
 
 def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
-    """Run one command line and return its exit status; errors become a message and a status."""
+    """Run one command line and return its exit status. An error becomes a message and a status."""
     _make_printable()
     try:
         from turtleact.commands.verbs import parse
@@ -101,9 +101,9 @@ def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
 def _complete(interrupts: Interrupts) -> None:
     """Let Typer print completions for the shell, then end the process.
 
-    The shell waits and shows whatever is printed. Completion therefore takes at most `PATIENCE`
-    seconds and stays silent whatever goes wrong. The process ends at once, because Zenoh's threads
-    would take a while to stop.
+    The shell waits, and shows whatever is printed. Completion therefore takes at most `PATIENCE`
+    seconds, and prints no error whatever goes wrong. The process ends at once, because Zenoh's
+    threads would take a while to stop.
     """
     import os
     import threading
@@ -143,7 +143,7 @@ def _report(error: BaseException) -> int:
 
 
 def _advice(error: BaseException) -> str:
-    """What to do about an interface that is not known; nothing for other errors."""
+    """What to do about an unknown interface. For other errors, the text is empty."""
     from pathlib import Path
 
     from turtleact.commands.output import ELSEWHERE

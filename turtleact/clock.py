@@ -4,8 +4,8 @@ Every wait of turtleact goes through a `Clock`. Virtual time stands still while 
 jumps to the next deadline once every task waits. A simulated minute therefore passes in
 milliseconds, and two runs of the same program see the same times. Every clock can be stopped.
 
-`Clock.time` is for measuring: seconds from an arbitrary start, never backwards. `Clock.now` is ROS
-time, in nanoseconds since the epoch; messages to others are stamped with it.
+Measure with `Clock.time`: it counts seconds from an arbitrary start, and never goes backwards.
+`Clock.now` is ROS time, in nanoseconds since the epoch. Messages to others carry it as their stamp.
 
 Under `turtleact.testing` the event loop's own time is virtual. Clocks made there take the loop's
 time for wall time, so that every clock and `anyio.sleep` agree.
@@ -48,7 +48,7 @@ EPOCH = 1_700_000_000_000_000_000
 """ROS time at the start of virtual time (ns), the same in every run."""
 
 FASTEST = 100.0
-"""The highest factor of wall time; for more, use virtual time."""
+"""The highest factor of wall time. For higher speeds, use virtual time."""
 
 LEEWAY = 0.05
 """How far a scaled clock may run past the deadline of a late sleeper (s)."""
@@ -62,26 +62,26 @@ class Clock(Protocol):
     """A source of time, and the only way to wait."""
 
     def time(self) -> float:
-        """Seconds since an arbitrary moment; never goes backwards."""
+        """Seconds since an arbitrary moment. This time never goes backwards."""
 
     def now(self) -> int:
-        """ROS time: nanoseconds since 1970-01-01 00:00 UTC."""
+        """The ROS time: nanoseconds since 1970-01-01 00:00 UTC."""
 
     async def sleep(self, seconds: float) -> None:
-        """Wait for some seconds of this clock; 0 or less only yields to other tasks."""
+        """Wait for some seconds of this clock. With 0 or less, only let other tasks run."""
 
     async def sleep_until(self, deadline: float) -> None:
         """Wait until `time` has reached ``deadline``."""
 
     def stop_at(self, moment: float) -> None:
-        """Stop the clock at ``moment``, or at the current time if that is later.
+        """Stop the clock at ``moment``, or now if ``moment`` has passed.
 
-        `math.inf` starts the clock again. It continues from where it stopped, so no sleeper loses
-        time to the stop.
+        With `math.inf`, the clock starts again. It continues from where it stopped, so no sleeper
+        loses time to the stop.
         """
 
     async def run(self) -> None:
-        """Drive the clock until cancelled."""
+        """Let the clock's time pass, until this call is cancelled."""
 
 
 class ScaledClock:
@@ -116,7 +116,7 @@ class ScaledClock:
         self._freed: Signal | None = None
 
     def time(self) -> float:
-        """Seconds since this clock was made, without the time it was held up or stopped."""
+        """Seconds since this clock was made, minus the time for which it was held up or stopped."""
         if self._stands:
             return self._end
         seconds = (self._wall() - self._wall_start) * self.factor
@@ -130,11 +130,11 @@ class ScaledClock:
         return seconds
 
     def now(self) -> int:
-        """ROS time; it starts at the wall-clock time at which this clock was made."""
+        """The ROS time. It starts at the wall-clock time at which this clock was made."""
         return self._ros_start + round(self.time() * 1e9)
 
     async def sleep(self, seconds: float) -> None:
-        """Wait for some seconds of this clock; 0 or less only yields to other tasks."""
+        """Wait for some seconds of this clock. With 0 or less, only let other tasks run."""
         left = max(seconds, 0.0)
         await self._sleep(self.time() + left, left)
 
@@ -144,7 +144,10 @@ class ScaledClock:
         await self._sleep(max(deadline, now), max(deadline - now, 0.0))
 
     def stop_at(self, moment: float) -> None:
-        """Stop at ``moment``, or now if that is later; `math.inf` starts the clock again."""
+        """Stop at ``moment``, or now if ``moment`` has passed.
+
+        `math.inf` starts the clock again.
+        """
         now = self.time()
         if self._stands:
             self._wall_start = self._wall() - now / self.factor
@@ -183,7 +186,7 @@ class ScaledClock:
                 return
 
     async def run(self) -> None:
-        """Sleep until cancelled: wall time needs no driver."""
+        """Sleep until cancelled. Wall time passes by itself."""
         await anyio.sleep_forever()
 
 
@@ -197,13 +200,16 @@ class WallClock(ScaledClock):
             self.now = time.time_ns  # type: ignore[method-assign]  # follows the system time
 
     def stop_at(self, moment: float) -> None:
-        """Stop at ``moment``, or now if that is later; `math.inf` starts the clock again."""
+        """Stop at ``moment``, or now if ``moment`` has passed.
+
+        `math.inf` starts the clock again.
+        """
         super().stop_at(moment)
         if self._wall is time.monotonic:
             self.now = self._behind  # type: ignore[method-assign]  # as above
 
     def _behind(self) -> int:
-        """The system time, minus the time for which this clock was stopped."""
+        """The system time (ns), minus the time for which this clock was stopped."""
         stood = self._wall() - self._made - self.time()
         return time.time_ns() - round(stood * 1e9)
 
@@ -214,10 +220,10 @@ class WallClock(ScaledClock):
 class VirtualClock:
     """Time that jumps to the next deadline as soon as every task waits.
 
-    A task must `run` the clock. Sleepers with the same deadline wake one at a time, in the order in
-    which they went to sleep. Each wakes when everything the previous one caused has been done.
-    Virtual time does not wait for tasks that wait for the network, a thread or wall time. It does
-    wait for a journal that writes.
+    Some task must call `run`. Sleepers with the same deadline wake one at a time, in the order in
+    which they went to sleep. Each sleeper wakes when everything that the previous one caused has
+    been done. Virtual time does not stand still for tasks that wait for the network, a thread or
+    wall time. It stands still while a journal writes.
     """
 
     def __init__(self) -> None:
@@ -233,11 +239,11 @@ class VirtualClock:
         return self._time
 
     def now(self) -> int:
-        """ROS time; it starts at `EPOCH`, so that every run sees the same stamps."""
+        """The ROS time. It starts at `EPOCH`, so that every run sees the same stamps."""
         return EPOCH + round(self._time * 1e9)
 
     async def sleep(self, seconds: float) -> None:
-        """Wait for some virtual seconds; 0 or less only yields to other tasks."""
+        """Wait for some virtual seconds. With 0 or less, only let other tasks run."""
         await self.sleep_until(self._time + seconds)
 
     async def sleep_until(self, deadline: float) -> None:
@@ -260,7 +266,7 @@ class VirtualClock:
             raise
 
     def stop_at(self, moment: float) -> None:
-        """Never jump to a deadline after ``moment``; `math.inf` lifts the limit."""
+        """Never jump to a deadline after ``moment``. `math.inf` lifts the limit."""
         self._end = min(moment, _LAST)
         if self._wanted is not None:
             self._wanted.fire()
@@ -292,7 +298,7 @@ def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
     means the same as 1.
 
     Raises:
-        SimError: if ``speed`` is neither, or the factor is out of range.
+        SimError: if ``speed`` is neither a number nor ``"max"``, or the factor is out of range.
     """
     if speed == "max":
         return VirtualClock() if _leaping_time() is None else WallClock()
@@ -338,7 +344,7 @@ class Heap(Generic[T]):
 
 
 def _leaping_time() -> Callable[[], float] | None:
-    """Return the function that tells the running event loop's time, if that time is virtual."""
+    """Return the function that reads the running event loop's time, if that time is virtual."""
     if "trio" in sys.modules:
         import trio
 
@@ -356,7 +362,7 @@ def _leaping_time() -> Callable[[], float] | None:
 
 
 def check_timeout(seconds: object, option: str = "timeout", *, may_be_none: bool = True) -> None:
-    """Check that a timeout is a number of seconds or None.
+    """Check that a timeout is a number of seconds, or None where None is allowed.
 
     Args:
         seconds: The user's value.
@@ -364,7 +370,7 @@ def check_timeout(seconds: object, option: str = "timeout", *, may_be_none: bool
         may_be_none: Whether None is allowed and means no limit.
 
     Raises:
-        InvalidOption: if it is neither a number nor an allowed None.
+        InvalidOption: if the timeout is neither a number nor an allowed None.
     """
     if may_be_none and seconds is None:
         return
@@ -376,7 +382,10 @@ def check_timeout(seconds: object, option: str = "timeout", *, may_be_none: bool
 
 @asynccontextmanager
 async def within(seconds: float | None, clock: Clock) -> AsyncIterator[None]:
-    """Cancel the block after some seconds of a clock and continue after it; never if None."""
+    """Cancel the block after some seconds of a clock, and continue behind it.
+
+    None sets no limit.
+    """
     if seconds is None:
         yield
         return

@@ -70,7 +70,7 @@ __all__ = [
 
 
 class TurtleactError(Exception):
-    """The root of the tree: ``except TurtleactError`` catches every exception of turtleact."""
+    """The base of every exception of turtleact: ``except TurtleactError`` catches them all."""
 
     def __reduce__(self) -> tuple[object, ...]:  # __init__ may take other arguments than ``args``
         return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
@@ -103,7 +103,7 @@ class InvalidInterface(TurtleactError):
         source: File or type name that holds the definition.
         line: Line of the mistake, counted from 1; 0 if the definition is not text.
         column: Column of the mistake, counted from 1.
-        text: That line of the definition.
+        text: The line of the definition with the mistake.
     """
 
     def __init__(
@@ -218,7 +218,7 @@ class InvalidTransition(TurtleactError):
 
     Attributes:
         status: The state of the goal, a `GoalStatus`.
-        event: What was asked of it: a `GoalEvent`, or another thing that its state forbids.
+        event: What was asked of the goal: a `GoalEvent`, or another step that its state forbids.
         goal_id: The goal's id in hexadecimal, or an empty string.
     """
 
@@ -272,19 +272,19 @@ class GoalCanceled(GoalError):
 
 
 class UnknownGoal(GoalError):
-    """The server knows no goal with that id: it never had one, or the result has expired."""
+    """The server knows no goal with that id. Perhaps the goal's result has expired."""
 
     what = "the goal is not known to the server"
 
 
 class PauseRefused(GoalError):
-    """The goal could not be paused or resumed; it is as it was before."""
+    """The goal could not be paused or resumed. Its state has not changed."""
 
     what = "the goal cannot be paused or resumed"
 
 
 class ActionConflict(TurtleactError):
-    """Another node already serves the action; an action name belongs to one node.
+    """Another node already serves the action. An action name belongs to one node at a time.
 
     Attributes:
         action: The action's name.
@@ -310,8 +310,8 @@ class ServerUnavailable(TurtleactError):
         name: The name of the action or service.
         problem: What is known about the server.
         kind: Whether ``name`` is an action or a service.
-        otherwise: Another possible explanation, if one cannot be ruled out; else empty.
-        hint: What to look at next; may be empty.
+        otherwise: Another possible explanation; empty if there is none.
+        hint: What to check next; may be empty.
     """
 
     def __init__(
@@ -354,10 +354,10 @@ class ServiceError(TurtleactError):
 
 
 class ServiceTimeout(ServiceError):
-    """A service has not responded within the time that the caller gave it.
+    """A service did not respond within the caller's timeout.
 
     Attributes:
-        seconds: The timeout, by the graph's clock.
+        seconds: The timeout (s, by the graph's clock).
     """
 
     def __init__(self, name: str, seconds: float) -> None:
@@ -370,7 +370,7 @@ class SimError(TurtleactError):
 
     Attributes:
         problem: What is wrong, and what to do.
-        turtle: The name of the turtle concerned; empty if none is.
+        turtle: The name of the turtle that the error is about; empty if it is about none.
     """
 
     def __init__(self, problem: str, *, turtle: str = "") -> None:
@@ -398,7 +398,7 @@ class UsageError(TurtleactError):
 
 
 class Verdict(TurtleactError):
-    """The base of `Abort`, `Cancel` and `Reject`, which a server's own code raises."""
+    """The base of `Abort`, `Cancel` and `Reject`, which bodies and callbacks of a server raise."""
 
 
 class Abort(Verdict):
@@ -406,7 +406,7 @@ class Abort(Verdict):
 
     Args:
         reason: The explanation sent to the client.
-        result: The result sent with it; the action's default result if left out.
+        result: The result sent with the reason. If left out, it is the action's default result.
     """
 
     def __init__(self, reason: str = "", result: object = None) -> None:
@@ -422,7 +422,7 @@ class Cancel(Verdict):
     """Raise this in the clean-up of a canceled body to report a result.
 
     Args:
-        result: What the goal achieved so far; the partial or default result if left out.
+        result: What the goal achieved so far. If left out, it is the partial or default result.
     """
 
     def __init__(self, result: object = None) -> None:

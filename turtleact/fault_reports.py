@@ -1,11 +1,12 @@
-"""Faults that only one process can see, such as a full disk, published for the doctor.
+"""Publishes faults that only one process can see, such as a full disk, for the doctor.
 
 Each node with a fault publishes a ``diagnostic_msgs/msg/DiagnosticArray`` on the latched topic
 `TOPIC`, with one status for each fault. The topic is opened when the first fault is reported, so
-that a program without faults pays nothing. A fault that has gone is taken out of the message.
+that a program without faults pays nothing. When a fault has gone, the next message no longer
+contains it.
 
-In a ``DiagnosticStatus``, ``name`` says what is at fault, ``message`` what is wrong, and the value
-``advice`` what to do.
+In a ``DiagnosticStatus``, ``name`` says what is at fault, ``message`` says what is wrong, and the
+value ``advice`` says what to do.
 """
 
 from __future__ import annotations
@@ -42,13 +43,13 @@ ADVICE: Final = "advice"
 """The key of the value that says what to do."""
 
 ROOM: Final = 1_000_000_000
-"""A disk with less room is nearly full (bytes), unless it is a small disk."""
+"""A disk with fewer free bytes is nearly full, unless it is a small disk."""
 
 SMALL: Final = 0.05
 """A small disk is nearly full if less than this share of it is free."""
 
 LOOK_EVERY: Final = 10.0
-"""How often to look at the room on a disk (s, event loop time)."""
+"""The interval at which free disk space is checked (s, event loop time)."""
 
 
 class FaultReports:
@@ -66,7 +67,7 @@ class FaultReports:
         self._publication: Publication | None = None
 
     def report(self, name: str, problem: str, advice: str) -> None:
-        """Report a fault; it replaces an earlier one of that name.
+        """Report a fault. It replaces an earlier fault of that name.
 
         Args:
             name: The kind of fault, a space and what is at fault, such as "disk /data/goals.db".
@@ -80,7 +81,7 @@ class FaultReports:
             self._publish()
 
     def clear(self, name: str) -> None:
-        """Report that a fault has gone; an unknown name is ignored."""
+        """Report that a fault has gone. An unknown name is ignored."""
         if self._faults.pop(name, None) is not None:
             self._publish()
 
@@ -99,7 +100,7 @@ class FaultReports:
 
 
 class LostFeedback:
-    """Reports how much feedback of an action is lost at one node.
+    """Reports how many feedback messages of an action one node loses.
 
     Args:
         transport: The transport to publish on.
@@ -133,13 +134,13 @@ class LostFeedback:
 async def watching_disk(
     transport: Transport, node: str, path: Path, what: str
 ) -> AsyncIterator[None]:
-    """A block in which a fault is reported while the disk of a file is nearly full.
+    """Watch the disk of a file during a block; report a fault while the disk is nearly full.
 
     Args:
         transport: The transport to publish on.
         node: The fully qualified name of the node that uses the file.
         path: The file or folder.
-        what: What it is, such as "journal".
+        what: What the file is for, such as "journal".
     """
     reports = FaultReports(transport, node)
     watch = Background(_watch_disk(reports, path, what), f"the disk of {path}")

@@ -1,10 +1,10 @@
-"""The feedback of one goal: which messages are kept, and when the body must wait for a reader.
+"""The feedback of one goal: decides which messages are kept, and when the body must wait.
 
-The sender's stream loses nothing once it has begun to read: unread messages are kept, and a body
-that is far ahead waits. Otherwise only the newest messages are kept. Other readers take what is
-there and count what they have missed.
+Once the sender has begun to read its stream, it loses nothing: unread messages are kept, and a body
+that is far ahead waits. Before that, only the newest messages are kept. Other readers get the
+messages that are still kept, and count those that they have missed.
 
-Pure: a caller that wants to wait passes a `Listener`.
+This module never waits. A caller that wants to wait passes a `Listener`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Listener(Protocol):
     """Something that wants to know about changes."""
 
     def fire(self) -> None:
-        """Called after each change; must not raise."""
+        """Called after each change. It must not raise an exception."""
 
 
 class FeedbackLog:
@@ -28,18 +28,18 @@ class FeedbackLog:
 
     Attributes:
         items: The messages still kept, oldest first.
-        dropped: How many older ones were dropped: ``items[i]`` is number ``dropped + i``.
+        dropped: How many older messages were dropped: ``items[i]`` is number ``dropped + i``.
         read: The next number that the sender's stream reads; None while nobody reads the stream.
-        drained: Told as soon as a waiting body may go on; None if no body waits.
-        hurried: How many callers wait for the goal's end. While there are any, the body never
-            waits for a reader.
+        drained: The listener to fire as soon as a waiting body may go on; None if no body waits.
+        hurried: How many callers wait for the goal's end. While there are such callers, the body
+            never waits for a reader.
     """
 
     KEPT: Final = 1024
     """How many messages are kept for readers that the body does not wait for."""
 
     BUDGET: Final = 1 << 20
-    """How much may lie unread before the body waits (bytes, in a compact encoding)."""
+    """How much feedback may be unread before the body waits (bytes, in a compact encoding)."""
 
     __slots__ = ("_weighed", "_weight", "drained", "dropped", "hurried", "items", "read")
 
@@ -54,7 +54,7 @@ class FeedbackLog:
 
     @property
     def count(self) -> int:
-        """How many messages there have been, dropped ones included."""
+        """How many messages have been added, dropped ones included."""
         return self.dropped + len(self.items)
 
     @property
@@ -80,8 +80,9 @@ class FeedbackLog:
     def weigh(self) -> None:
         """Estimate the size of a message by measuring one of the newest.
 
-        Measuring every message would take too long. Each call measures another one, and the
-        estimate falls slowly after a large one, since a body may alternate large and small ones.
+        Measuring every message would take too long. Each call measures another message. After a
+        large message the estimate falls slowly, because a body may alternate large and small
+        messages.
         """
         if self.items:
             self._weighed += 1
@@ -89,7 +90,7 @@ class FeedbackLog:
             self._weight = max(len(_ENCODER.encode(message)), self._weight * 15 // 16)
 
     def trim(self) -> None:
-        """Drop messages that need not be kept, if they are many enough to be worth the move."""
+        """Drop messages that need not be kept, if there are enough of them to be worth the time."""
         needless = len(self.items) - self.KEPT
         if self.read is not None:
             needless = min(needless, self.read - self.dropped)
@@ -104,4 +105,4 @@ _NEWEST: Final = 16
 """How many of the newest messages `weigh` goes through in turn."""
 
 _NEEDLESS: Final = 64
-"""`trim` waits until one message in this many need not be kept."""
+"""`trim` drops messages only if at least one in this many need not be kept."""

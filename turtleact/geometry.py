@@ -1,4 +1,4 @@
-"""Angles, bearings and distances in the plane: the arithmetic of steering.
+"""Computes angles, bearings and distances in the plane, for steering.
 
 Lengths are in metres. Angles are in radians, counter-clockwise from the x axis. A pose is
 ``(x, y, theta)``. All values are plain floats and all functions are pure. This module knows nothing
@@ -80,7 +80,7 @@ def distance(x0: float, y0: float, x1: float, y1: float) -> float:
 def bearing(x0: float, y0: float, x1: float, y1: float) -> float:
     """The direction from the first point to the second (rad), in [-pi, pi).
 
-    Two equal points have no direction between them; the answer is then 0.
+    If the two points are equal, the result is 0.
 
     Example:
         >>> bearing(0.0, 0.0, 0.0, 2.0) == math.pi / 2
@@ -97,7 +97,8 @@ def phase(way: complex) -> float:
     """Return the direction of a vector as an angle in [-pi, pi] (rad).
 
     A zero vector gives 0, pi or -pi, depending on the signs of its zeros. This is ``cmath.phase``
-    without a flaw of CPython's, which raises OverflowError if the angle is too small for a float.
+    without a flaw of CPython: ``cmath.phase`` raises OverflowError if the angle is too small for a
+    float.
 
     Args:
         way: The vector, ``x + yj``, of any length.
@@ -141,10 +142,11 @@ def curvature(ahead: float, left: float) -> float:
 
     Args:
         ahead: How far ahead the point is (m); see `in_frame`.
-        left: How far to the left it is (m).
+        left: How far to the left the point is (m).
 
     Returns:
-        One over the radius (1/m), positive to the left; 0 if the point is the current position.
+        One over the radius (1/m), positive to the left. It is 0 if the point is the current
+        position.
 
     Source: Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm, equation 7.
 

@@ -1,13 +1,14 @@
-"""The rules for goals: states, transitions, which goals a cancel means, how long results are kept.
+"""The rules for goals: states, transitions, cancel requests, and how long results are kept.
 
 - A goal is ACCEPTED, then EXECUTING. A client's cancel makes it CANCELING. It ends once, as
-  SUCCEEDED, CANCELED or ABORTED. Any other step raises and changes nothing.
+  SUCCEEDED, CANCELED or ABORTED. Any other step raises an error and changes nothing.
 - Only a client's cancel leads to CANCELED. If the server ends a goal by itself, it is ABORTED.
 - A cancel request names goals by id, by time, or by both (`select`).
 - A goal that has ended is kept for ``result_timeout`` seconds, and longer while somebody waits for
-  it. Then it is forgotten (`GoalTable`).
+its result. Then it is forgotten (`GoalTable`).
 
-Pure: no clock, no task, no random number. The current time is passed in as ``now``, in nanoseconds.
+This module uses no clock, task or random number. The current time is passed in as ``now``, in
+nanoseconds.
 
 Source: the ROS 2 design article "Actions"; rcl_action ``goal_state_machine.c`` and
 ``action_server.c``; action_msgs/srv/CancelGoal.
@@ -52,7 +53,7 @@ __all__ = [
 
 
 class GoalStatus(IntEnum):
-    """The state of a goal; the values are those of action_msgs/msg/GoalStatus."""
+    """The state of a goal. The values are those of action_msgs/msg/GoalStatus."""
 
     UNKNOWN = 0
     ACCEPTED = 1
@@ -92,21 +93,21 @@ class GoalEvent(IntEnum):
 
 
 class GoalResponse(IntEnum):
-    """A server's answer to a goal request; the values are rclpy's."""
+    """A server's answer to a goal request. The values are those of rclpy."""
 
     REJECT = 1
     ACCEPT = 2
 
 
 class CancelResponse(IntEnum):
-    """A server's answer to a cancel request for one goal; the values are rclpy's."""
+    """A server's answer to a cancel request for one goal. The values are those of rclpy."""
 
     REJECT = 1
     ACCEPT = 2
 
 
 class CancelCode(IntEnum):
-    """``return_code`` of action_msgs/srv/CancelGoal."""
+    """The values of ``return_code`` in action_msgs/srv/CancelGoal."""
 
     NONE = 0
     REJECTED = 1
@@ -152,10 +153,10 @@ def transition(status: GoalStatus, event: GoalEvent) -> GoalStatus:
 
 
 class Cancelable(Protocol):
-    """Something running that can be asked to stop."""
+    """A running body that can be asked to stop."""
 
     def cancel(self) -> object:
-        """Ask this to stop; it may take a while."""
+        """Ask the body to stop. It may take a while to do so."""
 
 
 OnFeedback: TypeAlias = Callable[[object], object]
@@ -188,37 +189,39 @@ class Goal(msgspec.Struct, eq=False):
     Attributes:
         request: The goal message.
         stamp: When the server accepted it (ns since the epoch).
-        status: Its state; only `apply` changes it, except that a goal may be created EXECUTING.
+        status: The goal's state. Only `apply` changes it. A new goal may be created EXECUTING.
         history: The states since its acceptance, without the final one. Each comes with the number
             of feedback messages published before it.
-        id: Its 16 bytes; None until somebody asks for them.
+        id: The 16 bytes of its id; None until somebody asks for the id.
         on_feedback: The sender's callback for feedback.
         is_streamed: Whether feedback must be kept for a reader.
         feedback: The feedback kept so far; created by the first message or the first reader.
         last_feedback: The newest message, which is always kept. It may stay as the bytes that were
             sent until somebody in this process looks at it.
-        result: The partial result; after the end, the result.
-        reason: Why it was aborted, or is about to be.
-        listener: Hears of each change.
+        result: The partial result; once the goal has ended, the result.
+        reason: Why the goal was aborted, or why it is about to be.
+        listener: Notified of each change.
         end_callbacks: Called once the goal has ended and observers have been told. They must not
             raise.
-        body: The running body, while it can be canceled.
+        body: The running body, as long as it can be canceled.
         ended: When it ended (ns since the epoch); 0 before.
-        is_decided: Whether its end is settled. With a journal, the end is announced a little later,
-            and only then has the goal ended.
-        resumed: What an earlier process has left of it; None if it began in this one.
-        is_paused: Whether it is paused: its body stands still until the goal is resumed.
-        is_paused_by_parent: Whether it is paused only because its parent is.
+        is_decided: Whether the goal's end has been decided. With a journal, the end is announced a
+            little later, and only then has the goal ended.
+        resumed: What an earlier process has left of the goal; None if the goal began in this
+            process.
+        is_paused: Whether the goal is paused: its body stands still until the goal is resumed.
+        is_paused_by_parent: Whether the goal is paused only because its parent is paused.
         hold: The request to its body to stand still; see `turtleact.server.pausing`.
-        paused_ns: How long it was paused before (ns), by the server's clock.
-        children: The active goals that its body has sent; each with an object that can pause it.
-        waiters: How many callers wait for its result. The table keeps the goal while there are any.
+        paused_ns: The total length of its earlier pauses (ns), by the server's clock.
+        children: The active goals that its body has sent, each with an object that can pause it.
+        waiters: How many callers wait for its result. The table keeps the goal while there are such
+            callers.
         parent: The goal whose body sent this one, if any.
         sender: The client that sent it.
-        published: How many feedback messages were published for it on the topic.
+        published: How many feedback messages were published for it on the feedback topic.
         is_asked_for: Whether a client in another process has asked for its result.
         error: Why contact with the goal was lost; its state is then UNKNOWN.
-        runner: What runs its body; None before it begins.
+        runner: The object that runs its body; None before the body begins.
     """
 
     request: object
@@ -286,7 +289,7 @@ class Goal(msgspec.Struct, eq=False):
 
 
 def failure(goal: Goal) -> TurtleactError:
-    """Return the exception that tells those who wait for a goal how it failed."""
+    """Return the exception that those who wait for a goal get when it has failed."""
     if goal.error is not None:
         return goal.error
     kind = GoalCanceled if goal.status is GoalStatus.CANCELED else GoalAborted
@@ -294,10 +297,11 @@ def failure(goal: Goal) -> TurtleactError:
 
 
 def select(goals: Iterable[Goal], goal_id: bytes | None, stamp: int) -> list[Goal]:
-    """Return the active goals that a cancel request means, in the order of their acceptance.
+    """Return the active goals that a cancel request is for, in the order of their acceptance.
 
-    Without id and stamp, the request means every goal. A stamp means every goal accepted at or
-    before that time. An id means that goal. A request with both means both kinds.
+    Without id and stamp, the request is for every goal. With a stamp, it is for every goal accepted
+    at or before that time. With an id, it is for that goal. With both, it is for that goal and for
+    the earlier ones.
 
     Args:
         goals: All goals that the server holds.
@@ -325,7 +329,7 @@ def cancel_code(named: Goal | None, *, by_id: bool, asked: int, let_go: int) -> 
 
     Args:
         named: The goal with the requested id, if the server holds it.
-        by_id: Whether the request had an id and no stamp.
+        by_id: Whether the request had an id but no stamp.
         asked: How many goals `select` found.
         let_go: How many of them are being canceled now.
 
@@ -339,7 +343,7 @@ def cancel_code(named: Goal | None, *, by_id: bool, asked: int, let_go: int) -> 
 
 
 CURRENT_GOAL: ContextVar[Goal | None] = ContextVar("CURRENT_GOAL", default=None)
-"""The goal whose body is running; it becomes the parent of goals that the body sends."""
+"""The goal whose body is running. It becomes the parent of the goals that the body sends."""
 
 
 class GoalTable:
@@ -348,7 +352,7 @@ class GoalTable:
     A goal without an id is forgotten as soon as it ends, because nobody can ask for it later.
 
     Args:
-        result_timeout: How long to keep a goal after its end (s); None keeps it for ever.
+        result_timeout: How long to keep a goal after its end (s); None to keep it for ever.
     """
 
     def __init__(self, result_timeout: float | None = 10.0) -> None:
@@ -364,7 +368,7 @@ class GoalTable:
         return list(self._active)
 
     def add(self, goal: Goal) -> bool:
-        """Add an accepted goal. Returns False and does nothing if its id is taken."""
+        """Add an accepted goal. If its id is taken, do nothing and return False."""
         if goal.id is not None:
             if goal.id in self._named:
                 self.expire(goal.stamp)
@@ -391,7 +395,10 @@ class GoalTable:
         return goal.id
 
     def end(self, goal: Goal, now: int) -> None:
-        """Record that a goal has ended; its result is kept for ``result_timeout`` from ``now``."""
+        """Record that a goal has ended.
+
+        Its result is kept for ``result_timeout`` from ``now`` on.
+        """
         goal.ended = now
         self._active.pop(goal, None)
         if goal.id is not None:
@@ -405,12 +412,12 @@ class GoalTable:
         return self._named.get(goal_id)
 
     def ids(self, now: int) -> Collection[bytes]:
-        """The ids of all goals held; goals without an id are left out."""
+        """The ids of all goals in the table. Goals without an id are left out."""
         self.expire(now)
         return self._named.keys()
 
     def held(self, now: int) -> list[Goal]:
-        """All goals held, active or ended, in the order of their acceptance."""
+        """All goals in the table, active or ended, in the order of their acceptance."""
         self.expire(now)
         return sorted(dict.fromkeys([*self._named.values(), *self._active]), key=_by_stamp)
 
@@ -424,13 +431,13 @@ class GoalTable:
                 self.unpin(goal)
 
     def hold_ended(self, goal: Goal) -> None:
-        """Hold a goal that ended in an earlier process, for the rest of its time."""
+        """Add a goal that ended in an earlier process, and keep it for the rest of its time."""
         if goal.id is not None:
             self._named[goal.id] = goal
             self._schedule(goal)
 
     def unpin(self, goal: Goal) -> None:
-        """Call this when the last waiter has left: an expired goal is then forgotten."""
+        """Forget a goal that has expired. Call this when nobody waits for its result any more."""
         if goal in self._pinned and goal.id is not None:
             self._pinned.remove(goal)
             del self._named[goal.id]

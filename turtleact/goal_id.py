@@ -1,4 +1,4 @@
-"""New goal ids: 16 random bytes each, drawn from the operating system in batches.
+"""Makes goal ids: 16 random bytes each, drawn from the operating system in batches.
 
 Source: RFC 9562, UUID version 4, as in unique_identifier_msgs/msg/UUID.
 """
@@ -48,7 +48,7 @@ def goal_id_bytes(goal_id: bytes | str | uuid.UUID) -> bytes:
     """Convert a goal id in any form to its 16 bytes.
 
     Raises:
-        InvalidName: if it is not 16 bytes, a UUID, or 32 hexadecimal digits.
+        InvalidName: if the id is not 16 bytes, a UUID, or 32 hexadecimal digits.
 
     >>> goal_id_bytes("0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e").hex()
     '0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e'

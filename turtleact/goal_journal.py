@@ -1,4 +1,4 @@
-"""What an action server asks of a journal, which keeps its goals on disk, and a goal's record.
+"""The interface of a journal, which keeps an action server's goals on disk.
 
 A journal is not an observer. The server waits for it twice: before it accepts a goal, and before it
 announces the end of one. When the server starts, it loads the goals that an earlier process left.
@@ -24,7 +24,7 @@ R = TypeVar("R", bound="Message")
 F = TypeVar("F", bound="Message")
 
 OnRestart: TypeAlias = Literal["abort", "resume"]
-"""What becomes of goals that an earlier process has left unfinished."""
+"""What to do with goals that an earlier process has left unfinished."""
 
 
 class Resumed(msgspec.Struct, Generic[R, F], frozen=True):
@@ -43,7 +43,7 @@ class GoalRecord(msgspec.Struct, kw_only=True):
     """A goal as a journal keeps it. Messages are kept as CDR bytes.
 
     Attributes:
-        id: Its 16 bytes.
+        id: The 16 bytes of its id.
         action: The fully qualified name of its action.
         type_name: The action's type, ``pkg/action/Name``.
         type_hash: The hash of that type.
@@ -53,9 +53,9 @@ class GoalRecord(msgspec.Struct, kw_only=True):
             virtual.
         status: Its state.
         is_built_in: Whether a built-in action has accepted it.
-        is_nested: Whether another goal's body has sent it.
-        sender: The gid of the client that sent it, if that is in another process.
-        number: Its place in the order of acceptance; the journal counts.
+        is_nested: Whether the body of another goal has sent it.
+        sender: The gid of the client that sent it, if that client is in another process.
+        number: Its place in the order of acceptance, which the journal counts.
         crashes: How often its server has crashed since its newest feedback.
         is_stopped: Whether its server has shut down properly since its last start.
         is_paused: Whether it is paused.
@@ -93,7 +93,7 @@ class GoalRecord(msgspec.Struct, kw_only=True):
 
 
 class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What has changed in a goal; None where nothing has. See `GoalRecord` for the rest.
+    """What has changed in a goal. A field that has not changed is None; see `GoalRecord` for units.
 
     Attributes:
         status: Its new state.
@@ -126,26 +126,26 @@ class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class GoalJournal(Protocol):
-    """Keeps goals on disk. Changes reach the disk in the order in which they are made.
+    """Keeps goals on disk. Changes reach the disk in the order in which they were made.
 
     Attributes:
-        max_starts: After so many crashes of its server without feedback in between, a goal is not
-            started again; None for no limit.
-        aborts_at_close: Whether a server that is closed ends its goals, even if they would go on
-            after a crash.
+        max_starts: A goal is not started again after this many crashes of its server without
+            feedback in between; None for no limit.
+        aborts_at_close: Whether closing a server ends its goals, even if they would go on after a
+            crash.
     """
 
     max_starts: int | None
     aborts_at_close: bool
 
     def load(self, action: str) -> list[GoalRecord]:
-        """Return the goals of an action that have not ended, or whose result can be asked for."""
+        """Return the goals of an action that have not ended or still have their result."""
 
     async def accept(self, record: GoalRecord) -> GoalRecord | None:
-        """Put a new goal on disk; if its id is known, return the record of that goal instead.
+        """Put a new goal on disk. If its id is known, return the record of the known goal instead.
 
         Raises:
-            TurtleactError: if it cannot be written; its text says why.
+            TurtleactError: if the goal cannot be written. The error's text says why.
         """
 
     async def withdraw(self, goal_id: bytes) -> None:
@@ -154,13 +154,13 @@ class GoalJournal(Protocol):
     def progress(
         self, goal_id: bytes, change: GoalChange, then: Callable[[], object] | None = None
     ) -> None:
-        """Write a change soon, and call ``then`` when a killed process would not lose it.
+        """Write a change soon, and call ``then`` once the change would survive a killed process.
 
-        If the disk takes no more, ``then`` is called all the same, because the goal goes on.
+        If the disk is full, ``then`` is called all the same, because the goal goes on.
         """
 
     def end(self, goal_id: bytes, change: GoalChange, then: Callable[[], object]) -> None:
-        """Put a goal's end on disk, and call ``then`` when it is there, however long that takes."""
+        """Put a goal's end on disk, and call ``then`` when it is there, however long this takes."""
 
     async def written(self) -> None:
-        """Wait until all changes so far have been written, or have failed to be."""
+        """Wait until each change so far has been written or has failed."""

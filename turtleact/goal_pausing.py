@@ -1,4 +1,4 @@
-"""The messages by which turtleact's own nodes pause goals over the wire; ROS 2 has none.
+"""The messages with which nodes of turtleact pause goals over the wire. ROS 2 has none.
 
 ======================  ==============================  =========================================
 ``…/_action/set_paused``  `SetPaused`                    pauses or resumes one goal
@@ -24,7 +24,7 @@ class SetPaused(Service, type_name="turtleact_interfaces/srv/SetPaused"):
 
         Attributes:
             goal_id: The goal.
-            is_paused: Whether it is to be paused; if not, it is resumed.
+            is_paused: Whether to pause the goal (true) or to resume it (false).
             timeout: How long its body may take to stand still (s).
         """
 
@@ -33,11 +33,11 @@ class SetPaused(Service, type_name="turtleact_interfaces/srv/SetPaused"):
         timeout: float64 = 5.0
 
     class Response(Message):
-        """Whether it was done.
+        """Whether the request was carried out.
 
         Attributes:
             success: Whether the goal is now paused, or resumed, as requested.
-            message: Why not.
+            message: Why the request failed; empty if it did not.
         """
 
         success: bool_ = False

@@ -31,8 +31,8 @@ class GoalServer(Protocol):
     async def send_goal(self, order: GoalOrder) -> Goal:
         """Send a goal and return it once it is accepted.
 
-        Cancelling: if the goal was already sent, it is canceled, and the caller waits for its end,
-        at most ``order.cancel_timeout`` seconds.
+        Cancelling: if the goal was already sent, it is canceled, and the caller waits at most
+        ``order.cancel_timeout`` seconds for its end.
 
         Raises:
             InvalidGoal: if the request does not fit the action; nothing was sent.
@@ -41,13 +41,13 @@ class GoalServer(Protocol):
         """
 
     async def run_goal(self, order: GoalOrder) -> Goal:
-        """Send a goal and return it once it has ended; see `send_goal` for the rest."""
+        """Send a goal, and return it once it has ended. Otherwise this works like `send_goal`."""
 
     async def attach(self, goal_id: bytes) -> Goal | None:
-        """Return the goal with that id, if the server holds it; feedback is kept from now on."""
+        """Return the goal with that id, or None. From now on, the goal's feedback is kept."""
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
-        """Answer a cancel request: by id, by stamp (ns), by both, or for every goal."""
+        """Answer a cancel request. The id and the stamp (ns) select the goals."""
 
     async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
         """Cancel one goal and return the server's answer."""
@@ -59,12 +59,13 @@ class GoalServer(Protocol):
         """Pause a goal, and return when its body stands still.
 
         Raises:
-            PauseRefused: if it cannot be paused, or not within ``timeout`` (s, event loop time).
+            PauseRefused: if the goal cannot be paused, or not within ``timeout`` (s, event loop
+                time).
             ServerUnavailable: if the server has gone.
         """
 
     async def resume(self, goal: Goal) -> None:
-        """Let a paused goal go on; raises like `pause`."""
+        """Let a paused goal go on. The errors are those of `pause`."""
 
     async def wait_for_end(self, goal: Goal) -> None:
         """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
@@ -73,7 +74,7 @@ class GoalServer(Protocol):
         """Return the signal that fires at each change of a goal."""
 
     def name_goal(self, goal: Goal) -> bytes:
-        """Return the id of a goal, giving it one if it has none."""
+        """Return the id of a goal. A goal without an id gets one."""
 
     def client_lost(self, sender: object) -> None:
         """Tell the server that a client has gone."""
@@ -84,13 +85,13 @@ class GoalServer(Protocol):
 
 @runtime_checkable
 class OffersGoals(Protocol):
-    """A handler of ``send_goal`` that also offers its server to clients in the same process."""
+    """A handler of ``send_goal`` that also offers its server to clients in its process."""
 
     goal_server: GoalServer
 
 
 async def cancel_and_wait(server: GoalServer, goal: Goal, timeout: float) -> None:
-    """Cancel a goal and wait for its end, shielded, at most ``timeout`` seconds.
+    """Cancel a goal and wait at most ``timeout`` seconds for its end, shielded from cancellation.
 
     A failing goal or server raises nothing here, because the caller is leaving anyway.
     """

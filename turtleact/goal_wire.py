@@ -1,10 +1,11 @@
-"""Two special encodings for goals on the wire: notes, and the bytes of the status topic.
+"""Encodes two things about goals for the wire: notes, and the messages of the status topic.
 
-- A note carries what ROS 2 has no field for. It travels as a short JSON text attached to a request
+- A note carries facts for which ROS 2 has no field. It travels as a short JSON text attached to a
+request
   or a response. Other ROS 2 programs do not see it.
 - A server that ends thousands of goals within its ``result_timeout`` publishes all their states at
-  each change. The functions here take 0.1 us per goal to write and 0.3 us to read, a tenth of what
-  the general codec takes.
+  each change. The functions here take 0.1 us per goal to write and 0.3 us to read: a tenth of the
+  time of the general codec.
 
 Source: action_msgs/msg/GoalStatusArray; OMG DDS-XTypes 1.3, 7.4.3 (plain CDR).
 """
@@ -23,15 +24,15 @@ __all__ = ["GoalNote", "State", "pack_state", "read_states", "write_states"]
 
 
 class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The note attached to a ``SendGoal`` request, or to the answer to it or to ``GetResult``.
+    """The note on a ``SendGoal`` request, or on a response of ``SendGoal`` or ``GetResult``.
 
     Attributes:
         reason: Why the goal was rejected or aborted.
         feedback: How many feedback messages the server published for the goal.
         traceparent: In a request: the span in which the goal was sent.
-        tracestate: In a request: what tracing systems add to it.
-        is_detached: In a request: whether the sender does not wait for the goal's end, so that the
-            goal gets a trace of its own.
+        tracestate: In a request: what tracing systems add to ``traceparent``.
+        is_detached: In a request: whether the goal is detached from its sender. A detached goal
+            gets a trace of its own.
         is_closing: Whether the goal was rejected because the server is being closed.
 
     Source: W3C Trace Context, for ``traceparent`` and ``tracestate``.
@@ -65,7 +66,7 @@ class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @classmethod
     def read(cls, text: str) -> GoalNote:
-        """Read a note from text; anything that is not a note gives an empty one."""
+        """Read a note from text. If the text is not a note, the result is an empty note."""
         try:
             return msgspec.json.decode(text, type=cls)
         except msgspec.DecodeError:
@@ -76,7 +77,7 @@ LONGEST_REASON = 1000
 """The maximum length of a reason, in characters."""
 
 LARGEST = 4096
-"""The maximum size of a note, in bytes. Half a note could not be read, so the reason is cut."""
+"""The maximum size of a note, in bytes. Half a note would be useless, so the reason is cut."""
 
 
 State: TypeAlias = tuple[int, int, int]
@@ -92,7 +93,7 @@ ENTRY: Final = struct.Struct("<16s3xiIb")
 """A goal's id, stamp and state, with the padding needed after another goal."""
 
 FIRST: Final = struct.Struct("<16siIb")
-"""The same for the first goal, which needs no padding."""
+"""The id, stamp and state of the first goal, which needs no padding."""
 
 
 def pack_state(goal_id: bytes, state: State) -> bytes:
@@ -113,7 +114,7 @@ def write_states(packed: Collection[bytes]) -> bytes:
 
 
 def read_states(data: bytes) -> dict[bytes, State] | None:
-    """Decode a message to the states by goal id; None if it is truncated or not little-endian.
+    """Decode a message into the states by goal id; None if it is truncated or big-endian.
 
     >>> read_states(write_states([pack_state(bytes(16), (1, 2, 4))]))[bytes(16)]
     (1, 2, 4)

@@ -1,6 +1,6 @@
-"""What exists on a graph, by name and type. The endpoints that make up an action are shown as one.
+"""Lists what exists on a graph. The endpoints that make up an action appear as one action.
 
-Completion needs this within milliseconds, so nothing heavy is imported here.
+Completion needs this list within milliseconds, so this module imports nothing heavy.
 
 Source: rclpy ``node.py``, ``get_topic_names_and_types`` and the functions beside it; ros2cli for
 what is hidden.
@@ -32,7 +32,7 @@ Policy = Literal["durability", "deadline", "liveliness", "lease", "reliability"]
 they mean."""
 
 MOST_SHOWN = 10
-"""How many names are listed if none is like the one that was looked for."""
+"""How many names an error lists if none of them resembles the unknown name."""
 
 SEND_GOAL = "/_action/send_goal"
 
@@ -41,7 +41,7 @@ ENDPOINTS: dict[Kind, tuple[EndpointKind, ...]] = {
     "service": ("service",),
     "topic": ("publisher", "subscription"),
 }
-"""The endpoints that make a name of each kind exist."""
+"""For each kind, the endpoints that show that a name exists."""
 
 
 class Graph(NamedTuple):
@@ -61,7 +61,7 @@ class Graph(NamedTuple):
 
 
 def graph_of(transport: Transport) -> Graph:
-    """What exists on the graph of a transport."""
+    """Return what exists on the graph of a transport."""
     endpoints = transport.endpoints()
     return Graph(
         nodes=tuple(sorted(set(transport.nodes()))),
@@ -82,7 +82,7 @@ def types_by_name(
     Args:
         endpoints: The endpoints of the graph, or of a node.
         kind: The kind: actions, services or topics.
-        *kinds: The endpoints that count; those in `ENDPOINTS` if left out.
+        *kinds: The kinds of endpoints that count. If left out, they are those in `ENDPOINTS`.
         hidden: Whether to include hidden names.
     """
     found: dict[str, set[str]] = {}
@@ -123,7 +123,7 @@ def misfits(one: Endpoint, other: Endpoint) -> Iterator[Policy]:
 
 
 def is_hidden_node(name: str) -> bool:
-    """Whether a node is hidden, that is, its own name begins with an underscore.
+    """Whether a node is hidden. The name of a hidden node begins with an underscore.
 
     >>> is_hidden_node("/_ros2cli"), is_hidden_node("/_lab/turtlesim")
     (True, False)
@@ -132,7 +132,7 @@ def is_hidden_node(name: str) -> bool:
 
 
 def names_like(name: str, known: Iterable[str]) -> str:
-    """The end of an error about an unknown name: the nearest name, or some of those there are."""
+    """The end of an error about an unknown name: the nearest known name, or some known names."""
     from turtleact.interfaces.definition import did_you_mean
 
     names = sorted(set(known))

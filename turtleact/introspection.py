@@ -10,9 +10,9 @@ Each end of a service publishes on the topic ``SERVICE/_service_event``, with me
 ``RESPONSE_RECEIVED``  the client has received the answer
 =====================  ======================================
 
-The events are made from the calls of a service, not from the observers of an action's goals. A
-rejected goal, a cancel request that was refused, and a second request for a result change no goal,
-and observers do not know the sequence numbers of requests.
+The events come from the calls of a service, not from the observers of an action's goals. A rejected
+goal, a refused cancel request, and a second request for a result change no goal. Besides, observers
+do not know the sequence numbers of requests.
 
 The topic exists as soon as introspection is on, since tools subscribe only to topics that they can
 see. A message is built only while somebody reads the topic.
@@ -48,7 +48,7 @@ __all__ = ["EVENT_QOS", "Introspection", "ServiceEvents", "event_topic"]
 logger = logging.getLogger("turtleact.services")
 
 Introspection: TypeAlias = Literal["off", "metadata", "contents"]
-"""What is published: nothing; only who called when; or also the requests and responses."""
+"""What is published: nothing, only who called when, or also the requests and responses."""
 
 EVENT_QOS = QoS(depth=100)
 """The quality of service of the topic: reliable and volatile."""
@@ -65,9 +65,9 @@ class ServiceEvents(CallObserver):
 
     Args:
         transport: The transport to open the topic on.
-        endpoint: Makes descriptions of endpoints.
-        service: The endpoint whose calls are published.
-        find_type: Returns the class of the service.
+        endpoint: A function that describes an endpoint.
+        service: The endpoint of the service with these calls.
+        find_type: A function that returns the class of the service.
         mode: "metadata" or "contents".
 
     Raises:

@@ -1,7 +1,7 @@
 """The rules for graph names: validation, resolution in a namespace, and an action's five endpoints.
 
-Pure string functions. A name consists of parts separated by slashes. A leading ``~`` stands for the
-node's own name, and a leading slash makes the name absolute. Substitutions in braces are not
+All functions are pure. A name consists of parts separated by slashes. A leading ``~`` stands for
+the node's own name, and a leading slash makes the name absolute. Substitutions in braces are not
 supported.
 
 Source: the ROS 2 article "Topic and Service name mapping to DDS", and ``rmw/validate_*_name.c``.
@@ -44,8 +44,8 @@ class ActionNames(msgspec.Struct, frozen=True):
     Attributes:
         name: The absolute name of the action.
         send_goal: The service that accepts or rejects goals.
-        cancel_goal: The service that cancels them.
-        get_result: The service that answers with results.
+        cancel_goal: The service that cancels goals.
+        get_result: The service that returns results.
         feedback: The topic of feedback.
         status: The topic with the states of all goals.
     """
@@ -61,7 +61,7 @@ class ActionNames(msgspec.Struct, frozen=True):
 def validate_name(name: str) -> None:
     """Check the name of a topic, service or action, relative or absolute.
 
-    A part may begin with an underscore; that hides the name from listings.
+    A part may begin with an underscore, which hides the name from listings.
 
     Raises:
         InvalidName: with the position of the first wrong character.
@@ -129,7 +129,7 @@ def action_names(name: str) -> ActionNames:
 
 
 def refuse(name: str, faults: tuple[tuple[re.Pattern[str], str], ...]) -> None:
-    """Raise for the first fault in the name, or if the name is not a string."""
+    """Raise an error for the first fault in the name, or for a name that is not a string."""
     if not isinstance(name, str):  # a type and a name may have been mixed up
         raise InvalidName(repr(name), "expected text such as 'patrol'", 0)
     found = [(match.start(), problem) for fault, problem in faults if (match := fault.search(name))]

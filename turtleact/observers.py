@@ -1,9 +1,9 @@
-"""Observers of the goals of a server or client: one list for all purposes.
+"""Tells observers about the goals of a server or client. One list serves all purposes.
 
 The status topic, users' hooks and telemetry are observers. An observer only watches. The list logs
 whatever an observer raises, so that it never affects a goal.
 
-Order: all observers hear of one change before any hears of the next. If an observer causes a
+All observers hear of one change before any of them hears of the next. If an observer causes a
 change, for example by canceling a goal, all observers hear of the current change first.
 """
 
@@ -44,13 +44,13 @@ class Detached(msgspec.Struct, frozen=True):
 
 
 class FeedbackLost(msgspec.Struct, frozen=True):
-    """So many feedback messages have not reached a client, or were never sent by the server."""
+    """Some feedback messages did not reach a client, or were never sent by the server."""
 
     count: int
 
 
 class Lost(msgspec.Struct, frozen=True):
-    """The server stops before the goal's end; the goal goes on when the server is back.
+    """The server stops before the goal's end. The goal goes on when the server is back.
 
     Attributes:
         before: The goal's state until now.
@@ -60,7 +60,7 @@ class Lost(msgspec.Struct, frozen=True):
 
 
 News: TypeAlias = BodyFailed | Detached | FeedbackLost | Lost
-"""What else happens to a goal."""
+"""What can happen to a goal besides a change of its state, feedback and pauses."""
 
 _News: TypeAlias = tuple[str, tuple[object, ...]]  # a method of observers, and its arguments
 
@@ -81,22 +81,22 @@ class GoalObserver:
         """Called after a goal has changed its state. For a new goal, ``before`` is UNKNOWN."""
 
     def feedback_published(self, goal: Goal, feedback: object) -> None:
-        """Called with each feedback message, which must not be changed."""
+        """Called with each feedback message. Observers must not change the message."""
 
     def pause_changed(self, goal: Goal) -> None:
-        """Called after a server has paused or resumed a goal; ``is_paused`` tells which."""
+        """Called after a server has paused or resumed a goal. ``goal.is_paused`` says which."""
 
     def noted(self, goal: Goal, news: News) -> None:
-        """Called when something else happens to a goal."""
+        """Called with other news of a goal: see `News`."""
 
     def goal_rejected(self, reason: str) -> None:
         """Called when a server rejects a goal."""
 
     def closed(self) -> None:
-        """Called when a client is closed. Observers hear no more of its goals that go on."""
+        """Called when a client is closed. Goals may go on, but observers hear no more of them."""
 
     def enter_body(self, goal: Goal) -> None:
-        """Called in a body's context before its first step, to set context variables for it."""
+        """Called in a body's context before the body's first step, to set context variables."""
 
     def enter_call(self, order: GoalOrder) -> None:
         """Called before a client sends a goal, in the context in which it is sent.
@@ -187,7 +187,7 @@ class Observers:
         self._set((*self._observers, observer))
 
     def remove(self, observer: GoalObserver) -> None:
-        """Stop telling ``observer``; an unknown observer is ignored."""
+        """Stop telling ``observer``. An unknown observer is ignored."""
         self._set(tuple(each for each in self._observers if each is not observer))
 
     @property
@@ -208,7 +208,7 @@ class Observers:
         self._tell("pause_changed", goal)
 
     def noted(self, goal: Goal, news: News) -> None:
-        """Tell all observers what else has happened to a goal."""
+        """Tell all observers other news of a goal."""
         self._tell("noted", goal, news)
 
     def goal_rejected(self, reason: str) -> None:
@@ -220,7 +220,7 @@ class Observers:
         self._tell("closed")
 
     def enter_body(self, goal: Goal) -> None:
-        """Let all observers set context variables for a body; call this in the body's context."""
+        """Let all observers set context variables for a body. Call this in the body's context."""
         self._call("enter_body", (goal,))
 
     def enter_call(self, order: GoalOrder) -> None:
@@ -258,7 +258,7 @@ class Observers:
         )
 
     def _tell(self, method: str, *news: object) -> None:
-        """Tell all observers one piece of news, and then the news that they cause meanwhile."""
+        """Tell all observers one piece of news, and then the news that they cause by it."""
         if self._is_telling:  # an observer has caused this; the call below tells it next
             self._untold.append((method, news))
             return

@@ -1,4 +1,4 @@
-"""The rules for parameters: kinds of values, ranges, and what a node's parameters may be set to.
+"""The rules for parameters: kinds of values, ranges, and which values a parameter may have.
 
 This module does no I/O. `turtleact.node.parameters` serves a `ParameterTable` on the graph.
 
@@ -13,7 +13,7 @@ byte array          `bytes`                        ``b"on"``
 array of any other  a `list` of one of the others  ``[0.5, 1.0]``
 ==================  =============================  =============================================
 
-Refusals start with rclcpp's words, because other programs may compare them.
+The reason of a refusal starts with rclcpp's words, because other programs may compare it.
 
 Source: rclcpp 28.1 (ROS 2 Jazzy), ``node_parameters.cpp``; rcl_interfaces.
 """
@@ -58,10 +58,10 @@ __all__ = [
 Value: TypeAlias = (
     "bool | int | float | str | bytes | list[bool] | list[int] | list[float] | list[str]"
 )
-"""What a parameter may be."""
+"""The Python types of a parameter's value."""
 
 Bounds: TypeAlias = tuple[float, float] | tuple[float, float, float]
-"""The least and the greatest number, and perhaps the step between allowed numbers."""
+"""The range of a number: the least, the greatest, and perhaps the step between allowed numbers."""
 
 P = TypeVar("P", bound=Value)
 
@@ -70,9 +70,9 @@ class Kind(NamedTuple):
     """A kind of value.
 
     Attributes:
-        word: rclcpp's name for it.
+        word: rclcpp's name for the kind.
         field: The field of ``ParameterValue`` that holds the value.
-        expected: What to give for it in Python.
+        expected: What to give for it in Python, for error messages.
     """
 
     word: str
@@ -99,17 +99,17 @@ _INTEGER = ParameterType.PARAMETER_INTEGER
 _DOUBLE = ParameterType.PARAMETER_DOUBLE
 _BYTES = ParameterType.PARAMETER_BYTE_ARRAY
 _ARRAY = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
-"""The number of an array is this much higher than the number of its items."""
+"""The number of an array's kind is this much higher than the number of its items' kind."""
 
 
 class ParameterDeclaration(Generic[P]):
-    """A parameter that a module declares; made by `turtleact.parameter`.
+    """A parameter that a module declares. `turtleact.parameter` makes one.
 
     Attributes:
         name: The name of the parameter.
         descriptor: Its kind, description and range.
-        message: Its first value, as a message.
-        validate: Checks values; see `turtleact.Node.parameter`.
+        message: The parameter's first value, as a message.
+        validate: A function that checks values; see `turtleact.Node.parameter`.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class ParameterDeclaration(Generic[P]):
 
     @property
     def default(self) -> P:
-        """Its first value."""
+        """The parameter's first value."""
         return cast("P", value_of(self.message))
 
     def __repr__(self) -> str:
@@ -143,8 +143,9 @@ def parameter(
 ) -> ParameterDeclaration[P]:
     """Declare a parameter in a module, for every node that serves the module's actions.
 
-    ``turtleact serve`` declares it on its node. A body reads it with
-    ``handle.node.parameter(declaration).value``; if the node lacks it, this declares it there.
+    ``turtleact serve`` declares the parameter on its node. A body reads it with
+    ``handle.node.parameter(declaration).value``. If the node does not have the parameter yet, this
+    expression declares it.
 
     The arguments and errors are those of `turtleact.Node.parameter`.
 
@@ -174,13 +175,13 @@ def descriptor_of(
     Args:
         name: Its name; dots group parameters.
         kind: The number of its kind in `KINDS`.
-        description: What it is for.
-        bounds: The range of an integer or double; the ends belong to it.
-        read_only: Whether it keeps its first value for ever.
+        description: What the parameter is for.
+        bounds: The range of an integer or double. It includes both ends.
+        read_only: Whether the parameter keeps its first value for ever.
 
     Raises:
         InvalidParameter: if the name is empty or not a string.
-        InvalidOption: if the range does not fit the kind, or is not a range.
+        InvalidOption: if the range does not fit the kind, or is no valid range.
     """
     if not isinstance(name, str) or not name:
         raise InvalidParameter(name, "its name must be a string that is not empty")
@@ -236,10 +237,11 @@ def message_of(name: str, value: object, kind: int = _NOT_SET) -> ParameterValue
     Args:
         name: The parameter, for errors.
         value: The value. Whole numbers are accepted for doubles.
-        kind: The number of the kind that it must have; left out, the value's own.
+        kind: The number of the kind that the value must have. If left out, the value's own kind is
+            used.
 
     Raises:
-        InvalidParameter: if the value is of no kind, or of another kind.
+        InvalidParameter: if the value is of another kind, or of a type that parameters cannot have.
 
     >>> message_of("gains", [1, 0.5]).double_array_value
     [1.0, 0.5]
@@ -288,7 +290,7 @@ def _convert(value: object, kind: int) -> object:
 
 
 def out_of_range(descriptor: ParameterDescriptor, value: ParameterValue) -> str:
-    """Say which numbers a parameter takes; empty if it takes this one.
+    """Describe the numbers that a parameter takes; return an empty text if it takes this one.
 
     >>> speed = descriptor_of("speed", 2, bounds=(0, 10, 5))
     >>> out_of_range(speed, message_of("speed", 7))
@@ -323,7 +325,7 @@ def _is_within(number: float, bounds: IntegerRange | FloatingPointRange) -> bool
 
 
 def _is_same(one: float, other: float) -> bool:
-    """Whether two numbers are equal; doubles may differ by a rounding error, as in rclcpp."""
+    """Whether two numbers are equal. Doubles may differ by a rounding error, as in rclcpp."""
     if isinstance(one, int) or math.isinf(one) or math.isinf(other):
         return one == other
     return abs(one - other) <= 2.220446049250313e-14 * abs(one + other)
@@ -341,7 +343,7 @@ class ParameterTable:
         self._checks: dict[str, Callable[[ParameterValue], str]] = {}
 
     def __contains__(self, name: object) -> bool:
-        """Whether a parameter of that name is declared."""
+        """Whether a parameter with this name is declared."""
         return name in self._descriptors
 
     def __getitem__(self, name: str) -> ParameterValue:
@@ -359,10 +361,11 @@ class ParameterTable:
         Args:
             descriptor: Its name, kind, description and range.
             value: Its first value.
-            check: Returns why the parameter cannot have a value, and an empty string if it can.
+            check: Takes a value, and returns why the parameter cannot have it; an empty string if
+                it can.
 
         Raises:
-            InvalidParameter: if it is declared already, or cannot have the value.
+            InvalidParameter: if the parameter is declared already, or cannot have the value.
         """
         name = descriptor.name
         if name in self._descriptors:
@@ -384,7 +387,8 @@ class ParameterTable:
         """Convert the Python value that a program assigns to a parameter.
 
         Raises:
-            InvalidParameter: if it is not declared, is read-only, or cannot have the value.
+            InvalidParameter: if the parameter is not declared, is read-only, or cannot have the
+                value.
         """
         self.check_declared(name)
         known = self._descriptors[name]
@@ -396,17 +400,17 @@ class ParameterTable:
         return made
 
     def check_declared(self, name: str) -> None:
-        """Raise for a parameter that is not declared.
+        """Check that a parameter is declared.
 
         Raises:
-            InvalidParameter: if it is not declared; the error suggests the nearest name.
+            InvalidParameter: if it is not declared. The error suggests the nearest name.
         """
         if name not in self._descriptors:
             problem = f"it is not declared{did_you_mean(str(name), self._descriptors)}"
             raise InvalidParameter(name, problem)
 
     def problem(self, parameters: Sequence[Parameter]) -> str:
-        """Say why parameters cannot be set together, in rclcpp's words; empty if they can."""
+        """Return why parameters cannot be set together, in rclcpp's words; empty if they can."""
         if not parameters:
             return _NO_PARAMETERS
         for each in parameters:
@@ -418,19 +422,19 @@ class ParameterTable:
         return next(filter(None, problems), "")
 
     def apply(self, parameters: Sequence[Parameter]) -> None:
-        """Set parameters for which there is no `problem`."""
+        """Set parameters. The caller has made sure that `problem` finds no problem with them."""
         self._values.update((each.name, each.value) for each in parameters)
 
     def values(self, names: Sequence[str]) -> list[ParameterValue]:
-        """The values of some parameters; none at all if one of them is not declared."""
+        """The values of some parameters. The list is empty if one of them is not declared."""
         return [self._values[name] for name in names] if self._has_all(names) else []
 
     def descriptors(self, names: Sequence[str]) -> list[ParameterDescriptor]:
-        """The descriptions of some parameters; none at all if one of them is not declared."""
+        """The descriptions of some parameters. The list is empty if one of them is not declared."""
         return [self._descriptors[name] for name in names] if self._has_all(names) else []
 
     def listed(self, prefixes: Sequence[str], depth: int) -> ListParametersResult:
-        """The names of parameters, and the groups they are in; see `is_listed`."""
+        """The names of parameters, and the groups that contain them; see `is_listed`."""
         names = [name for name in sorted(self._descriptors) if is_listed(name, prefixes, depth)]
         groups = [name.rpartition(".")[0] for name in names if "." in name]
         return ListParametersResult(names, list(dict.fromkeys(groups)))
@@ -439,7 +443,7 @@ class ParameterTable:
         return all(name in self._descriptors for name in names)
 
     def _misfit(self, name: str, value: ParameterValue) -> str:
-        """Why a declared parameter cannot have a value."""
+        """Why a declared parameter cannot have a value, in rclcpp's words; empty if it can."""
         known = self._descriptors[name]
         if value.type == _NOT_SET:
             return "cannot undeclare a statically typed parameter"
@@ -468,12 +472,12 @@ _NO_PARAMETERS = (
 
 
 def is_listed(name: str, prefixes: Sequence[str], depth: int) -> bool:
-    """Whether a parameter is in one of the groups, and not below more than ``depth`` of them.
+    """Whether a parameter is in one of the groups, and not too deep in it.
 
     Args:
         name: The parameter's name.
-        prefixes: The groups; all if empty.
-        depth: How many parts a name may have after the group's; 0 for any number.
+        prefixes: The groups. If empty, every group counts.
+        depth: How many parts a name may have after the name of the group; 0 for any number.
     """
     if not prefixes:
         return depth == 0 or name.count(".") < depth

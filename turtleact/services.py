@@ -1,4 +1,4 @@
-"""Services as users of a node see them: servers that answer requests, clients that call them.
+"""The services of a node: servers that answer requests, and clients that send them.
 
 This module knows requests, responses and callers. `turtleact.transports` knows how messages travel.
 A client in the same process calls the server object directly (`LocalService`). Other clients send
@@ -6,7 +6,8 @@ their requests through a `Caller`.
 
 - The server handles each request in its own task. Several tasks run side by side.
 - Every caller gets an answer: the response, or the reason why there is none.
-- If a caller leaves, its handler is cancelled. If the server is closed, all handlers are. A caller
+- If a caller leaves, the handler of its request is cancelled. If the server is closed, all handlers
+are cancelled. A caller
   in another process counts as gone only when its client is closed or its process has died.
 
 Source: rclpy ``service.py`` and ``client.py`` for names and behaviour.
@@ -72,11 +73,11 @@ Check: TypeAlias = Callable[[object], Message]
 
 
 class ServiceType(Protocol[ReqMade, ResMade]):
-    """A subclass of `turtleact.Service` as type checkers see it: the makers of its messages."""
+    """A subclass of `turtleact.Service` as type checkers see it."""
 
     @property
     def type_name(self) -> str:
-        """``pkg/srv/Name``."""
+        """The full name of the service type: ``pkg/srv/Name``."""
 
     def Request(self, *args: Any, **kwargs: Any) -> ReqMade:  # noqa: ANN401  # any arguments
         """Make a request."""
@@ -87,7 +88,7 @@ class ServiceType(Protocol[ReqMade, ResMade]):
 
 @runtime_checkable
 class LocalService(Protocol):
-    """The part of `LocalServiceServer` that clients in its own process use."""
+    """The part of `LocalServiceServer` that clients in the same process use."""
 
     is_open: bool
 
@@ -95,7 +96,7 @@ class LocalService(Protocol):
 
 
 class ServiceServer(Generic[Req, Res]):
-    """Answers the requests of one service; made by `turtleact.Node.service`.
+    """Answers the requests of one service. `turtleact.Node.service` makes one.
 
     Attributes:
         name: The fully qualified name of the service.
@@ -112,7 +113,7 @@ class ServiceServer(Generic[Req, Res]):
 
     @property
     def is_open(self) -> bool:
-        """Whether the server takes requests."""
+        """Whether the server accepts requests."""
         return self._local.is_open
 
     @property
@@ -124,7 +125,8 @@ class ServiceServer(Generic[Req, Res]):
         """Stop accepting requests, answer every caller, and wait for the handlers to end.
 
         Callers get `ServerUnavailable` at once, and handlers are cancelled. A handler that has not
-        ended after 5 seconds is left running and logged. A handler must not await this.
+        ended after 5 seconds is left running and logged. A handler of this server must not await
+        this method.
         """
         self._local.is_open = False
         self._membership.close()
@@ -136,7 +138,7 @@ class ServiceServer(Generic[Req, Res]):
 class LocalServiceServer(Generic[Req, Res]):
     """Handles the requests of one service, whether they come from this process or over a wire.
 
-    This is what transports and clients in the same process are given.
+    Transports and clients in the same process get this object.
 
     Raises:
         InvalidOption: if the handler is not a function, or is a generator function.
@@ -173,14 +175,14 @@ class LocalServiceServer(Generic[Req, Res]):
         return not self._calls
 
     async def answer(self, request: object, caller: bytes = b"") -> Res:
-        """Handle a request and return its response; `ServiceClient.call` calls this.
+        """Handle a request and return its response. `ServiceClient.call` calls this.
 
         ``caller`` is the gid of a client in another process.
-        Cancelling: cancels the handler and waits for its end, at most `GRACE` seconds.
+        Cancelling: cancels the handler and waits at most `GRACE` seconds for its end.
 
         Raises:
-            InvalidMessage: if the request does not fit the service; the handler is not called.
-            ServerUnavailable: if the server is closed before it has responded.
+            InvalidMessage: if the request does not fit the service. The handler is not called.
+            ServerUnavailable: if the server is closed before it responds.
             ServiceError: if the handler fails.
         """
         if not self.is_open:
@@ -202,7 +204,7 @@ class LocalServiceServer(Generic[Req, Res]):
         return Reply(await self.answer(request, caller))
 
     def caller_lost(self, caller: bytes) -> None:
-        """Cancel the handlers of a client that has gone, given by its gid."""
+        """Cancel the handlers of a client that has gone. ``caller`` is the client's gid."""
         for call in self._calls:
             if call.caller == caller:
                 call.cancel()
@@ -222,7 +224,7 @@ class LocalServiceServer(Generic[Req, Res]):
             logger.error("a handler of service %s has not ended; it is left running", self.name)
 
     async def _run(self, call: _Call) -> None:
-        """Handle a request and answer its caller; only raises exceptions that stop the program."""
+        """Handle a request and answer its caller. Raise only exceptions that stop the program."""
         if call.is_canceled:  # before the task took its first step
             self._end(call, error=self._closed())
             return
@@ -266,7 +268,7 @@ class LocalServiceServer(Generic[Req, Res]):
 
 
 class ServiceClient(Generic[Req, Res]):
-    """Calls one service; made by `turtleact.Node.service_client`.
+    """Calls one service. `turtleact.Node.service_client` makes one.
 
     Attributes:
         name: The fully qualified name of the service.
@@ -295,20 +297,22 @@ class ServiceClient(Generic[Req, Res]):
     async def call(self, request: Req, timeout: float | None = None) -> Res:
         """Send a request and wait for its response.
 
-        Both messages are checked and copied. Any number of calls may run at the same time.
-        Cancelling: cancels the handler and waits for its end (bounded). A handler in another
+        Request and response are checked and copied. Any number of calls may run at the same time.
+        Cancelling: cancels the handler and waits a limited time for its end. A handler in another
         process continues until this client is closed, because ROS 2 cannot cancel a request.
 
         Args:
             request: The request message.
-            timeout: How long to wait for the response (s, by the graph's clock). Then the call is
-                cancelled as above. Left out, there is no limit; 0 or less does not wait at all.
+            timeout: How long to wait for the response (s, by the graph's clock). After that time,
+                the call is cancelled. If left out, there is no limit; with 0 or less, the call does
+                not wait at all.
 
         Raises:
             InvalidOption: if ``timeout`` is not a number. Nothing was sent.
             InvalidMessage: if a value does not fit its type. Nothing was sent.
-            ServerUnavailable: if nobody serves the service, or its server is closed before it has
-                responded. `open_zenoh` says how long servers in other processes are looked for.
+            ServerUnavailable: if nobody serves the service, or its server is closed before it
+                responds. See `open_zenoh` for how long the call looks for servers in other
+                processes.
             ServiceError: if the handler failed. The server's log has its traceback.
             ServiceTimeout: if there was no response within ``timeout``.
         """
@@ -325,10 +329,10 @@ class ServiceClient(Generic[Req, Res]):
         """Wait until a server exists for the service. Cancelling: safe.
 
         Args:
-            timeout: How long to wait (s, by the graph's clock); left out, there is no limit.
+            timeout: How long to wait (s, by the graph's clock). If left out, there is no limit.
 
         Returns:
-            Whether it is served.
+            Whether the service has a server.
 
         Raises:
             InvalidOption: if ``timeout`` is not a number.
@@ -337,7 +341,7 @@ class ServiceClient(Generic[Req, Res]):
         return await wait_until_served(self._transport, self._find, timeout)
 
     async def aclose(self) -> None:
-        """Leave the graph as soon as all calls under way have ended; they are not cancelled."""
+        """Leave the graph as soon as all calls under way have ended. They are not cancelled."""
         self._membership.close()
         if self._caller.observer is not None:
             self._caller.observer.close()
@@ -353,7 +357,10 @@ class ServiceClient(Generic[Req, Res]):
         return (await self._caller.call(self._check_request(request))).message
 
     def _find_local(self) -> LocalService | None:
-        """Return the server in this process, unless requests to it must travel to be observed."""
+        """Return the server in this process.
+
+        Return None if its requests must travel to be observed.
+        """
         found = self._transport.local(self.name, self.service_type.type_name)
         is_observed = self._caller.observer is not None or observer_of(found) is not None
         return found if isinstance(found, LocalService) and not is_observed else None
@@ -369,14 +376,14 @@ def service_events(
     find_type: Callable[[], object],
     mode: Introspection,
 ) -> CallObserver | None:
-    """Return the observer that publishes the events of a service, or None if the mode is "off".
+    """Return the observer that publishes a service's events; None if the mode is "off".
 
     Args:
         transport: The transport to publish on.
-        endpoint: Makes the description of the topic.
-        service: The endpoint whose calls are published.
-        find_type: Returns the class of the service.
-        mode: The introspection.
+        endpoint: A function that makes the description of the topic.
+        service: The endpoint of the service with these calls.
+        find_type: A function that returns the class of the service.
+        mode: Which events to publish: "off", "metadata" or "contents".
 
     Raises:
         InvalidOption: if the mode does not exist.
@@ -393,7 +400,8 @@ class _Call:
 
     Attributes:
         request: A checked copy of the request.
-        caller: The gid of its client in another process; empty for a client in this process.
+        caller: The gid of the request's client in another process; empty for a client in this
+            process.
         changed: Fires when the call is answered, and when its handler has ended.
         is_answered: Whether the caller has its answer.
         is_canceled: Whether its handler must be cancelled.
@@ -438,7 +446,7 @@ class _Call:
             self._task.cancel()
 
     def answer(self, response: object = None, *, error: TurtleactError | None = None) -> None:
-        """Give the caller its answer unless it has one, and wake it."""
+        """Give the caller its answer and wake it, unless it has an answer already."""
         if not self.is_answered:
             self.is_answered = True
             self._response = response
@@ -459,7 +467,7 @@ class _Call:
 
 
 def _checked_handler(handler: object) -> Callable[[Message], object]:
-    """Check that a handler could return a response."""
+    """Check that a handler is a function that can return a response."""
     if not callable(handler):
         raise InvalidOption("handler", f"expected a function, not {handler!r}")
     is_function = isroutine(handler) or isinstance(handler, partial | type)

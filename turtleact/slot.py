@@ -1,4 +1,4 @@
-"""Policies: which goals of an action may run at the same time, and what happens to the others.
+"""Policies: decide which goals may run at the same time, and what happens to the others.
 
 Goals run in the places of a `Slot`. Several actions can share one slot. The policies:
 
@@ -12,10 +12,10 @@ Two more rules concern goals that a body sends:
 
 - If the parent holds a place in this slot with another action, the child runs in the same place.
   The place is free when both have ended.
-- A goal that would have to wait for its own parent is rejected, because that is a deadlock. So is a
-  goal if every running goal would then wait for a child in the queue.
+- A goal that would have to wait for its own parent is rejected, because that is a deadlock. A goal
+is also rejected if every running goal would then wait for a child in the queue.
 
-Pure: a `Slot` decides what must happen, and its caller does it.
+A `Slot` only decides what must happen; its caller does it.
 
 Source: nav2 ``SimpleActionServer`` for preempting with one pending goal.
 """
@@ -41,11 +41,13 @@ class Rules(msgspec.Struct, frozen=True):
 
     Attributes:
         policy: What happens to a new goal while another runs.
-        max_active: How many may run at a time under ``parallel``, at least 1; None for no limit.
-        queue_limit: How many may wait, under ``queue`` or ``max_active``; None for no limit.
+        max_active: How many goals may run at a time under ``parallel``, at least 1; None for no
+            limit.
+        queue_limit: How many goals may wait, under ``queue`` or with ``max_active``; None for no
+            limit.
 
     Raises:
-        InvalidOption: if an option has a wrong value, or does not fit the policy.
+        InvalidOption: if an option has a wrong value or does not fit the policy.
     """
 
     policy: Policy = "parallel"
@@ -69,7 +71,7 @@ class Rules(msgspec.Struct, frozen=True):
 
     @property
     def is_free(self) -> bool:
-        """Whether every goal may start, whatever else runs."""
+        """Whether every goal may start, whichever other goals run."""
         return self.policy == "parallel" and self.max_active is None
 
     @property
@@ -112,8 +114,8 @@ class Entry(msgspec.Struct, Generic[C], frozen=True):
 
     Attributes:
         admission: Whether the goal starts, waits or is rejected.
-        reason: Why it is rejected, or why others end because of it.
-        displaced: The waiting goal that this one replaces; the server must end it now.
+        reason: Why the new goal is rejected, or why other goals end because of it.
+        displaced: The waiting goal that the new goal replaces. The server must end it now.
         evicted: The running goals that the server must cancel now.
     """
 
@@ -127,10 +129,10 @@ class Slot(Generic[C]):
     """One or more places in which goals run.
 
     Args:
-        rules: How goals share them.
+        rules: How goals share the slot.
 
     Attributes:
-        rules: As given.
+        rules: The argument ``rules``.
     """
 
     def __init__(self, rules: Rules) -> None:
@@ -141,7 +143,7 @@ class Slot(Generic[C]):
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing runs or waits here."""
+        """Whether no goal runs or waits here."""
         return not (self._places or self._waiting or self._taken)
 
     def holds(self, goal: Goal) -> bool:
@@ -173,7 +175,7 @@ class Slot(Generic[C]):
         return Entry(Admission.WAIT)
 
     def leave(self, goal: Goal) -> C | None:
-        """Remove a goal that has ended, running or waiting; return the goal to start now."""
+        """Remove a running or waiting goal that has ended; return the goal to start now, if any."""
         self._waiting.pop(goal, None)
         place = self._places.pop(goal, None)
         if place is None:
@@ -189,10 +191,10 @@ class Slot(Generic[C]):
         return claim
 
     def overdue(self) -> Entry[C] | None:
-        """Return the goals that must give way to a preempting goal; None if nothing must happen.
+        """Return the goals that must give way to a preempting goal; None if there are none.
 
-        Call this whenever a goal has left. A detached child survives its parent, and must then give
-        way too.
+        Call this whenever a goal has left. A detached child survives its parent and must give way
+        too.
         """
         if self.rules.policy != "preempt" or not self._waiting:
             return None
@@ -218,18 +220,21 @@ class Slot(Generic[C]):
         return Entry(Admission.WAIT, reason, displaced, self._families())
 
     def _families(self) -> tuple[C, ...]:
-        """The running goals without a parent here; canceling them also cancels their children."""
+        """The running goals without a parent in this slot.
+
+        Canceling them also cancels their children.
+        """
         running = (place[goal] for goal, place in self._places.items())
         return tuple(claim for claim in running if not self._kin(claim.goal))
 
     def _is_deadlock(self, claim: C) -> bool:
-        """Whether no place could ever become free: each holds a parent of a waiting goal."""
+        """Whether no place could ever become free: each would hold the parent of a waiting goal."""
         waiting = (claim, *self._waiting.values())
         parents = (parent.goal for each in waiting for parent in self._kin(each.goal))
         return len({id(self._places[parent]) for parent in parents}) == self._taken
 
     def _kin(self, goal: Goal) -> list[C]:
-        """The parents of a goal that run here, nearest first."""
+        """The parent of a goal, its parent, and so on, as far as they run here; nearest first."""
         kin = []
         parent = goal.parent
         while parent is not None:
@@ -240,13 +245,13 @@ class Slot(Generic[C]):
 
 
 class Slots(Generic[C]):
-    """Slots that several actions share, by name; a slot exists as long as somebody uses it."""
+    """Slots that several actions share, by name. A slot exists as long as somebody uses it."""
 
     def __init__(self) -> None:
         self._named: WeakValueDictionary[str, Slot[C]] = WeakValueDictionary()
 
     def find(self, rules: Rules, name: str | None) -> Slot[C] | None:
-        """Return the slot for goals under these rules; None if they need none.
+        """Return the slot for goals under these rules; None if the rules need no slot.
 
         Args:
             rules: How the goals share the slot.

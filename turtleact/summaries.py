@@ -1,4 +1,4 @@
-"""One-line texts for what users' code raised or returned."""
+"""Describes exceptions and values of users' code in one line."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ __all__ = [
 ]
 
 STOPS = (KeyboardInterrupt, SystemExit, GeneratorExit)
-"""These exceptions stop the program or close a coroutine; a callback fails with any other."""
+"""These exceptions stop the program or close a coroutine. With any other, a callback fails."""
 
 STOPPED = "the program was stopped"
-"""The reason given for everything that ends because of it."""
+"""The reason of everything that ends because the program was stopped."""
 
 CUT_OFF = "canceled from within"
-"""The reason given for what the user's own code cancelled, for example with all tasks."""
+"""The reason of a goal that the user's own code cancelled, for example with all tasks."""
 
 LONGEST = 10_000
 """The maximum length of an exception's text in logs and messages, in characters."""
 
 _UNKNOWN_FIELD = re.compile(r"Unexpected keyword argument '(\w+)'")
-"""What msgspec says if a message is created with a field that it does not have."""
+"""The error text of msgspec for a message that is created with an unknown field."""
 
 
 def summary(error: BaseException) -> str:
-    """Describe an exception in one line; the members of a group are joined with semicolons."""
+    """Describe an exception in one line. The members of a group are joined with semicolons."""
     if isinstance(error, BaseExceptionGroup):
         return shortened("; ".join(summary(each) for each in error.exceptions))
     text, hint = text_of(error), field_hint(error)
@@ -54,10 +54,10 @@ def text_of(value: object) -> str:
 
 
 def field_hint(error: BaseException) -> str:
-    """Suggest a field, if a message was created with one that it does not have; else empty.
+    """Suggest a field if a message was created with an unknown one; otherwise return "".
 
-    The error does not name the class. A check in Python would double what every message costs, so
-    the call is looked up in the source instead, after it has failed.
+    The error does not name the class. A check in Python would double the cost of every message. So
+    after a failed call, the class is looked up in the source of the call.
     """
     found = _UNKNOWN_FIELD.fullmatch(str(error)) if type(error) is TypeError else None
     called = _called(error.__traceback__) if found else None
@@ -96,7 +96,7 @@ def _called(trace: TracebackType | None) -> type | None:
 
 
 def _value_of(expression: ast.expr, names: dict[str, object]) -> object:
-    """What a dotted name means; None if it is something else. It runs no code of the user's."""
+    """The value of a dotted name; None for another expression. No code of the user runs."""
     if isinstance(expression, ast.Attribute):
         import inspect
 
@@ -105,7 +105,7 @@ def _value_of(expression: ast.expr, names: dict[str, object]) -> object:
 
 
 def shortened(text: str) -> str:
-    """Cut a text after `LONGEST` characters and add how many it had.
+    """Cut a text after `LONGEST` characters, and add how many characters it had.
 
     >>> shortened("a" * 10_001)[-25:]
     'aaaa… (10,001 characters)'
@@ -116,7 +116,7 @@ def shortened(text: str) -> str:
 
 
 def encodable(text: str) -> str:
-    r"""Escape what UTF-8 cannot encode: lone halves of surrogate pairs.
+    r"""Escape the characters that UTF-8 cannot encode: lone halves of surrogate pairs.
 
     Python uses such halves for file names that are not UTF-8 (PEP 383).
 
@@ -129,8 +129,9 @@ def encodable(text: str) -> str:
 def loggable(error: BaseException) -> BaseException:
     """Return an exception that can be logged with its traceback without printing a huge text.
 
-    `logging` prints the whole text of an exception and of those that caused it. If one of them is
-    longer than `LONGEST`, the result is a stand-in with the same traceback and the shortened text.
+    `logging` prints the whole text of an exception and of those that caused it. If one of these
+    texts is longer than `LONGEST`, the result is a stand-in with the same traceback and shortened
+    text.
     """
     if not any(_is_huge(each) for each in _chain(error)):
         return error

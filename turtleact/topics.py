@@ -1,4 +1,4 @@
-"""Topics as users of a node see them: publishers that check messages, subscriptions you read.
+"""The publishers and subscriptions of a node. Publishers check messages; you read subscriptions.
 
 This module knows messages and queues. `turtleact.transports` knows how messages travel.
 
@@ -22,11 +22,11 @@ M = TypeVar("M", bound=Message)
 
 
 class Publisher(Generic[M]):
-    """Sends messages to a topic; made by `turtleact.Node.publisher`.
+    """Sends messages to a topic. `turtleact.Node.publisher` makes one.
 
     Attributes:
         topic: The fully qualified name of the topic.
-        is_open: Whether it can publish.
+        is_open: Whether the publisher can still publish.
     """
 
     def __init__(
@@ -41,14 +41,18 @@ class Publisher(Generic[M]):
 
     @property
     def has_subscriptions(self) -> bool:
-        """Whether a message published now has a reader, or may get a late one (latched topics)."""
+        """Whether a message published now has a reader.
+
+        On a latched topic, it may get one later.
+        """
         return self._publication.has_readers
 
     def publish(self, message: M) -> None:
         """Send a copy of a message to every subscription.
 
         Raises:
-            InvalidMessage: if it is not of the topic's type, or a value does not fit its type.
+            InvalidMessage: if the message is not of the topic's type, or a value does not fit its
+                type.
             TurtleactError: if the publisher is closed, or belongs to another event loop or thread.
         """
         self._home.check()
@@ -65,7 +69,7 @@ class Publisher(Generic[M]):
 
 
 def publish_unchecked(publisher: Publisher[M], message: M) -> None:
-    """Send a message without checking or copying it; does nothing if the publisher is closed.
+    """Send a message without checking or copying it. If the publisher is closed, do nothing.
 
     The message must be valid, and the caller must not change it afterwards.
     """
@@ -86,20 +90,20 @@ class Matching(Source):
 
 
 class Subscription(Generic[M]):
-    """Receives messages from a topic; made by `turtleact.Node.subscription`.
+    """Receives messages from a topic. `turtleact.Node.subscription` makes one.
 
     ``async for message in subscription`` gives the messages in order. If a reader lags behind, the
-    newest ``depth`` messages are kept, and `missed` counts the dropped ones. With several readers,
-    each message goes to only one of them. Messages are shared with other subscriptions: do not
-    change them. Cancelling: safe, nothing is lost.
+    newest ``depth`` messages are kept, and `missed` counts the dropped ones. If a subscription has
+    several readers, each message goes to only one of them. Messages are shared with other
+    subscriptions: do not change them. Cancelling: safe, nothing is lost.
 
     Attributes:
         topic: The fully qualified name of the topic.
         latest: The newest message, read or not; None before the first.
         missed: How many messages were dropped unread.
         notify: Called when a message has arrived, in addition to waking readers.
-        taker: Called with each message first. If it returns True, it has taken the message: the
-            message is not kept and wakes nobody.
+        taker: Called with each message first. If it returns True, the message is not kept and wakes
+            nobody.
     """
 
     def __init__(
@@ -125,7 +129,7 @@ class Subscription(Generic[M]):
         self._membership = owner.add(self, subscribed)
 
     def _deliver(self, message: M) -> None:
-        """Receive a message; the transport calls this."""
+        """Receive a message from the transport, which calls this."""
         if self.taker is not None and self.taker(message):
             self.latest = message
             return
@@ -157,7 +161,7 @@ class Subscription(Generic[M]):
         return self._kept.popleft()
 
     def close(self) -> None:
-        """Leave the topic. Readers still get what has arrived; then their loops end.
+        """Leave the topic. Readers still get the messages that have arrived; then their loops end.
 
         A second call does nothing.
         """
@@ -166,5 +170,5 @@ class Subscription(Generic[M]):
         self._signal.fire()
 
     async def aclose(self) -> None:
-        """Same as `close`."""
+        """Leave the topic, as `close` does."""
         self.close()

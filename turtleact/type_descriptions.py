@@ -1,7 +1,7 @@
-"""The service ``NODE/get_type_description``: what a type that a node uses consists of.
+"""Serves ``NODE/get_type_description``, which describes the types that a node uses.
 
-Nodes of ROS 2 offer it too. Here it is opened only when another process looks for it, so that it
-costs nothing before.
+Nodes of ROS 2 offer this service too. Here it is opened only when another process looks for it, so
+it costs nothing before that.
 
 Source: ``type_description_interfaces/srv/GetTypeDescription``; REP 2016.
 """
@@ -19,7 +19,7 @@ __all__ = ["GET_TYPE_DESCRIPTION", "TYPE_HASH", "offer_descriptions", "offer_whe
 GET_TYPE_DESCRIPTION: Final = "type_description_interfaces/srv/GetTypeDescription"
 
 TYPE_HASH: Final = "RIHS01_69b9c19c1021405984cc60dbbb1edceb147a6538b411d812ba6afabeed962cd5"
-"""The hash of the service, written down because computing it takes 10 ms."""
+"""The type hash of the service. It is a constant because computing it takes 10 ms."""
 
 
 def offer_descriptions(transport: Transport, node: str) -> Closeable:
@@ -49,7 +49,7 @@ class _Nothing:
 
 
 class _Format(WireFormat):
-    """The format of the service; its classes are loaded with the first request."""
+    """The wire format of the service. Its classes are loaded with the first request."""
 
     type_hash: str = TYPE_HASH
 
@@ -58,7 +58,7 @@ class _Format(WireFormat):
 
 
 class _Describer:
-    """Answers requests."""
+    """Answers the requests of the service."""
 
     async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002
         """Describe the type that a request names."""

@@ -1,11 +1,11 @@
 """Looks for ROS packages and their interface files near a folder, without any index.
 
 A package is found in the folder itself, one level below it, one or two levels below its ``src``,
-and where colcon would install it: ``install/PACKAGE/share/PACKAGE`` or ``install/share/PACKAGE``.
+and where colcon installs packages: ``install/PACKAGE/share/PACKAGE`` or ``install/share/PACKAGE``.
 In a folder below a ``src``, the other packages in that ``src`` are found as well.
 
-The search is bounded, so it is quick even in a home folder: it goes no deeper, looks at no more
-than `MOST_FOLDERS` folders, and opens only ``package.xml``. Folders that cannot be read are
+The search is limited, so that it is quick even in a home folder. It goes no deeper, looks at no
+more than `MOST_FOLDERS` folders, and opens only ``package.xml``. Folders that cannot be read are
 skipped.
 """
 
@@ -29,7 +29,7 @@ __all__ = [
 KINDS = ("msg", "srv", "action")
 
 MOST_FOLDERS = 1000
-"""How many folders are looked at."""
+"""The search looks at no more than this many folders."""
 
 LONGEST = 10_000
 """How many characters of a ``package.xml`` are searched for the name."""
@@ -42,8 +42,8 @@ _INTERFACE = re.compile(r"[A-Z][A-Za-z0-9]*(?:_[A-Z][A-Za-z0-9]*)*")
 def find_interfaces(root: Path) -> dict[str, Path]:
     """Find the interface files of the packages near a folder, by type name.
 
-    If two packages have the same interface, the one that is nearer wins, and sources win over what
-    was installed.
+    If two packages have the same interface, the nearer package wins, and sources win over installed
+    files.
     """
     found: dict[str, Path] = {}
     for folder in folders_near(root):
@@ -55,7 +55,7 @@ def find_interfaces(root: Path) -> dict[str, Path]:
 def interface_files(folder: Path) -> dict[str, Path]:
     """The interface files of the package in a folder, by type name.
 
-    Empty if there are none, or if the package has no name; see `package_name`.
+    The result is empty if there are none, or if the package has no name; see `package_name`.
     """
     kinds = [(kind, path) for kind in KINDS if _is_folder(path := folder / kind)]
     package = package_name(folder) if kinds else ""
@@ -70,9 +70,9 @@ def interface_files(folder: Path) -> dict[str, Path]:
 
 
 def misnamed(root: Path, type_name: str) -> tuple[Path, Path] | None:
-    """A file near a folder that is not found under its name or in its place, and how to call it.
+    """A misnamed or misplaced interface file near a folder, and the path that it should have.
 
-    ``action/count.action`` and ``actions/Count.action`` are no interfaces.
+    For example, ``action/count.action`` and ``actions/Count.action`` are not found as interfaces.
     """
     package, _, rest = type_name.partition("/")
     name = rest.rpartition("/")[2]
@@ -91,7 +91,7 @@ def misnamed(root: Path, type_name: str) -> tuple[Path, Path] | None:
 
 
 def proper_name(name: str) -> str:
-    """The name of an interface, from one that is not spelled as ROS 2 demands.
+    """Turn a name that is not spelled as ROS 2 demands into the name of an interface.
 
     >>> proper_name("count_down"), proper_name("GoTo")
     ('CountDown', 'GoTo')
@@ -105,9 +105,9 @@ def _alike(one: str, other: str) -> bool:
 
 
 def package_name(folder: Path) -> str:
-    """The name of the package in a folder: as its ``package.xml`` says, or else as the folder's.
+    """The name of the package in a folder: that in its ``package.xml``, or else the folder's name.
 
-    Empty if neither is the name of a ROS package.
+    The result is empty if neither is a valid name of a ROS package.
     """
     try:
         with (folder / "package.xml").open(encoding="utf-8", errors="replace") as file:
@@ -119,7 +119,7 @@ def package_name(folder: Path) -> str:
 
 
 def folders_near(root: Path) -> Iterator[Path]:
-    """The folders in which a package may be, nearest first, `MOST_FOLDERS` of them at most."""
+    """The folders in which a package may be, nearest first, at most `MOST_FOLDERS`."""
     return islice(_folders_near(root), MOST_FOLDERS)
 
 
@@ -137,7 +137,7 @@ def _folders_near(root: Path) -> Iterator[Path]:
 
 
 def _parents(folder: Path) -> tuple[Path, ...]:
-    """A folder and all folders that it is in, nearest first; none if it is gone."""
+    """A folder and all its parent folders, nearest first; nothing if the folder is gone."""
     try:
         whole = folder.absolute()
     except OSError:
@@ -148,8 +148,8 @@ def _parents(folder: Path) -> tuple[Path, ...]:
 def _folders(folder: Path) -> Iterator[Path]:
     """The folders in a folder, in the order of their names.
 
-    Names with a dot are left out: they are hidden, or files. So a folder full of files is listed,
-    but its files are not looked at one by one.
+    Names with a dot are left out, because they are hidden or belong to files. In a folder full of
+    files, the files are therefore not looked at one by one.
     """
     found = [path for path in _entries(folder) if "." not in path.name]
     return (path for path in _sorted(found)[:MOST_FOLDERS] if _is_folder(path))
@@ -163,7 +163,10 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _sorted(paths: list[Path]) -> list[Path]:
-    """The paths of one folder by name; paths themselves compare five times as slowly."""
+    """Sort the paths of one folder by name.
+
+    Comparing the paths themselves is five times as slow.
+    """
     return sorted(paths, key=lambda path: path.name)
 
 

@@ -16,20 +16,24 @@ if TYPE_CHECKING:
 __all__ = ["Area", "Robot", "Turtles", "serve_built_ins"]
 
 BUILT_IN = (go_to.serve, patrol.serve)
-"""The actions that drive turtles: `Turtles` of any kind of `Robot`, in any `Area`."""
+"""The built-in actions that drive turtles.
+
+They drive `Turtles` of any kind of `Robot`, in any `Area`.
+"""
 
 
 def serve_built_ins(node: Node, *, side: float, **options: Unpack[ServerOptions]) -> None:
     """Serve all built-in actions on a node.
 
-    Each makes way for another server of its name, in any process: it takes no more goals as soon as
-    discovery shows the other one, and its running goals finish. It comes back when the other one
-    has gone. The log reports both.
+    Each built-in action makes way for another server of the same action, in any process. As soon as
+    discovery shows the other server, the built-in action takes no more goals; its running goals
+    finish. When the other server has gone, the built-in action comes back. The log reports both
+    changes.
 
     Args:
-        node: Where they are served.
+        node: The node that serves them.
         side: The side of the square in which targets must lie (m).
-        **options: As for `Node.action_server`, such as a ``journal``.
+        **options: Options of `Node.action_server` for every action, such as ``journal``.
     """
     fibonacci.serve(node, on_conflict="withdraw", **options)
     turtles = Turtles(node, Area(0.0, 0.0, side, side))

@@ -1,24 +1,24 @@
-"""The turtles that actions can drive, and one of them on its way.
+"""The turtles that actions can drive, and the way of one turtle to its targets.
 
 `Turtles` knows the turtles of the graph, the area in which they may move, and the goals that drive
 them. Only one goal at a time drives a turtle. A `Drive` takes a turtle from target to target: it
-reads poses from one topic and publishes twists on another. It needs nothing else, so it can drive
-any `Robot`.
+reads poses from one topic and publishes twists on another. A drive needs nothing else, so it can
+drive any `Robot`.
 
 What can go wrong on the way:
 
 - If somebody else moves the turtle, the drive continues from its new place.
 - If no pose arrives for half a second, the drive stops the turtle and continues with the next pose.
-  It gives up after two seconds, or once nobody publishes the pose any more.
+  The drive gives up after two seconds, or once nobody publishes the pose any more.
 - A pose that is too old, or older than one seen before, is ignored.
 - If poses arrive faster or slower than ``Robot.dt`` says, each command is calculated for the actual
   time until the next pose.
 
-A robot that keeps its commands is sent only new ones. While its poses are as expected, they do not
-wake the driver.
+A robot that keeps its last command gets another one only when the command changes. While such a
+robot's poses are as expected, they do not wake the driver.
 
-While a goal is paused, its drive is held: the turtle stands still, its poses are passed over, and
-the time of the drive stands still. A pause therefore changes nothing but the duration.
+While a goal is paused, its drive is held: the turtle stands still, its poses are ignored, and the
+time of the drive stands still. A pause therefore changes nothing but the duration.
 """
 
 from __future__ import annotations
@@ -57,20 +57,20 @@ if TYPE_CHECKING:
 __all__ = ["PATIENCE", "Drive", "Turtles"]
 
 PAUSE: Final = 0.5
-"""A turtle without poses is stopped after this time (s), or up to twice as late."""
+"""The drive stops a turtle after this time (s) without poses, or after at most twice this time."""
 
 SILENCE: Final = 2.0
-"""A turtle without poses is given up after this time (s), or at most `PAUSE` later."""
+"""A drive fails after this time (s) without poses, or at most `PAUSE` later."""
 
 PATIENCE: Final = 2.0
 """A target is given up after this multiple of the longest time that the steering law needs."""
 
 LEARNING: Final = 0.3
-"""How quickly the measured time between poses follows a change: this share with each pose."""
+"""With each pose, the measured time between poses moves by this share towards the newest time."""
 
 
 class Drive:
-    """One turtle on its way.
+    """The way of one turtle to the targets of a goal.
 
     Attributes:
         travelled: How far it has gone (m).
@@ -122,7 +122,7 @@ class Drive:
         return TurtlePose(*self.seen.pose, *self.seen.speeds)
 
     def has_reached(self, target: Point, *, theta: float | None = None) -> bool:
-        """Whether the turtle is within the tolerance of a target, and of a heading (rad)."""
+        """Whether the turtle has reached a target and, if given, the heading ``theta`` (rad)."""
         return self._helm.steering.is_reached(self.seen.pose, (target.x, target.y), theta=theta)
 
     def distance_to(self, targets: Sequence[Point]) -> float:
@@ -131,11 +131,11 @@ class Drive:
         return sum(distance(*a, *b) for a, b in pairwise(stops))
 
     def time(self) -> float:
-        """The time of the drive (s): the node's clock without the time for which it was held.
+        """The time of the drive (s): that of the node's clock, minus the time during pauses.
 
-        It advances with each pose. A pause therefore takes out exactly the ticks that it lasts, no
-        matter when between two ticks it begins and ends. It is rounded to nanoseconds, so that a
-        sum of pauses does not move a moment beyond the tick in which it falls.
+        The time advances with each pose. A pause therefore takes out exactly the ticks that it
+        lasts, no matter when between two ticks it begins and ends. The time is rounded to
+        nanoseconds, so that adding up pauses cannot move a moment beyond its tick.
         """
         return round(self._clock.time() - self._passed_over, 9)
 
@@ -150,7 +150,8 @@ class Drive:
     def release(self) -> None:
         """Let the turtle go on.
 
-        With limited accelerations it starts from rest; otherwise it has its earlier speeds at once.
+        With limited accelerations, the turtle starts from rest. Otherwise it moves at its earlier
+        speeds at once.
         """
         if self._held is None:
             return
@@ -175,7 +176,8 @@ class Drive:
     async def shortest_time(self, targets: Sequence[Point], *, theta: float | None = None) -> float:
         """The shortest possible time (s) from here through the targets.
 
-        Calculated step by step, for one turtle at a time, so that other tasks can run.
+        The calculation runs step by step, for one turtle at a time, so that other tasks can run in
+        between.
         """
         stops, least = [(target.x, target.y) for target in targets], 0.0
         async with self._proving:
@@ -199,13 +201,13 @@ class Drive:
         theta: float | None = None,
         until: float = math.inf,
     ) -> None:
-        """Drive for one tick, or longer if the same command stays right until then.
+        """Drive for one tick, or for longer while the same command stays right.
 
         Args:
             target: Where to.
             next_target: The target after that.
-            theta: The heading at the target (rad); any if left out.
-            until: Stop after the first tick at or after this time of the drive (s).
+            theta: The heading at the target (rad). If left out, any heading will do.
+            until: The time of the drive (s) at which this returns, or at the first tick after it.
 
         Raises:
             Abort: if no pose of the turtle arrives.
@@ -216,7 +218,7 @@ class Drive:
         await self.wait_for_pose()
 
     async def rest(self) -> None:
-        """Stop as fast as accelerations allow; without limits that takes no tick.
+        """Stop as fast as the accelerations allow. Without limits, this takes no tick.
 
         Raises:
             Abort: if no pose of the turtle arrives.
@@ -236,7 +238,7 @@ class Drive:
         await self.wait_for_pose()
 
     async def wait_for_pose(self) -> None:
-        """Wait for the next pose, or take the newest of those that have come.
+        """Wait for the next pose. If poses have already come, take the newest.
 
         While the turtle is held, this does not return.
 
@@ -255,7 +257,7 @@ class Drive:
             seen = self._read(message)
             if self._objection(seen):
                 continue
-            if self._robot.keeps_commands:  # `_take` passes poses over and notes when they come
+            if self._robot.keeps_commands:  # `_take` ignores poses and notes when they come
                 break
             if self._held is None:
                 self._heard = self._clock.time()
@@ -268,7 +270,7 @@ class Drive:
         await self._stand()
 
     async def aclose(self) -> None:
-        """Stop the turtle where it is, and leave its topics."""
+        """Stop the turtle where it is, and close its topics."""
         # Before the first await: a cancelled task may not get another turn, and a turtle that keeps
         # its commands would drive on for a second.
         self._stop()
@@ -277,7 +279,7 @@ class Drive:
         await self._poses.aclose()
 
     def _take(self, message: TurtlePose) -> bool:
-        """Take a pose that needs no new command, so the driver need not wake for it."""
+        """Take a pose if it needs no new command; return whether the driver can sleep on."""
         # This is called while a pose is being published, 62 times a second for each turtle. It must
         # be short and must not await. It reads the whole message only if somebody asks for it.
         if self._held is not None:
@@ -293,7 +295,7 @@ class Drive:
         return True
 
     def _pass_over(self) -> None:
-        """Ignore a pose that has come while the turtle was held: no time has passed for it."""
+        """Ignore a pose that came while the turtle was held: for the turtle, no time has passed."""
         now = self._clock.time()
         self._passed_over += now - self._heard
         self._heard = now
@@ -317,14 +319,15 @@ class Drive:
         poses, self._taken_since = 1 + self._taken_since, 0
         if before is None:
             return
-        # One pose may be late by chance. Each pose moves the estimate by the share `LEARNING`, and
-        # counts as twice the estimate at most.
+        # One pose may be late by chance. Each pose moves the estimate by the share `LEARNING`. A
+        # time longer than twice the estimate counts as twice the estimate.
         lasted = self._robot.dt if is_a_tick else (self._decided - before) / poses
         change = min(lasted, 2.0 * self._pace) - self._pace
         self._pace += (1.0 - (1.0 - LEARNING) ** poses) * change
         limits = self._helm.steering.limits
         dt = min(max(self._robot.dt / 8.0, self._pace), math.pi / 2.0 / limits.max_angular)
-        # A new law drops the command that the helm holds, so a small change does not make one.
+        # A new law drops the command that the helm holds, so a small change of the pace does not
+        # make a new law.
         if abs(dt - limits.dt) > limits.dt / 4.0:
             limits = replace(limits, dt=dt)
             self._helm.steering = replace(self._helm.steering, limits=limits)
@@ -347,7 +350,10 @@ class Drive:
         self._twists.publish(self._robot.write(speeds, self._clock.now()))
 
     async def _keep_watch(self) -> None:
-        """Stop a turtle whose poses stop arriving; in the end, fail the waiting goal."""
+        """Stop the turtle when its poses stop arriving.
+
+        If they do not come back, fail the waiting goal.
+        """
         last: Message | None = None
         silence = 0.0
         while silence < SILENCE:
@@ -365,10 +371,10 @@ class Drive:
                 self._stop()
         await self._poses.aclose()
         self._helm.stop()
-        self.release()  # a driver that waits for that gives up, too
+        self.release()  # a driver that waits for the release gives up, too
 
     def _is_heard(self, message: Message) -> bool:
-        """Whether a pose can be used; keep the reason if not."""
+        """Return whether a pose can be used. If not, keep the reason for the error."""
         try:
             seen = self._robot.read(message)
         except InvalidMessage:  # the driver reads it again and reports the error
@@ -415,7 +421,7 @@ class Turtles:
         tolerance: float,
         heading_tolerance: float = Limits().heading_tolerance,
     ) -> Steering:
-        """The law of steering with a goal's options, for these robots.
+        """The steering law for these robots, with the options of a goal.
 
         Raises:
             Reject: if there is no such style, or a number is out of its range.
@@ -462,10 +468,10 @@ class Turtles:
 
         Args:
             target: The target.
-            path: What to put before the name of a coordinate: ``targets[2].``.
+            path: A prefix for the coordinate's name in the error, such as ``targets[2].``.
 
         Raises:
-            Reject: with the name of the first coordinate outside.
+            Reject: if the target is outside. The error names the first coordinate that is.
         """
         area = self._area
         ranges = {"x": (area.left, area.right), "y": (area.bottom, area.top)}
@@ -479,12 +485,12 @@ class Turtles:
     async def drive(
         self, turtle: str, steering: Steering, goal: ServerGoalHandle[Any, Any, Any] | None = None
     ) -> AsyncIterator[Drive]:
-        """Drive a turtle for the length of a block; at the end the turtle always stands still.
+        """Give a block the drive of a turtle. However the block ends, the turtle then stands still.
 
         Args:
             turtle: Its name.
             steering: The law of steering.
-            goal: The goal that needs it; while it is paused, the turtle is held.
+            goal: The goal that needs the turtle. While the goal is paused, the turtle is held.
 
         Raises:
             Abort: if the turtle reports no pose, or another goal drives it already.
@@ -497,7 +503,7 @@ class Turtles:
         self._driven.add(topic)
         if goal is not None:
             self._drives[goal.goal_id] = drive
-            if goal.is_paused:  # it was paused before its body began
+            if goal.is_paused:  # the goal was paused before its body began
                 drive.hold()
         try:
             # The first pose only says where the turtle is: nothing has been travelled yet.
@@ -511,17 +517,17 @@ class Turtles:
             await drive.aclose()
 
     async def hold(self, goal: ServerGoalHandle[Any, Any, Any]) -> None:
-        """Hold the turtle of a goal that is paused; an ``on_pause``."""
+        """Hold the turtle of a goal that is paused. This is an ``on_pause`` callback."""
         if goal.goal_id in self._drives:
             self._drives[goal.goal_id].hold()
 
     async def release(self, goal: ServerGoalHandle[Any, Any, Any]) -> None:
-        """Release the turtle of a goal that is resumed; an ``on_resume``."""
+        """Release the turtle of a goal that is resumed. This is an ``on_resume`` callback."""
         if goal.goal_id in self._drives:
             self._drives[goal.goal_id].release()
 
     def _topic(self, turtle: str) -> str:
-        """The full name of a turtle's pose topic; a turtle may be called by several names."""
+        """The full name of a turtle's pose topic. It is the same for all names of the turtle."""
         poses, _ = self._robot.topics(turtle)
         return resolve_name(poses, self._node.namespace, self._node.name)
 

@@ -28,7 +28,7 @@ LARGEST: Final = 46
 
 
 def check(goal: Fibonacci.Goal | ExampleFibonacci.Goal) -> GoalResponse:
-    """Refuse an order whose numbers do not fit the result."""
+    """Reject a goal if its numbers do not fit the result."""
     if goal.order > LARGEST:
         raise Reject(f"order {goal.order} is too large: number {LARGEST + 1} does not fit an int32")
     return GoalResponse.ACCEPT
@@ -71,7 +71,7 @@ async def example_fibonacci(
 def serve(
     node: Node, *, on_conflict: OnConflict = "refuse", **options: Unpack[ServerOptions]
 ) -> None:
-    """Serve ``/fibonacci`` under both of the types that ROS 2 has for it.
+    """Serve ``/fibonacci`` with each of the two types that ROS 2 has for it.
 
     After a restart, a goal in a journal continues where it stopped.
 

@@ -28,19 +28,20 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
     """Go to a place."""
 
     class Goal(Message):
-        """Where to go, who goes, and how.
+        """Where to go, which turtle goes, and how it drives.
 
         Attributes:
-            x: The place (m).
-            y: The place (m).
+            x: The x coordinate of the place (m).
+            y: The y coordinate of the place (m).
             turtle: Which turtle goes: it has ``<turtle>/pose`` and ``<turtle>/cmd_vel``.
-            tolerance: How near is near enough (m), above zero.
+            tolerance: How far from the place the turtle may stop (m), above zero.
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
             style: ``natural``, ``fastest``, ``forward`` or ``rotate_then_drive``.
             theta: The heading at the place (rad): 0 is to the right, 1.5708 is up. It has no effect
                 while ``heading_tolerance`` is 0.
-            heading_tolerance: How exact the heading has to be (rad). With 0, every heading will do.
+            heading_tolerance: By how much the final heading may be off (rad). With 0, any heading
+                will do.
         """
 
         x: float64 = 0.0
@@ -54,7 +55,7 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         heading_tolerance: float64 = 0.0
 
     class Result(Message):
-        """How it went.
+        """How far the turtle went, and how long it took.
 
         Attributes:
             distance: How far the turtle went (m).
@@ -67,7 +68,7 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         bound: float64 = 0.0
 
     class Feedback(Message):
-        """How it goes, once a second.
+        """Where the turtle is, and how far it still has to go. Sent once a second.
 
         Attributes:
             pose: Where the turtle is.

@@ -1,4 +1,4 @@
-"""``/patrol``: a turtle visits a list of places; ``/command_turtle``: the lecture's patrol.
+"""``/patrol`` and ``/command_turtle``: a turtle visits a list of places.
 
 ``/command_turtle`` has exactly the interface and the messages of the lecture on ROS actions (see
 ``docs/tutorial.md``). ``/patrol`` has more options and reports more.
@@ -30,7 +30,10 @@ PERIOD = 1.0
 """Seconds between two feedback messages on the way to a target."""
 
 WHOLE = 24
-"""For so many stops the bound includes the turns (10 ms of work); later ones count as straight."""
+"""For this many stops, the bound includes the turns (10 ms of work).
+
+For later stops, it does not.
+"""
 
 AT_ONCE = 16
 """A round takes at least one tick, and at least one more for each group of this many stops."""
@@ -40,15 +43,15 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
     """Visit places, one after the other."""
 
     class Goal(Message):
-        """Where to go, who goes, and how.
+        """Where to go, which turtle goes, and how it drives.
 
         Attributes:
             targets: The places (m), in order; z is ignored.
-            loops: How many more rounds are made after the first.
+            loops: How many more rounds follow the first.
             turtle: Which turtle goes: it has ``<turtle>/pose`` and ``<turtle>/cmd_vel``.
-            stop_on_failure: Whether a target that is not reached in time ends the patrol. If not,
+            stop_on_failure: Whether a target that is not reached in time ends the patrol. If false,
                 the turtle heads for the next target.
-            tolerance: How near is near enough (m), above zero.
+            tolerance: How close to a target the turtle must come (m), above zero.
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
             style: ``natural``, ``fastest``, ``forward`` or ``rotate_then_drive``.
@@ -64,7 +67,7 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
         style: string = "natural"
 
     class Result(Message):
-        """How it went.
+        """How many targets the turtle reached, how far it went, and how long it took.
 
         Attributes:
             reached: How many targets were reached, over all rounds.
@@ -82,13 +85,15 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
         bound: float64 = 0.0
 
     class Feedback(Message):
-        """How the patrol goes: sent at each target, and once a second on the way.
+        """How far the patrol has come. Sent at each target, and once a second on the way.
 
         Attributes:
-            index: Which target this is about, counted from 0.
+            index: The index of the target that the turtle is heading for or has reached, counted
+                from 0.
             target: That target.
-            is_reached: Whether the turtle has just reached it; if not, it is on its way there.
-            reached: How many have been reached so far, over all rounds.
+            is_reached: Whether the turtle has just reached that target. If false, the turtle is on
+                its way there.
+            reached: How many targets have been reached so far, over all rounds.
             pose: Where the turtle is.
             distance_remaining: The remaining distance through all targets, in straight lines (m).
         """
@@ -135,7 +140,7 @@ def serve(
 
 
 class _Tour:
-    """The stops of a patrol: the targets in order, as often as there are rounds."""
+    """The stops of a patrol: the targets in order, once for each round."""
 
     def __init__(self, targets: Sequence[Point], rounds: int) -> None:
         self._targets = targets
@@ -158,7 +163,7 @@ class _Tour:
         return self._sum_from(stop, self._legs)
 
     async def bound(self, drive: Drive, goal: Patrol.Goal) -> float:
-        """The shortest possible time (s); for stops beyond `EXACT`, only their straight legs count.
+        """The shortest possible time (s). For stops beyond `EXACT`, it leaves out the turns.
 
         The first round alone may give a higher bound than all rounds, because the search is finer
         with fewer stops.
@@ -183,7 +188,7 @@ class _Patrol:
         self._turtles = turtles
 
     def check(self, goal: Patrol.Goal) -> GoalResponse:
-        """Refuse goals that cannot be done, naming the field."""
+        """Reject a goal that cannot be done. The reason names the field."""
         self._steering(goal)
         if goal.loops < 0:
             raise Reject(f"loops is {goal.loops}: it is a number of extra rounds, 0 or more")
@@ -195,7 +200,7 @@ class _Patrol:
         return GoalResponse.ACCEPT
 
     def check_command(self, command: PatrolCommandInterface.Goal) -> GoalResponse:
-        """The same for the lecture's goal."""
+        """Reject a goal of ``/command_turtle`` that cannot be done."""
         return self.check(Patrol.Goal(targets=command.targets))
 
     async def execute(
@@ -203,7 +208,7 @@ class _Patrol:
         goal: Patrol.Goal,
         handle: ServerGoalHandle[Patrol.Goal, Patrol.Result, Patrol.Feedback],
     ) -> Patrol.Result:
-        """``/patrol``."""
+        """Run a goal of ``/patrol``."""
         left = handle.resumed
         result = (left and left.partial_result) or Patrol.Result()
         # Only published feedback counts. A target that is in the partial result but in no feedback
@@ -222,7 +227,7 @@ class _Patrol:
             PatrolCommandInterface.Feedback,
         ],
     ) -> PatrolCommandInterface.Result:
-        """``/command_turtle``, with the lecture's words."""
+        """Run a goal of ``/command_turtle``, with the lecture's messages."""
 
         def tell(feedback: Patrol.Feedback) -> None:
             if feedback.is_reached:

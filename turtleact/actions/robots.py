@@ -1,4 +1,4 @@
-"""Robots as actions see them: the names and types of two topics, and the robots' abilities.
+"""The kinds of robot that actions can drive: their two topics and what they are able to do.
 
 A `Robot` gets its speeds on one topic and publishes its pose on another. Two tables hold the types
 that these topics may have; the defaults are those of turtlesim.
@@ -30,12 +30,12 @@ __all__ = ["POSE_TYPES", "TWIST_TYPES", "Robot", "Sighting"]
 
 
 class Sighting(NamedTuple):
-    """Where and how fast a robot is, by its own account.
+    """Where a robot is and how fast it moves, as its pose message says.
 
     Attributes:
         pose: x and y (m), and the heading (rad, in [-pi, pi)).
-        speeds: Linear (m/s, never negative) and angular (rad/s); zeros if it does not say.
-        stamp: When that was, ROS time (ns); None if it does not say.
+        speeds: Linear (m/s, never negative) and angular (rad/s); zeros if the message has none.
+        stamp: The ROS time of the message (ns); None if it has no stamp.
     """
 
     pose: Pose
@@ -44,7 +44,7 @@ class Sighting(NamedTuple):
 
 
 class _Fields(NamedTuple):
-    """Where in a message the pose and the twist stand."""
+    """The names of the fields of a message that hold the pose and the twist."""
 
     pose: str
     twist: str = ""
@@ -57,7 +57,7 @@ POSE_TYPES: Final[dict[str, _Fields | None]] = {
     "geometry_msgs/msg/PoseStamped": _Fields("pose"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": _Fields("pose.pose"),
 }
-"""The types of pose topics, and where their fields are."""
+"""The types of pose topics, and which of their fields hold the pose and the twist."""
 
 TWIST_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 """The types of twist topics."""
@@ -69,11 +69,12 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         pose_topic: The topic of its pose; ``{turtle}`` is replaced by the goal's turtle.
         pose_type: One of `POSE_TYPES`.
-        twist_topic: The topic of its commands; ``{turtle}`` is replaced, too.
+        twist_topic: The topic of its commands; ``{turtle}`` is replaced by the goal's turtle.
         twist_type: One of `TWIST_TYPES`.
         frame_id: The frame of a stamped twist.
-        dt: Time between two poses (s), about: the robot gets a command after each, unless it keeps
-            its commands. If poses come at another pace, the drive adapts to it.
+        dt: The approximate time between two poses (s). The robot gets a command after each pose,
+            unless it keeps its commands. If poses come at another rate, the drive adapts to that
+            rate.
         max_age: Stamped poses older than this (s) are ignored.
         max_acceleration: How fast its speed may change (m/s²), above zero; may be infinite.
         max_angular_acceleration: How fast its turn rate may change (rad/s²), above zero; may be
@@ -120,20 +121,20 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def keeps_commands(self) -> bool:
-        """Whether the robot keeps a command for a second, so that no command need be repeated.
+        """Whether the robot follows each command for a second, so that commands need no repetition.
 
-        turtlesim's turtles do; for other robots it is not known when they stop.
+        turtlesim's turtles do. Other robots may stop at any time after a command.
         """
         return POSE_TYPES[self.pose_type] is None
 
     @property
     def pose_class(self) -> type[Message]:
-        """The class of its poses."""
+        """The message class of the robot's poses."""
         return cast("type[Message]", get_interface(self.pose_type))
 
     @property
     def twist_class(self) -> type[Message]:
-        """The class of its commands."""
+        """The message class of the robot's commands."""
         return cast("type[Message]", get_interface(self.twist_type))
 
     def topics(self, turtle: str) -> tuple[str, str]:
@@ -157,7 +158,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         return seen
 
     def write(self, speeds: Speeds, now: int) -> Message:
-        """The message that asks for some speeds.
+        """The message that makes the robot drive at some speeds.
 
         Args:
             speeds: Linear (m/s) and angular (rad/s).

@@ -1,6 +1,6 @@
 """Interfaces: messages, services and actions as Python classes, and as text.
 
-Pure: this package only reads interface files and does no other I/O. It knows no event loop.
+This package reads interface files and does no other I/O. It knows no event loop.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Python annotations for ROS types, and how to read one.
+"""Python annotations for ROS types, and functions that read an annotation.
 
 ``int32`` is ``Annotated[int, …]``: a type checker sees ``int``, and a message class sees the range.
-``bounded[list[int32], 5]`` and ``array[list[float64], 9]`` are other spellings of ``Annotated``, so
-that every type checker sees the list. This module knows a message class only by its name.
+For a type checker, ``bounded[list[int32], 5]`` and ``array[list[float64], 9]`` are lists. This
+module knows nothing of a message class but its name.
 """
 
 from __future__ import annotations
@@ -143,7 +143,8 @@ def read(annotation: object, scope: Scope) -> Reading:
     """Return the meaning of a field's annotation.
 
     Raises:
-        InvalidInterface: if it is not a ROS type; the caller fills in the source.
+        InvalidInterface: if the annotation is not a ROS type. The caller adds the source to the
+            error.
     """
     annotation = resolve(annotation, scope)
     marks: tuple[object, ...] = ()
@@ -167,7 +168,7 @@ def read(annotation: object, scope: Scope) -> Reading:
 
 
 def annotation_of(field_type: FieldType, nested: type | None) -> object:
-    """Return the annotation for this type."""
+    """Return the annotation that declares a field of this type."""
     if is_bytes(field_type):
         return marked(bytes, Limit(field_type.form, field_type.size))
     annotation = SCALARS[field_type.name] if nested is None else nested
@@ -181,11 +182,11 @@ def annotation_of(field_type: FieldType, nested: type | None) -> object:
 
 
 def scope_of(frame: FrameType, namespace: Mapping[str, object]) -> Scope:
-    """Return the names that a class statement sees, for annotations that are text.
+    """Return the names that a class statement can use in annotations written as strings.
 
     These are the names of the enclosing class bodies and of the function around them. Names of
-    functions further out are seen only if they are global. The class's own body comes last, so that
-    in ``byte: byte = 0`` the second word means the type.
+    functions further out are included only if they are global. The class's own body comes last, so
+    that in ``byte: byte = 0`` the second word means the type.
     """
     maps = [dict(frame.f_locals)]
     while frame.f_back is not None and not frame.f_code.co_flags & FUNCTION:
@@ -244,7 +245,7 @@ def with_form(element: FieldType, limit: Limit | None) -> FieldType:
 
 
 def with_limit(single: FieldType, limit: Limit | None) -> FieldType:
-    """Return the type of one element, with the bound that a string may have."""
+    """Return the type of one element, with the bound if the element is a string."""
     if limit is None:
         return single
     if limit.form is ArrayForm.FIXED or not single.is_string:
@@ -255,7 +256,7 @@ def with_limit(single: FieldType, limit: Limit | None) -> FieldType:
 
 
 def message_class(annotation: object) -> tuple[type, str]:
-    """Return the annotation and its name, if it is a message class with a name."""
+    """Return a message class and its type name. Raise an error for any other annotation."""
     if not is_message_class(annotation):
         raise InvalidInterface(f"{said(annotation)} is not a ROS type{hint(annotation)}", source="")
     message = cast("type", annotation)
@@ -271,7 +272,7 @@ def message_class(annotation: object) -> tuple[type, str]:
 
 
 def is_message_class(annotation: object) -> bool:
-    """Whether this is a message class: a Struct with a type name, perhaps an empty one."""
+    """Whether this is a message class: a Struct with a type name, which may be empty."""
     is_struct = isinstance(annotation, type) and issubclass(annotation, msgspec.Struct)
     return is_struct and isinstance(getattr(annotation, "type_name", None), str)
 

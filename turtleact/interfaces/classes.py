@@ -1,4 +1,4 @@
-"""Makes classes from definitions, and the types that a service or action implies.
+"""Makes classes from definitions, and the further types that ROS 2 derives from them.
 
 ``make_message`` and its siblings do the same as a class statement. They know neither files nor
 known interfaces. The caller passes ``find``, which returns the class of an interface or raises
@@ -87,7 +87,7 @@ __all__ = [
 def make_message(
     definition: MessageDefinition, find: Find, *, part: str = "", whole: str = ""
 ) -> type[Message]:
-    """Make a message class; a part of a service or action is named after the whole."""
+    """Make a message class. A part of a service or action is named after the whole interface."""
     package, kind, name = definition.type_name.split("/")
     annotations: dict[str, object] = {}
     body: dict[str, object] = {
@@ -120,7 +120,7 @@ def make_action(definition: ActionDefinition, find: Find) -> type[Action]:
 
 
 def nested(definition: MessageDefinition, field: Field, find: Find) -> type[Message] | None:
-    """Return the class of the messages in a field; None if it holds primitives."""
+    """Return the class of the messages in a field; None if the field holds primitives."""
     if not field.type.is_nested:
         return None
     try:
@@ -137,7 +137,7 @@ def nested(definition: MessageDefinition, field: Field, find: Find) -> type[Mess
 def whole_class(
     definition: ServiceDefinition | ActionDefinition, base: type, names: tuple[str, ...], find: Find
 ) -> type:
-    """Make a class with its parts inside."""
+    """Make the class of a service or action, with its parts inside."""
     package, kind, name = definition.type_name.split("/")
     body: dict[str, object] = {"__module__": f"{package}.{kind}"}
     for part, content in zip(names, parts_of(definition), strict=True):
@@ -171,7 +171,7 @@ SUFFIXES = frozenset({*PARTS["srv"], *PARTS["action"], *WRAPPERS, "Event"})
 
 
 def implied(action_type: type[Action]) -> Implied:
-    """Return the classes in which an action travels, always the same ones.
+    """Return the classes in which an action travels. The same action always gets the same classes.
 
     Raises:
         InvalidInterface: if the class has no type name.
@@ -185,7 +185,7 @@ def implied(action_type: type[Action]) -> Implied:
 
 
 def event_message(service: type[Service]) -> type[Message]:
-    """Return ``NAME_Event``, the message of a service's introspection, always the same class.
+    """Return ``NAME_Event``, the message of a service's introspection.
 
     Raises:
         InvalidInterface: if the class has no type name.
@@ -195,7 +195,7 @@ def event_message(service: type[Service]) -> type[Message]:
 
 
 def owner_and_part(type_name: str) -> tuple[str, str]:
-    """Split the name of an implied type into its owner and its part; two empty strings otherwise.
+    """Split the name of an implied type into owner and part; return two empty strings for others.
 
     >>> owner_and_part("example_interfaces/action/Fibonacci_SendGoal_Request")
     ('example_interfaces/action/Fibonacci_SendGoal', 'Request')
@@ -218,7 +218,7 @@ def part_of(owner: Interface | None, part: str) -> Interface | None:
 
 @functools.cache
 def made_implied(action: type[Action]) -> Implied:
-    """Make the types; the fields and their order are ROS's."""
+    """Make the implied types. The fields and their order are those of ROS."""
     check_type_name(action.type_name, kinds=("action",))
     send_goal = service(
         f"{action.type_name}_SendGoal",
@@ -243,7 +243,7 @@ def made_implied(action: type[Action]) -> Implied:
 
 @functools.cache
 def made_event(service: type[Service]) -> type[Message]:
-    """Make the type; the fields and their order are ROS's."""
+    """Make the event type. The fields and their order are those of ROS."""
     check_type_name(service.type_name)
     return message(
         f"{service.type_name}_Event",

@@ -1,7 +1,7 @@
-"""The comments on the fields of an interface, from where its author wrote them.
+"""Finds the comments on the fields of an interface, where its author wrote them.
 
-That is beside a field in a .msg, .srv or .action file, on the lines directly above it, or under
-``Attributes:`` in the docstring of a class.
+In a .msg, .srv or .action file, that is beside a field or on the lines directly above it. In a
+class, it is under ``Attributes:`` in the docstring.
 
 Source: the ROS 2 article "Interface definition" for comments; Google's style of docstrings.
 """
@@ -25,7 +25,7 @@ attribute_pattern = re.compile(r" {4}(\w+): (.*)")
 
 
 def comments(cls: type[Message]) -> dict[str, str]:
-    """The comments on a message's fields; a file goes before a docstring.
+    """The comments on a message's fields, by field. A file is used before a docstring.
 
     >>> class Move(Message, type_name="example_msgs/msg/Move"):
     ...     '''A move.
@@ -87,7 +87,7 @@ def _in_file(type_name: str) -> tuple[dict[str, str], ...]:
 
 
 def _in_section(section: str) -> dict[str, str]:
-    """The comment of each field: that beside it, or else the lines directly above it."""
+    """The comment of each field: the one beside the field, or else the lines directly above it."""
     found: dict[str, str] = {}
     above: list[str] = []
     for line in section.splitlines():

@@ -1,8 +1,9 @@
-"""Messages to and from plain Python: checked copies, dicts, and times in nanoseconds.
+"""Converts messages to checked copies, dicts, and times in nanoseconds, and back.
 
-``snapshot`` runs for every goal, feedback and result. Its function for a class is therefore
-generated source code: a few comparisons per field, and only the copy is allocated. It accepts
-values of exactly the expected Python type. ``values`` converts all others, or says what is wrong.
+``snapshot`` runs for every goal, feedback and result. It therefore generates a function for each
+class. That function makes a few comparisons per field, allocates only the copy, and accepts only
+values of exactly the expected Python type. The module ``values`` converts all other values, or
+reports what is wrong.
 
 Source: builtin_interfaces/msg/Time, for the times.
 """
@@ -46,15 +47,15 @@ __all__ = [
 M = TypeVar("M", bound=Message)
 
 SECOND: Final = 1_000_000_000
-"""A second (ns)."""
+"""The length of a second (ns)."""
 
 
 def snapshot(message: M) -> M:
     """Return a deep copy of a message, with each value checked against its type.
 
-    The copy holds exactly what its types say: plain ints, floats and lists. A sequence of bytes
-    given as ``bytes`` stays ``bytes``; every other sequence becomes a list. Floats may be infinite
-    or nan.
+    Each value in the copy has exactly the field's type: plain ints, floats and lists. A sequence of
+    bytes given as ``bytes`` stays ``bytes``; every other sequence becomes a list. Floats may be
+    infinite or nan.
 
     Raises:
         InvalidMessage: with the path of the first value that does not fit.
@@ -69,9 +70,10 @@ def snapshot(message: M) -> M:
 
 
 def snapshotter(cls: type[M], *, root: str = "message") -> Callable[[M], M]:
-    """Return the function that ``snapshot`` uses for this class, to keep and call often.
+    """Return the function that ``snapshot`` uses for this class. Keep it if you call it often.
 
-    It also accepts a message of another class with the same name and fields, and converts it.
+    The function also accepts a message of another class with the same name and fields, and converts
+    that message.
 
     Args:
         cls: The class of the copies.
@@ -81,7 +83,7 @@ def snapshotter(cls: type[M], *, root: str = "message") -> Callable[[M], M]:
 
 
 def to_dict(message: Message) -> dict[str, object]:
-    """Convert a message to a dict of plain values, nested messages too; ``bytes`` stay ``bytes``.
+    """Convert a message to a dict of plain values. Nested messages become dicts, too.
 
     Raises:
         InvalidMessage: if a value in the message does not fit its type.
@@ -133,7 +135,7 @@ def error_class(root: str) -> type[InvalidMessage]:
 
 @functools.cache
 def compiled(cls: type[M], root: str) -> Callable[[M], M]:
-    """Return the generated function; without a root, the one for nested messages."""
+    """Return the generated function; without a root, the function for nested messages."""
     error = error_class(root)
 
     def fail(inner: InvalidMessage) -> InvalidMessage:
@@ -173,7 +175,7 @@ def name_of(cls: type[Message]) -> str:
 
 
 def placed(field: Field, convert: Callable[[object], object], value: object) -> object:
-    """Convert one field the slow way; errors name the field."""
+    """Convert one field the slow way. Errors name the field."""
     try:
         return convert(value)
     except InvalidMessage as inner:
@@ -223,7 +225,10 @@ def sequence(field_type: FieldType, index: int, slow: str) -> list[str]:
 
 
 def guarded(fast: str, slow: str) -> list[str]:
-    """Return code that tries the fast way first; the slow way then finds what does not fit."""
+    """Return code that tries the fast way first.
+
+    If that fails, the slow way finds the wrong value.
+    """
     return ["try:", f" {fast}", f"except InvalidMessage: {slow}"]
 
 
@@ -324,7 +329,7 @@ def example(cls: type[Message]) -> str:
 
 
 def sample(field: Field) -> str:
-    """Return an example value for a field."""
+    """Return a value for a field, as an example in an error."""
     if field.type.is_sequence:
         return "[]"
     if field.type.is_nested:
@@ -334,7 +339,7 @@ def sample(field: Field) -> str:
 
 
 def instead(cls: type[Message], name: object) -> str:
-    """Suggest something instead of an unknown field."""
+    """Suggest a field's name instead of an unknown one."""
     names = [field.name for field in fields(cls)]
     if not names:
         return ": there are no fields"

@@ -1,7 +1,7 @@
 """The parsed form of a .msg, .srv or .action, before it becomes a class.
 
-Definitions are frozen and compared by value. Two declarations of one interface are equal, however
-they were written. This module knows neither text nor Python classes.
+Definitions are frozen and compared by value. Two declarations of one interface are equal, even if
+one was a file and the other a class. This module knows neither text nor Python classes.
 
 Source: the ROS 2 article "Interface definition", and ``rosidl_adapter/parser.py``.
 """
@@ -82,7 +82,10 @@ PRIMITIVES: dict[str, Primitive] = {
 
 
 class ArrayForm(enum.Enum):
-    """Whether a field holds one element or a sequence; the value shows how it is written."""
+    """Whether a field holds one element or a sequence.
+
+    The enum's values show how a .msg writes it.
+    """
 
     SINGLE = ""
     FIXED = "[{size}]"
@@ -126,12 +129,12 @@ class FieldType(msgspec.Struct, frozen=True):
 
     @property
     def element(self) -> FieldType:
-        """The type of one element; for a single element, the type itself."""
+        """The type of one element. If the field holds a single element, that is the type itself."""
         return FieldType(self.name, self.string_bound)
 
 
 def zero(field_type: FieldType) -> Primitive | tuple[Primitive, ...] | None:
-    """Return the value of a field that has no default; None for a message, which makes its own."""
+    """Return the value of a field without a default; None for a message, which has its own."""
     if field_type.is_nested:
         return None
     element = PRIMITIVES[field_type.name]
@@ -141,7 +144,10 @@ def zero(field_type: FieldType) -> Primitive | tuple[Primitive, ...] | None:
 
 
 def is_bytes(field_type: FieldType) -> bool:
-    """Whether a class made from text holds such a field as ``bytes``: a uint8 array, as in UUID."""
+    """Whether a class made from text holds this field as ``bytes``.
+
+    Such a field is a uint8 array.
+    """
     return field_type.name == "uint8" and field_type.form is ArrayForm.FIXED
 
 
@@ -151,7 +157,7 @@ class Field(msgspec.Struct, frozen=True):
     Attributes:
         name: The name in ROS, on the wire and in text.
         type: Its type.
-        default: The default in the interface; None if it is the zero of the type.
+        default: The default in the interface; None if the default is the zero of the type.
     """
 
     name: str
@@ -176,7 +182,7 @@ class Field(msgspec.Struct, frozen=True):
 
 
 class Constant(msgspec.Struct, frozen=True):
-    """A named value of an interface; it is never sent."""
+    """A named value of an interface. Constants are never sent."""
 
     name: str
     type: FieldType
@@ -246,7 +252,7 @@ def definition_text(definition: Definition) -> str:
     """Return a definition as the text of a .msg, .srv or .action, without a final line break.
 
     Raises:
-        InvalidInterface: if a default cannot be written in such a text, such as a line break.
+        InvalidInterface: if a default cannot be written in such a text, for example a line break.
     """
     first, *rest = parts_of(definition)
     lines = part_lines(first)

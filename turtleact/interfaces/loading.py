@@ -2,8 +2,8 @@
 
 ``get_interface`` searches these places in order: classes declared in Python, folders given to
 ``load_interfaces``, the ROS packages of ``load_workspace``, the files of ``offer_interfaces``, and
-the built-in classes in ``standard``. A file with the definition of a built-in class does not
-replace it. A class is imported, or made from its text, on first use. In this package, only this
+the built-in classes in ``standard``. A file does not replace a built-in class with the same
+definition. A class is imported, or made from its text, on first use. In this package, only this
 module opens files.
 """
 
@@ -118,12 +118,12 @@ def get_action(type_name: str) -> type[DynamicAction]:
 
 
 def get_message(type_name: str) -> type[DynamicMessage]:
-    """Return the class of a message; see `get_action`."""
+    """Return the class of a message by name; see `get_action` for names and errors."""
     return of_kind(first_found(type_name, ("msg", "srv", "action")), Message)  # type: ignore[return-value]  # as above
 
 
 def get_service(type_name: str) -> type[DynamicService]:
-    """Return the class of a service; see `get_action`."""
+    """Return the class of a service by name; see `get_action` for names and errors."""
     return of_kind(first_found(type_name, ("srv", "msg", "action")), Service)  # type: ignore[return-value]  # as above
 
 
@@ -132,10 +132,10 @@ def load_interface(source: str | Path, *, type_name: str = "") -> Interface:
 
     Args:
         source: The path of a .msg, .srv or .action, or the text itself.
-        type_name: The full name; may be left out for a file at ``PACKAGE/KIND/NAME.EXT``.
+        type_name: The full name. You may leave it out for a file at ``PACKAGE/KIND/NAME.EXT``.
 
     Raises:
-        InvalidInterface: with file, line and column.
+        InvalidInterface: if the source is malformed. The error has file, line and column.
 
     >>> Order = load_interface("int32 count 3", type_name="example_msgs/msg/Order")
     >>> Order()
@@ -155,7 +155,8 @@ def load_action(source: str | Path, *, type_name: str = "") -> type[DynamicActio
     Type checkers allow any fields in its messages, so no cast is needed.
 
     Raises:
-        InvalidInterface: if it is a message or a service, or malformed: with file, line and column.
+        InvalidInterface: if the source is a message or a service, or malformed. The error has file,
+            line and column.
 
     >>> Count = load_action("int32 to\n---\n---", type_name="example_msgs/action/Count")
     >>> Count.Goal(to=3).to
@@ -177,11 +178,11 @@ def load_service(source: str | Path, *, type_name: str = "") -> type[DynamicServ
 def load_interfaces(folder: str | Path) -> tuple[str, ...]:
     """Make every ``PACKAGE/KIND/NAME.EXT`` in a folder known, and return their names.
 
-    The folder may contain packages, as ``src`` of a workspace. It may also be a place where ROS
-    packages were installed: a prefix such as ``/opt/ros/jazzy``, with the packages in ``share``, or
-    a folder of prefixes such as colcon's ``install``. A file is read when its interface is first
-    used, and takes precedence over a built-in one. A class that is already known stays if the file
-    has the same definition.
+    The folder may contain packages, like the ``src`` of a workspace. It may also be a place where
+    ROS packages were installed: a prefix such as ``/opt/ros/jazzy``, with the packages in
+    ``share``, or a folder of prefixes such as colcon's ``install``. A file is read when its
+    interface is first used, and takes precedence over a built-in interface. If a class is already
+    known and the file has the same definition, the class stays.
 
     Raises:
         InvalidInterface: if the folder does not exist, or a file's name is not an interface name.
@@ -203,13 +204,13 @@ def load_interfaces(folder: str | Path) -> tuple[str, ...]:
 def load_workspace(*prefixes: str | Path) -> None:
     """Make the interfaces of installed ROS packages known.
 
-    Looks for ``share/PACKAGE/KIND/NAME.EXT`` when an interface is first used. If a built-in one has
-    another definition, the file takes precedence. A prefix that does not exist is ignored, as in
-    ROS.
+    When an interface is first used, its file ``share/PACKAGE/KIND/NAME.EXT`` is searched for. If a
+    built-in interface has another definition, the file takes precedence. A prefix that does not
+    exist is ignored, as in ROS.
 
     Args:
-        prefixes: The folders in ``AMENT_PREFIX_PATH``. If two have the same interface, the first
-            wins. Empty texts are ignored.
+        prefixes: The folders in ``AMENT_PREFIX_PATH``. If two folders have the same interface, the
+            first folder wins. Empty texts are ignored.
     """
     added = [str(prefix) for prefix in prefixes if prefix]
     REGISTRY.prefixes = tuple(dict.fromkeys((*REGISTRY.prefixes, *added)))
@@ -219,14 +220,14 @@ def load_workspace(*prefixes: str | Path) -> None:
 def offer_interfaces(
     files: Mapping[str, Path], on_use: Callable[[str, str], object] | None = None
 ) -> None:
-    """Make interface files known that were found rather than chosen; see `turtleact.workspace`.
+    """Make known interface files that nobody has chosen; `turtleact.workspace` finds such files.
 
-    A file is read when its interface is first used, so a malformed one does no harm before. It
+    A file is read when its interface is first used, so a malformed file does no harm before. A file
     takes precedence over a built-in interface with another definition.
 
     Args:
         files: The files by type name.
-        on_use: Called with the type name and the file when one of them is first used.
+        on_use: Called with the type name and the file when one of the files is first used.
     """
     REGISTRY.nearby.update({name: str(path) for name, path in files.items()})
     REGISTRY.on_nearby = on_use
@@ -234,7 +235,7 @@ def offer_interfaces(
 
 
 def known_interfaces() -> tuple[str, ...]:
-    """Return the names of all available interfaces, without the types that others imply."""
+    """Return the names of all available interfaces, without the types that they imply."""
     files = {*REGISTRY.files, *REGISTRY.nearby}
     names = {*REGISTRY.names(), *files, *shipped_names(), *installed_names()}
     return tuple(sorted(name for name in names if owner_and_part(name)[0] not in names))
@@ -255,10 +256,10 @@ def interface_text(cls: Interface) -> str:
 
 
 def interface_source(type_name: str) -> str:
-    """Return the text of an interface as its author wrote it; without a file, a generated text.
+    """Return the text of an interface as its author wrote it. Without a file, generate the text.
 
-    A file in an installed ROS package is preferred to the built-in one if both have the same
-    definition, because it has comments.
+    If an installed file and the built-in file have the same definition, the installed file is used,
+    because it has comments.
 
     Raises:
         UnknownInterface: if the name is unknown; the error suggests the nearest one.
@@ -274,9 +275,9 @@ def interface_source(type_name: str) -> str:
 
 
 def package_texts(*packages: str) -> dict[str, str]:
-    """Return the texts of all interfaces of these packages and of the packages they use, by name.
+    """Return the interface texts of these packages and of the packages that they use, by type name.
 
-    A package that is only used is left out if it is built in with the same definitions.
+    A package that the given ones use is left out if it is built in with the same definitions.
 
     Raises:
         UnknownInterface: if a package is not known; the error suggests the nearest name.
@@ -306,7 +307,7 @@ def used_packages(type_name: str) -> set[str]:
 
 
 def ships(package: str, known: tuple[str, ...]) -> bool:
-    """Whether a package is built in, with the same definitions as those known."""
+    """Whether a package is built in with the same definitions as the known ones."""
     for name in (name for name in known if name.startswith(f"{package}/")):
         file = shipped(name)
         if file is None or parse(read(file), name) != definition(get_interface(name)):
@@ -315,10 +316,10 @@ def ships(package: str, known: tuple[str, ...]) -> bool:
 
 
 def class_of(definition: Definition) -> Interface:
-    """Return the class for a definition; a known class if it has the same definition.
+    """Return the class for a definition. That is a known class if it has the same definition.
 
     Raises:
-        InvalidInterface: if a message in it is unknown, or contains itself.
+        InvalidInterface: if the definition uses an unknown message, or a message contains itself.
     """
     return build(definition, ())
 
@@ -328,7 +329,7 @@ def build(definition: Definition, making: tuple[str, ...]) -> Interface:
 
     Args:
         definition: The definition.
-        making: The interfaces around it that are being made.
+        making: The interfaces that are being made and contain this one.
     """
 
     def find(type_name: str) -> Interface:
@@ -345,7 +346,7 @@ def build(definition: Definition, making: tuple[str, ...]) -> Interface:
 
 
 def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
-    """Return the class with that full name, known or read from its file, or None."""
+    """Return the class with that full name, or None. It may be read from its file."""
     if type_name in making:
         circle = " in ".join([type_name, *reversed(making[making.index(type_name) :])])
         raise InvalidInterface(f"a message contains itself: {circle}", source=making[0])
@@ -362,7 +363,7 @@ def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
 
 
 def may_be_replaced(found: Interface, type_name: str) -> bool:
-    """Whether a file may replace a class: one that is built in and was not compared yet."""
+    """Whether a file may replace a class: one that is built in and not yet compared."""
     if not (REGISTRY.prefixes or REGISTRY.nearby) or type_name in REGISTRY.settled:
         return False
     return found.__module__.startswith(SHIPPED)
@@ -377,7 +378,8 @@ def other_file(type_name: str, held: Interface | None) -> Traversable | None:
             returns None. Otherwise the class is forgotten.
 
     Raises:
-        InvalidInterface: if there is a built-in class, and the file is malformed.
+        InvalidInterface: if the file is malformed, and there is a built-in class to compare it
+            with.
     """
     file, on_use = installed(type_name), None
     if file is None:
@@ -397,7 +399,8 @@ def built_from(file: Traversable, type_name: str, making: tuple[str, ...]) -> In
     """Make the class of an interface from its file.
 
     Raises:
-        InvalidInterface: if the file is malformed; with its line even if a message is unknown.
+        InvalidInterface: if the file is malformed or uses an unknown message. The error has the
+            line.
     """
     text = read(file)
     try:
@@ -444,7 +447,7 @@ NOUNS = {Message: "message", Service: "service", Action: "action"}
 
 
 def of_kind(interface: Interface, base: type[B]) -> type[B]:
-    """Return the interface if it is of this kind, otherwise raise."""
+    """Return the interface if it is of this kind; otherwise raise an error."""
     if issubclass(interface, base):
         return interface
     [kind] = [each for each in NOUNS if issubclass(interface, each)]
@@ -461,7 +464,7 @@ def full_names(type_name: str, kinds: tuple[str, ...]) -> list[str]:
 
 
 def needed(found: Interface | None, type_name: str) -> Interface:
-    """Return what was found under a name, or raise if nothing was."""
+    """Return the interface found under a name; raise an error if none was found."""
     if found is None:
         raise UnknownInterface(type_name, suggestion(type_name))
     return found
@@ -482,7 +485,7 @@ def suggestion(type_name: str) -> str:
 
 
 def as_path(source: str | Path) -> Path | None:
-    """Return the path if the source is one, or None for a text."""
+    """Return the path if the source is a path, or None if it is a text."""
     if isinstance(source, Path):
         return source
     is_path = "\n" not in source and source.endswith(tuple(f".{kind}" for kind in KINDS))
@@ -490,7 +493,7 @@ def as_path(source: str | Path) -> Path | None:
 
 
 def files_in(root: Path, *layouts: str) -> list[Path]:
-    """Return the interface files under a folder; the patterns say where its packages are."""
+    """Return the interface files under a folder. The layouts say where the packages are."""
     patterns = [f"{packages}/{kind}/*.{kind}" for packages in layouts for kind in KINDS]
     return [path for pattern in patterns for path in sorted(root.glob(pattern))]
 
@@ -503,7 +506,7 @@ def name_of(path: Path) -> str:
 
 
 def file_name(path: Path) -> str:
-    """Return the full name that follows from a file's place, or raise with a better place."""
+    """Return the full name that follows from a file's place. The error suggests a better place."""
     if name := name_of(path):
         return name
     if (proper := proper_name(path.stem)) != path.stem:
@@ -517,7 +520,7 @@ def file_name(path: Path) -> str:
 
 
 def named(type_name: str, source: str) -> str:
-    """Return the name if there is one, otherwise raise."""
+    """Return the type name if it is given; otherwise raise an error."""
     if not type_name:
         problem = (
             'give its full name: type_name="package_name/action/InterfaceName" '
@@ -536,13 +539,13 @@ def read(file: Traversable) -> str:
 
 
 def given(type_name: str) -> Traversable | None:
-    """Return the file that `load_interfaces` found for an interface, or None."""
+    """Return the file of an interface that `load_interfaces` found, or None."""
     path = REGISTRY.files.get(type_name)
     return None if path is None else Path(path)
 
 
 def nearby(type_name: str) -> Traversable | None:
-    """Return the file that `offer_interfaces` was given for an interface, or None."""
+    """Return the file of an interface that `offer_interfaces` was given, or None."""
     path = REGISTRY.nearby.get(type_name)
     return None if path is None else Path(path)
 

@@ -2,7 +2,7 @@
 
 Each line has a type, a name, and a default or a constant's value. ``#`` starts a comment, which is
 dropped. ``---`` separates the parts. Every error has file, line, column and a caret. This module
-only reads text; ``classes`` checks whether the messages it names exist.
+reads only text; ``classes`` checks whether the messages in a definition exist.
 
 Source: the ROS 2 article "Interface definition", and ``rosidl_adapter/parser.py``.
 """
@@ -91,12 +91,12 @@ class Line(msgspec.Struct, frozen=True):
 
 
 def parse(text: str, type_name: str, *, source: str = "") -> Definition:
-    """Parse the text of an interface; its kind follows from its name.
+    """Parse the text of an interface. The interface's kind follows from its name.
 
     Args:
         text: The text of a .msg, .srv or .action.
         type_name: The full name, ``package/kind/Name``.
-        source: The file to show in errors; the type name if left out.
+        source: The file to show in errors. If left out, errors show the type name.
 
     Raises:
         InvalidInterface: with line, column and caret.
@@ -178,7 +178,7 @@ def part_comments(lines: list[Line]) -> Comments:
 
 
 def commented(lines: list[Line]) -> tuple[list[Commented], list[str]]:
-    """Return the members of a part with their comments, and the comment below the last one.
+    """Return a part's members with their comments, and the comment below the last member.
 
     A comment belongs to the member below it. An indented comment continues the comment after a
     member.
@@ -218,7 +218,7 @@ def trimmed(lines: list[str]) -> tuple[str, ...]:
 
 
 def uncommented(text: str) -> str:
-    """Remove the marks of a comment; a line of marks alone becomes a blank line."""
+    """Remove the ``#`` of a comment. A line with nothing else becomes a blank line."""
     said = text.lstrip("#").expandtabs().rstrip()
     return "".join(c for c in said.removeprefix(" ") if c.isprintable())
 
@@ -363,7 +363,7 @@ def parse_list(line: Line, text: str, element: FieldType, *, column: int) -> lis
 
 
 def literal(text: str, field_type: FieldType) -> object:
-    """Return the value of a word; the word itself if it can only be text."""
+    """Return the value that a word stands for; if it can only be text, return the word itself."""
     name = field_type.name
     if field_type.is_string:
         return unquoted(text)
@@ -384,7 +384,7 @@ NUMBERS: dict[str, tuple[Callable[[str], object], ...]] = {
 
 
 def unquoted(text: str) -> str:
-    """Remove the quotes around a text; inside, a backslash only escapes the quote."""
+    """Remove the quotes around a text. In the text, a backslash only escapes the quote."""
     if not re.fullmatch(quoted, text):
         return text
     quote = text[0]
@@ -392,6 +392,6 @@ def unquoted(text: str) -> str:
 
 
 def without_comment(text: str) -> str:
-    """Remove the comment from a line; a # in quotes does not begin one."""
+    """Remove the comment from a line. A # in quotes does not begin a comment."""
     match = comment_pattern.match(text) if "#" in text else None
     return text if match is None else match[0]

@@ -1,10 +1,10 @@
-"""Messages as YAML or JSON, and back; every error tells its place.
+"""Converts messages to YAML or JSON, and back. Each error names its place in the text.
 
-YAML 1.1 reads ``no`` as false, ``y`` as true, ``1:30`` as ninety and ``017`` as fifteen. A goal
-with a turtle's name or a coordinate must not be misread like that. Therefore only YAML's syntax is
-used. A bare word is true, false, null or a number if it is one in JSON and YAML 1.2 (or ``.5``,
-``5.``, ``0x1F``). Everything else is text, dates included. JSON is read as JSON, which is faster.
-Only this module uses PyYAML.
+YAML 1.1 reads ``no`` as false, ``y`` as true, ``1:30`` as ninety and ``017`` as fifteen. A turtle's
+name or a coordinate in a goal must not be misread like that. Therefore this module uses only YAML's
+syntax. A bare word is true, false, null or a number only if JSON and YAML 1.2 agree that it is. The
+exceptions are numbers like ``.5``, ``5.`` and ``0x1F``. Everything else is text, dates included.
+JSON is read as JSON, which is faster. Only this module uses PyYAML.
 
 Source: YAML 1.2.2, section 10.3, the core schema; PyYAML's scanner, parser and composer.
 """
@@ -75,11 +75,11 @@ def from_text(
     source: str = "goal",
     allow_nonfinite: bool = False,
 ) -> M:
-    """Parse a message from YAML or JSON; an empty text gives the default message.
+    """Parse a message from YAML or JSON. An empty text gives the default message.
 
     Values are not converted: a number in quotes is text, ``3.7`` is not an integer, and ``no`` is
-    not a bool. Tags, merge keys and further documents are refused. So are texts that are too long,
-    too deeply nested, or grow too large through aliases.
+    not a bool. Tags, merge keys and further documents are refused. Texts are also refused if they
+    are too long, too deeply nested, or grow too large through aliases.
 
     Args:
         cls: The class.
@@ -118,7 +118,7 @@ def to_yaml(message: Message) -> str:
 
 
 def to_json(message: Message) -> str:
-    """Convert a message to one line of JSON; nan and infinity become null."""
+    """Convert a message to one line of JSON. nan and infinity become null."""
     return json.dumps(sayable(to_dict(message)), ensure_ascii=False)
 
 
@@ -131,7 +131,7 @@ class Document(msgspec.Struct, frozen=True):
     allow_nonfinite: bool
 
     def refuse(self, problem: str, place: tuple[int, int] | None = None) -> NoReturn:
-        """Raise an error in the text; its place is line and column, counted from 0."""
+        """Raise an error about the text at a place: line and column, counted from 0."""
         error = error_class(self.root)
         if place is None:
             raise error(self.source, problem)
@@ -149,7 +149,10 @@ class Document(msgspec.Struct, frozen=True):
 
 
 class Loader(Reader, Scanner, Parser, Composer, BaseResolver):
-    """PyYAML up to its nodes; it creates no Python objects, so it cannot run any code."""
+    """The part of PyYAML that makes nodes.
+
+    It creates no Python objects, so it cannot run any code.
+    """
 
     def __init__(self, document: Document) -> None:
         Reader.__init__(self, document.text)
@@ -161,7 +164,7 @@ class Loader(Reader, Scanner, Parser, Composer, BaseResolver):
         self.depth = 0
 
     def compose_node(self, parent: Node | None, index: int) -> Node | None:
-        """Compose one node; refuse tags, and deep nesting before Python's stack overflows."""
+        """Compose one node. Refuse tags, and nesting so deep that Python's stack would overflow."""
         event = self.peek_event()  # type: ignore[no-untyped-call]  # the stubs have no type here
         if getattr(event, "tag", None) is not None:
             self.document.refuse(
@@ -195,7 +198,7 @@ def tree_of(document: Document) -> object:
 
 
 def json_tree(document: Document) -> object:
-    """Parse a JSON text into plain values; raises like `json.loads`."""
+    """Parse a JSON text into plain values. The exceptions are those of `json.loads`."""
 
     def number(word: str) -> object:
         return scalar(word, document.allow_nonfinite)
@@ -214,7 +217,7 @@ def json_tree(document: Document) -> object:
 
 
 def refuse_json(document: Document, error: ValueError | RecursionError) -> NoReturn:
-    """Raise for an error in a JSON text that is too long to be read as YAML."""
+    """Raise the error for a JSON text that is too long to be read as YAML."""
     if isinstance(error, json.JSONDecodeError):
         place = error.lineno - 1, error.colno - 1
         document.refuse(f"{error.msg}; it is too long to be YAML", place)
@@ -230,7 +233,7 @@ def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def sounded(document: Document, value: object, depth: int) -> object:
-    """Check how deep a JSON value is nested, and return it; null becomes a value of its own."""
+    """Check how deep a JSON value is nested, and return the value. null becomes a special value."""
     if depth > DEEPEST:
         document.refuse(TOO_DEEP)
     if isinstance(value, dict):
@@ -304,7 +307,7 @@ class Expansion:
         return node.value
 
     def mapping(self, node: yaml.MappingNode, depth: int) -> dict[str, object]:
-        """Convert a mapping; the keys are the words as written."""
+        """Convert a mapping. The keys are the words as they were written."""
         result: dict[str, object] = {}
         for key, item in node.value:
             place = place_of(key.start_mark)
@@ -391,7 +394,7 @@ def inline(value: object) -> str:
 
 
 def quoted(text: str) -> str:
-    """Return the text, in quotes if it needs any."""
+    """Return the text, in quotes if YAML needs them."""
     if plain_pattern.fullmatch(text) and not misread_pattern.fullmatch(text):
         return text
     style = "'" if text.isprintable() else '"'

@@ -1,8 +1,8 @@
 """The type hash (RIHS01), which shows ROS 2 nodes whether they use the same definition of a type.
 
-It is the SHA-256 of a description of the type and of all types in it: names, fields, field types
-and their order. Defaults, constants and comments do not count. The hashed text is JSON with exact
-spacing: ``", "`` and ``": "`` as separators, ASCII only, no line break.
+The hash is the SHA-256 of a description of the type and of all types in it: names, fields, field
+types and their order. Defaults, constants and comments do not count. The hashed text is JSON with
+exact spacing: ``", "`` and ``": "`` as separators, ASCII only, no line break.
 
 Source: REP 2016 (rosidl calls it 2011), ``rosidl_generator_type_description/__init__.py``, and the
 numbers of ``type_description_interfaces/msg/FieldType.msg``.
@@ -45,7 +45,7 @@ NESTED_ID = 1
 #: Added to the number of a string that has a bound.
 BOUNDED_STRING = 4
 
-#: Added to the number of the element.
+#: What each form of array adds to the number of its element.
 FORM_IDS = {
     ArrayForm.SINGLE: 0,
     ArrayForm.FIXED: 48,
@@ -69,8 +69,8 @@ PLACEHOLDER = Member("structure_needs_at_least_one_member", FieldType("uint8"))
 def type_hash(cls: Interface) -> str:
     """Return the type hash of a message, service or action, as in ROS 2 from Iron on.
 
-    It is computed once per class, on first use. The hashes of messages and services are sent,
-    including those of the services that an action implies. An action's own hash is not.
+    The hash is computed once per class, on first use. Nodes send the hashes of messages and
+    services, including those derived from an action. They do not send an action's own hash.
 
     Raises:
         InvalidInterface: if the class has no type name.
@@ -111,13 +111,13 @@ def referenced(cls: Interface) -> dict[str, Interface]:
 
 
 def description(cls: Interface) -> dict[str, object]:
-    """Return the description of one type; the order of the keys matters."""
+    """Return the description of one type. The order of the keys matters."""
     rows = [{"name": member.name, "type": field_type(member.type)} for member in members(cls)]
     return {"type_name": cls.type_name, "fields": rows}
 
 
 def field_type(kind: FieldType) -> dict[str, object]:
-    """Return the description of a field's type; the order of the keys matters."""
+    """Return the description of a field's type. The order of the keys matters."""
     bound = kind.string_bound or 0
     if kind.name == "wstring" and bound and kind.form is ArrayForm.UNBOUNDED:
         # rosidl_parser mistakes the bound of the wstring for the bound of the list.

@@ -120,7 +120,7 @@ class Shape(msgspec.Struct, frozen=True):
     """The declaration of a message class.
 
     Attributes:
-        type_name: Its full name; empty until it has one.
+        type_name: The full name of the class; empty until it has one.
         fields: Its fields, in order.
         constants: Its constants, in order.
         nested: For each field, the class of the messages in it, or None.
@@ -138,14 +138,15 @@ class Registry:
     """Interface classes by type name, and places to look for more.
 
     A class statement with a type name registers its class here. If an equal class is already known,
-    that one stays, so that ``get_interface`` always returns the same class. A class with other
-    fields replaces it for later look-ups. Built-in classes never replace a user's class.
+    the known class stays, so that ``get_interface`` always returns the same class. A class with
+    other fields replaces the known class for later look-ups. Built-in classes never replace a
+    user's class.
 
     Attributes:
         files: The interface files that `load_interfaces` has found, by type name.
         prefixes: The folders where ROS packages are installed, in order of precedence.
         nearby: The interface files that `offer_interfaces` was given, by type name.
-        on_nearby: Called with the type name and the file when one of these is first used.
+        on_nearby: Called with the type name and the file when a file of ``nearby`` is first used.
         settled: The built-in interfaces that no file outside of turtleact replaces.
     """
 
@@ -191,7 +192,10 @@ class Registry:
 
     @contextlib.contextmanager
     def isolated(self) -> Iterator[None]:
-        """Forget at the end of the block everything registered inside it. For tests."""
+        """At the end of the block, forget everything that was registered inside it.
+
+        Tests use this.
+        """
         kept = self.state()
         try:
             yield
@@ -247,12 +251,13 @@ class MessageMeta(msgspec.StructMeta):
 
 
 class Message(msgspec.Struct, metaclass=MessageMeta):
-    """The base of all messages. They are mutable, compared by value, and cheap to create.
+    """The base of all messages. Messages are mutable, compared by value, and cheap to create.
 
-    Creating a message checks nothing; ``snapshot`` checks it when it is sent. A field without a
-    default gets the zero of its type. But type checkers demand each argument without a default in
-    the class, so write ``order: int32 = 0`` if it may be left out. Constants are ``ClassVar[int8]``
-    and the like. If a field's ROS name is a Python keyword, add an underscore (``from_``).
+    Creating a message checks nothing; ``snapshot`` checks the message when it is sent. A field
+    without a default gets the zero of its type. For type checkers, however, an argument is required
+    if the class gives no default. Write ``order: int32 = 0`` if the argument may be left out.
+    Constants are ``ClassVar[int8]`` and the like. If a field's ROS name is a Python keyword, add an
+    underscore (``from_``).
 
     >>> class Pair(Message, type_name="example_msgs/msg/Pair"):
     ...     left: bounded[list[int32], 3]
@@ -265,7 +270,7 @@ class Message(msgspec.Struct, metaclass=MessageMeta):
 class Action:
     """The base of all actions: a class with Goal, Result and Feedback inside.
 
-    Each is a Message. A part that is left out has no fields.
+    Each of these three parts is a Message. A part that is left out has no fields.
 
     >>> class Count(Action, type_name="example_msgs/action/Count"):
     ...     class Goal(Message):
@@ -342,7 +347,7 @@ PARTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback"
 
 
 def declare(cls: type[Service] | type[Action], type_name: str, *, base: type, kind: str) -> None:
-    """Complete a service or action, name its parts, and register them all."""
+    """Complete a service or action: name its parts, and register it with its parts."""
     source = cls.__qualname__
     if cls.__bases__ != (base,):
         raise InvalidInterface(f"derive it only from {base.__name__}", source=source)
@@ -363,7 +368,7 @@ def declare(cls: type[Service] | type[Action], type_name: str, *, base: type, ki
 
 
 def named_part(cls: type[Service] | type[Action], part: str) -> type[Message]:
-    """Return one part of a service or action under its full name; empty if it was left out."""
+    """Return one part of a service or action with its full name. A missing part has no fields."""
     type_name = f"{cls.type_name}_{part}"
     qualname = f"{cls.__qualname__}.{part}"
     message = vars(cls).get(part)
@@ -384,7 +389,7 @@ def named_part(cls: type[Service] | type[Action], part: str) -> type[Message]:
 
 
 def check_strays(cls: type, parts: tuple[str, ...]) -> None:
-    """Refuse a message class inside that is not a part, for example because it is misspelled."""
+    """Refuse an inner message class that is not a part; its name may be misspelled."""
     for name, member in vars(cls).items():
         if is_message_class(member) and name not in parts and member.__name__ == name:
             problem = f"the parts are {', '.join(parts)}{did_you_mean(name, parts)}"
@@ -392,15 +397,15 @@ def check_strays(cls: type, parts: tuple[str, ...]) -> None:
 
 
 def read_body(namespace: dict[str, object], frame: FrameType, type_name: str) -> Shape:
-    """Return the declaration in a class body, and give each field in the body a default.
+    """Return the declaration in a class body. In the body, give each field a default.
 
     Args:
         namespace: The body; this adds a default for every field.
-        frame: Where the class statement stands.
+        frame: The frame that runs the class statement.
         type_name: The full name of the class, or an empty string.
 
     Raises:
-        InvalidInterface: with the class and the member that is wrong.
+        InvalidInterface: if a member is wrong. The error names the class and the member.
     """
     source = str(namespace["__qualname__"])
     scope = scope_of(frame, namespace)
@@ -451,7 +456,7 @@ def naming(source: str, name: str) -> Iterator[None]:
 def read_constant(
     name: str, annotation: object, namespace: Mapping[str, object], scope: Scope
 ) -> list[Constant]:
-    """Return the constant of a ClassVar in capitals; other ClassVars are ordinary Python."""
+    """Return the constant that a ClassVar in capitals declares. Other ClassVars declare nothing."""
     if not constant_name_pattern.fullmatch(name):
         return []
     reading = read(next(iter(get_args(annotation)), annotation), scope)
@@ -463,7 +468,7 @@ def read_constant(
 
 
 def read_field(name: str, reading: Reading, namespace: dict[str, object]) -> Field:
-    """Return one field, and turn its default in the class body into one that msgspec can use."""
+    """Return one field, and turn its default in the class body into a form that msgspec can use."""
     default: Default = None
     if name in namespace:
         default = as_default(reading, given_default(namespace[name]))
@@ -507,7 +512,7 @@ def check_nested_default(reading: Reading, value: object) -> None:
 
 
 def initial(reading: Reading, default: Default) -> object:
-    """Return what the class body must hold for a field: a value, or a factory for one."""
+    """Return the default that msgspec needs for a field: a value, or a factory of values."""
     if reading.nested is not None:
         return msgspec.field(default_factory=zero_message(reading))
     value = zero(reading.field_type) if default is None else default

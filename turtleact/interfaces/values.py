@@ -1,11 +1,12 @@
-"""Checks values against types: which values a field accepts, and why it refuses others.
+"""Checks values against the types of fields, and explains why a value does not fit.
 
-A path grows from the inside out: a check raises with the inner path, and each caller adds its own
-name in front. This is the slow, exact way. ``conversion`` generates the fast way, which falls back
-to this one for values that are not exactly of the expected Python type.
+The path in an error grows from the inside out: a check raises an error with the inner path, and
+each caller adds its own name in front. This module is the slow, exact way. ``conversion`` generates
+the fast way, which falls back to this module for values that are not exactly of the expected Python
+type.
 
 A ``byte`` is an int from 0 to 255; ``bytes`` of length one are accepted too. The elements of a
-sequence are returned as a plain list; only ``bytes`` given for bytes stay ``bytes``.
+sequence are returned as a plain list; only ``bytes`` given for a sequence of bytes stay ``bytes``.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def misfit(field_type: FieldType, value: object) -> InvalidMessage:
 
 
 def describe(value: object) -> str:
-    """Show a value in an error, as Python writes it, but shortened."""
+    """Show a value in an error as Python writes it, but shortened."""
     return SHORT.repr(value)
 
 
@@ -70,7 +71,7 @@ class ShortRepr(reprlib.Repr):
         self.maxstring = self.maxother = 60
 
     def repr_int(self, x: int, level: int) -> str:  # noqa: ARG002  the base class's signature
-        """Write a number; if no ROS type could hold it, only give its size."""
+        """Write a number. If no ROS type can hold it, only tell its size."""
         return repr(x) if x.bit_length() <= 128 else f"a number of {x.bit_length()} bits"
 
 
@@ -78,12 +79,12 @@ SHORT = ShortRepr()
 
 
 class Spelled:
-    """A value that errors show as it was written in the text; most such values fit no field.
+    """A value that errors show as it was written in the text. Most such values fit no field.
 
     Attributes:
         word: The value as it was written, or a description.
         fits: The types that would accept it if it were not too large.
-        truth: What it means for a bool; None if it is neither true nor false.
+        truth: The bool that the word stands for; None if it is neither true nor false.
     """
 
     def __init__(self, word: str, fits: Collection[str] = (), *, truth: bool | None = None) -> None:
@@ -96,7 +97,7 @@ class Spelled:
 
 
 def converter(field_type: FieldType, element: Convert | None = None) -> Convert:
-    """Return a function that converts a value for a field of this type, or raises.
+    """Return a function that converts a value for a field of this type, or raises an error.
 
     Args:
         field_type: The type.
@@ -110,7 +111,10 @@ def converter(field_type: FieldType, element: Convert | None = None) -> Convert:
 
 
 def whole_number(field_type: FieldType, value: object) -> int:
-    """Convert to an int in range; accepts numpy's integers and anything else usable as an index."""
+    """Convert a value to an int in range.
+
+    It may be any integer of numpy or object with __index__.
+    """
     name = field_type.name
     if name == "byte" and isinstance(value, bytes) and len(value) == 1:
         return value[0]
@@ -129,7 +133,7 @@ def whole_number(field_type: FieldType, value: object) -> int:
 
 
 def number(field_type: FieldType, value: object) -> float:
-    """Convert to a float; accepts ints and numpy's numbers. Never rounds to float32."""
+    """Convert a value, which may be an int or a number of numpy, to a float without rounding."""
     limit, edge = FLOAT_LIMITS[field_type.name]
     if is_too_large(field_type, value):
         raise out_of_range(field_type, value, f"-{edge}", edge)
@@ -147,7 +151,7 @@ def number(field_type: FieldType, value: object) -> float:
 
 
 def truth(field_type: FieldType, value: object) -> bool:
-    """Convert to a bool; accepts numpy's bool."""
+    """Convert a bool, perhaps of numpy, to a bool."""
     if isinstance(value, Spelled) and value.truth is not None:
         return value.truth
     if not is_bool(value):
@@ -156,7 +160,7 @@ def truth(field_type: FieldType, value: object) -> bool:
 
 
 def text(field_type: FieldType, value: object) -> str:
-    """Convert to a str that can be sent and fits its bound, counted in characters as in rclpy."""
+    """Convert to a str that can be sent. Its bound counts characters, as in rclpy."""
     if not isinstance(value, str):
         raise misfit(field_type, value)
     plain = str.__str__(value)
@@ -172,7 +176,7 @@ def text(field_type: FieldType, value: object) -> str:
 
 
 def sequence(field_type: FieldType, element: Convert, value: object) -> object:
-    """Convert to a list with valid elements and length; ``bytes`` stay ``bytes``."""
+    """Convert to a list with valid elements and a valid length. ``bytes`` stay ``bytes``."""
     items = as_items(field_type, value)
     check_length(field_type, len(items))
     if isinstance(items, bytes):
@@ -181,7 +185,7 @@ def sequence(field_type: FieldType, element: Convert, value: object) -> object:
 
 
 def converted(element: Convert, items: Iterable[object]) -> Iterable[object]:
-    """Convert each element; errors name its index."""
+    """Convert each element. An error names the index of its element."""
     for index, item in enumerate(items):
         try:
             yield element(item)
@@ -228,7 +232,7 @@ def out_of_range(field_type: FieldType, value: object, low: object, high: object
 
 
 def is_bool(value: object) -> bool:
-    """Whether a value is a bool, or numpy's bool, which is not a subclass of it."""
+    """Whether a value is a bool or numpy's bool, which is not a subclass of ``bool``."""
     if isinstance(value, bool):
         return True
     numpy = sys.modules.get("numpy")

@@ -1,7 +1,7 @@
-"""Encodes and decodes the messages of an endpoint.
+"""The wire format of an endpoint: encodes and decodes its messages.
 
-The bytes are CDR, and the type hash identifies the layout. Transports that reach other processes
-get such a format with each endpoint, so that they need not know any message class.
+The bytes are CDR, and the type hash identifies the layout. A transport that reaches other processes
+gets such a format with each endpoint, so it need not know any message class.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["GOAL_ID", "EventFormat", "FeedbackFormat", "WireFormat"]
 
 GOAL_ID: Final = slice(4, 20)
-"""Where a feedback message has the id of its goal, after the CDR header, in either byte order."""
+"""The bytes of a feedback message that hold the goal id, in either byte order."""
 
 _EVENT: Final = struct.Struct("<4sB3xiI16s4xq")
 """The CDR header and a ``service_msgs/msg/ServiceEventInfo``; two sequences follow."""
@@ -36,11 +36,11 @@ _ONE: Final = struct.pack("<I", 1)
 
 
 class WireFormat:
-    """The format of one endpoint; it costs little until it is used.
+    """The format of one endpoint. Making one costs little; the codec is built on first use.
 
     Args:
         interface: The message or service class, or a function that returns it when needed.
-        asks: Whether the endpoint is the client of a service, so that it sends requests.
+        asks: Whether the endpoint is the client of a service, and therefore sends requests.
 
     >>> from turtleact.interfaces.standard import Time
     >>> time = WireFormat(Time)
@@ -65,7 +65,7 @@ class WireFormat:
         """Encode a message.
 
         Raises:
-            InvalidMessage: if it is of another class, or a value does not fit its type.
+            InvalidMessage: if the message is of another class, or a value does not fit its type.
         """
         if type(message) is not self._classes[0]:
             given = type(message)
@@ -82,7 +82,7 @@ class WireFormat:
         """Decode a message.
 
         Raises:
-            InvalidMessage: if the bytes are not such a message, with the place of the error.
+            InvalidMessage: if the bytes are no such message. The error names the place.
         """
         if data[:2] == self._order and len(data) >= len(self._header):
             try:
@@ -140,8 +140,8 @@ class WireFormat:
 class FeedbackFormat(WireFormat):
     """The format of an action's feedback topic.
 
-    A feedback message consists of a goal id and the feedback. Because there is so much feedback,
-    this class can also encode and decode the two directly, without building the message around
+    A feedback message consists of a goal id and the feedback. Feedback is frequent. This class can
+    therefore encode and decode goal id and feedback directly, without building the message around
     them.
 
     Args:
@@ -172,7 +172,7 @@ class FeedbackFormat(WireFormat):
     def write_unchecked(self, goal_id: bytes, feedback: object) -> bytes | None:
         """Encode an object that may not be valid feedback.
 
-        Returns None if ``snapshot`` would have to convert or refuse it; call that instead.
+        Returns None if ``snapshot`` would convert or refuse the object. Then call `write` instead.
         """
         try:
             return self._write_strictly(feedback, self._header + goal_id)
@@ -180,10 +180,10 @@ class FeedbackFormat(WireFormat):
             return None
 
     def read(self, data: bytes) -> Message:
-        """Decode only the feedback; the id of its goal is at `GOAL_ID`.
+        """Decode only the feedback. The goal id is at `GOAL_ID` in the data.
 
         Raises:
-            InvalidMessage: if the bytes are not such a message, with the place of the error.
+            InvalidMessage: if the bytes are no such message. The error names the place.
         """
         if data[:2] == self._order:
             try:

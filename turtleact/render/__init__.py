@@ -1,4 +1,4 @@
-"""Pictures of goals, feedback and turtles for a terminal: values in, rich renderables out.
+"""Draws goals, feedback and turtles for a terminal: makes rich renderables of plain values.
 
 There is no logic and no time here: `turtleact.commands` decides what is shown, and how often. Only
 this package imports rich.

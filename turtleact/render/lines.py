@@ -1,4 +1,4 @@
-"""Rich renderables as lines of text, and plain values as text on one line."""
+"""Turns rich renderables into lines of text, and plain values into text on one line."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ STYLES: Final = {
 }
 
 LONGEST_LIST: Final = 8
-"""Longer lists are shown with this many elements, the first and the last ones."""
+"""Of a longer list, only this many elements are shown: the first and the last ones."""
 
 LONGEST_TEXT: Final = 400
-"""Longer texts are cut to this many characters; no window shows more."""
+"""Longer texts are cut to this many characters; no window is wide enough for more."""
 
 
 def lines(content: Picture, *, width: int, height: int) -> list[str]:
@@ -58,7 +58,7 @@ def shortened(text: str, columns: int) -> str:
 
 
 def inline(value: object) -> str:
-    """A plain value on one line, long lists cut in the middle."""
+    """A plain value as text on one line. Long lists are cut in the middle."""
     if isinstance(value, dict):
         return ", ".join(f"{name} {_braced(item)}" for name, item in value.items()) or "{}"
     if isinstance(value, list | tuple | bytes):

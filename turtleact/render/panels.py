@@ -42,7 +42,7 @@ NARROWEST: Final = 40
 """The width below which there is no map."""
 
 NARROWEST_TABLE: Final = 26
-"""How many columns a map leaves for the feedback beside it."""
+"""At least this many columns are left for the feedback beside a map."""
 
 LOWEST, HIGHEST = 5, 24
 """The rows of a map, not counting its border."""
@@ -52,7 +52,7 @@ class GoalView(NamedTuple):
     """A goal as it is now.
 
     Attributes:
-        name: The action.
+        name: The name of the action.
         goal: The goal message; None if it is unknown.
         goal_id: The id of the goal, in hexadecimal.
         status: Its state.
@@ -60,7 +60,7 @@ class GoalView(NamedTuple):
         feedback: The last feedback, if there is one.
         fraction: The progress, 0 to 1, if it is known.
         progress: The progress in words.
-        motion: How its turtle moves, if that is worth a word, such as ``reversing``.
+        motion: How its turtle moves, if that is unusual, such as ``reversing``.
         is_paused: Whether it is paused.
     """
 
@@ -77,7 +77,10 @@ class GoalView(NamedTuple):
 
 
 def goal_panel(view: GoalView) -> Group:
-    """Two lines: the action, its state and age; the goal."""
+    """Two lines.
+
+    The first shows the action, the goal's state and its age; the second shows the goal.
+    """
     style = STYLES.get(view.status, "")
     head = Table.grid(expand=True, padding=(0, 2, 0, 0))
     head.add_column(no_wrap=True, overflow="ellipsis")
@@ -109,7 +112,7 @@ def progress_line(fraction: float | None, text: str) -> Picture:
 
 
 def feedback_table(feedback: Message | None, *, width: int, rows: int) -> Picture:
-    """The fields of a message, each in a row; long ones are cut, and so is the table."""
+    """The fields of a message, each in a row. Long fields and a long table are cut."""
     if feedback is None:
         return cut("  no feedback yet", "dim")
     content = {name: inline(value) for name, value in to_dict(feedback).items()}
@@ -132,7 +135,7 @@ def frame(goal: GoalView, world: MapView | None, *, width: int, height: int) -> 
     """The display of a goal: a map beside the feedback, or no map if the window is too narrow.
 
     Args:
-        goal: The goal.
+        goal: The goal to show.
         world: The world, if the goal drives a turtle.
         width: The columns of the window.
         height: How many lines to use at most.
@@ -156,27 +159,27 @@ def _motion(motion: str) -> tuple[str, str]:
 
 
 def _feedback(goal: GoalView, *, width: int, rows: int) -> Picture:
-    """The last feedback. Earlier feedback of somebody else's goal is unknown."""
+    """The last feedback. If somebody else sent the goal, earlier feedback is unknown."""
     if goal.goal is None and goal.feedback is None:
         return cut("  no feedback since you began to watch", "dim")
     return feedback_table(goal.feedback, width=width, rows=rows)
 
 
 NARROWEST_BOARD: Final = 30
-"""How many columns a map leaves for the goals beside it."""
+"""At least this many columns are left for the goals beside a map."""
 
 WIDE: Final = 72
-"""The width from which a table shows goal ids and progress too."""
+"""A table shows goal ids and progress too if it has at least this many columns."""
 
 SHORTEST: Final = 20
 """The width of the column of names, if no name is longer."""
 
 LONGEST_STATUS: Final = 9
 LONGEST_DURATION: Final = 8
-"""The widths of the columns beside it."""
+"""The widths of the columns beside the names."""
 
 LEAST_LOG: Final = 3
-"""How many lines a map leaves for the log below it."""
+"""At least this many lines are left for the log below a map."""
 
 INDENT: Final = "  "
 """The indent of the second and later lines of a wrapped log line."""
@@ -189,9 +192,9 @@ class GoalRow(NamedTuple):
         name: The action.
         goal_id: The id of the goal, in hexadecimal.
         status: Its state.
-        age: How long it has run (s).
+        age: How long the goal has run (s).
         progress: The progress in words.
-        turtle: The turtle that it drives; empty if it drives none.
+        turtle: The turtle that the goal drives; empty if it drives none.
         colour: The colour of that turtle.
         targets: Its targets, in order.
         motion: How its turtle moves, as in `GoalView`, and whether it is paused or resumed.
@@ -256,7 +259,7 @@ def board(view: Board, *, width: int, height: int) -> Picture:
 
 
 def _heading(lines: Sequence[str], width: int, height: int) -> list[Picture]:
-    """The lines, wrapped between words; if they need over half of the height, they are cut."""
+    """The lines, wrapped between words. They are cut if they need more than half of the height."""
     wrapped = [part for line in lines for part in wrap(printable(line), width) or [""]]
     if len(wrapped) > max(height // 2, len(lines)):
         wrapped = [printable(line) for line in lines]
@@ -306,7 +309,7 @@ def _table(view: Board, width: int, rows: int) -> list[Picture]:
 
 
 def _row(goal: GoalRow, width: int, names: int) -> list[Picture]:
-    """A goal in one line, or in several if its action's name would be cut otherwise."""
+    """A goal in one line, or in several lines if one would cut the name of its action."""
     style, name, age = STYLES.get(goal.status, ""), printable(goal.name), _duration(goal.age)
     bullet, turtle = ("● ", style), _turtle(goal)
     below = [_cut(Text.assemble("  ", turtle))] if turtle else []

@@ -1,4 +1,4 @@
-"""A map of the world in braille characters: walls, trails, turtles and their targets.
+"""Draws a map of the world in braille characters: walls, trails, turtles and their targets.
 
 Each cell is 2 dots wide and 4 high, which makes the dots square on a terminal whose cells are twice
 as high as wide. A cell has one colour: that of its last dot.
@@ -41,7 +41,7 @@ class Turtle(NamedTuple):
 
 
 class Target(NamedTuple):
-    """A target: x and y (m), its number and colour, and whether it was reached."""
+    """A target: x and y (m), its number and colour, and whether the turtle has reached it."""
 
     x: float
     y: float
@@ -56,7 +56,7 @@ class Target(NamedTuple):
 
     @property
     def style(self) -> str:
-        """The style in which it is shown."""
+        """The style in which the target is shown."""
         return REACHED if self.is_reached else self.colour
 
 
@@ -64,7 +64,7 @@ class MapView(NamedTuple):
     """The world, its lower left corner at (0, 0).
 
     Attributes:
-        side: Length of its four walls (m), above zero.
+        side: The length of each of the world's four walls (m), above zero.
         turtles: The turtles.
         ink: The drawings.
         targets: The targets of the turtles.
@@ -80,8 +80,8 @@ def world_map(view: MapView, rows: int) -> Text:
     """The world between its walls, ``rows`` high and twice as wide, not counting the border.
 
     A reached target has a tick beside its number. If several things fall into one cell, a turtle
-    hides a target, a target a name, and a name a trail. A name is put where it hides least, and
-    left out if there is no room.
+    hides a target, a target a name, and a name a trail. A name is drawn where it hides least. If
+    there is no room, the name is left out.
     """
     columns = 2 * rows
     canvas = Braille(columns, rows) if view.ink is None else view.ink.canvas(columns, rows)
@@ -155,7 +155,7 @@ LONGEST: Final = 2000
 
 
 class Braille:
-    """A canvas of dots, 2 a column and 4 a row; (0, 0) is the dot in the lower left corner.
+    """A canvas of dots: 2 for each column and 4 for each row. (0, 0) is the lower left dot.
 
     >>> canvas = Braille(2, 1)
     >>> canvas.line(0, 0, 3, 3)

@@ -1,12 +1,13 @@
-"""A world of turtles: turtlesim's, first without ROS and then as a node.
+"""The world of turtlesim: turtles as plain Python objects, and the node that serves them.
 
 Without ROS and without a clock:
 
-- `world`: turtles by name that come and go, commands, teleports, walls; `start_poses` says where
-  turtles are put.
-- `kinematics` moves a few turtles by one step, `fleet` many; `fleet` also says who stops whom.
+- `world`: turtles by name, which come and go, commands, teleports and walls; `start_poses` chooses
+where turtles start.
+- `kinematics` moves a few turtles by one step, `fleet` many; `fleet` also finds the turtles that
+block each other.
 - `drawing`: the pens of the turtles and what they draw, as lines and on a `canvas`; `rasterising`
-  does the same for a fleet; `pictures` turns a drawing into SVG and PNG.
+draws the lines of a fleet; `pictures` turns a drawing into SVG and PNG.
 
 As a node:
 

@@ -39,22 +39,22 @@ class Pen(NamedTuple):
 
 
 CLEAR: Final = Colour(255, 255, 255)
-"""The colour of a pixel that nobody has drawn on: turtlesim clears to a transparent white."""
+"""The colour of a pixel on which nothing was drawn. turtlesim clears to a transparent white."""
 
 MIDDLE: Final = complex(SIZE, SIZE) / 2.0
 _OPAQUE: Final = 255 << 24
 FLAT: Final = 1e-9
-"""A line that rises by less, over its whole length, is level for every pixel."""
+"""A line that rises by less than this, over its whole length, is level for every pixel."""
 
 _NOTHING: Final = array("I", [0]) * (SIZE * SIZE)
 
 
 class Canvas:
-    """Pixels; all clear at first.
+    """A picture as pixels, which are all clear at first.
 
     Attributes:
         pixels: Row by row from the top, ``alpha << 24 | blue << 16 | green << 8 | red``; alpha is
-            255 where something was drawn, else all is 0.
+            255 where something was drawn, and a pixel without a drawing is 0.
     """
 
     def __init__(self) -> None:
@@ -69,7 +69,7 @@ class Canvas:
 
         Args:
             x: Column, 0 to `SIZE` - 1.
-            y: Row, likewise.
+            y: Row, 0 to `SIZE` - 1.
         """
         pixel = self.pixels[y * SIZE + x]
         return Colour(pixel & 255, pixel >> 8 & 255, pixel >> 16 & 255) if pixel else CLEAR
@@ -79,9 +79,9 @@ class Canvas:
 
         Args:
             start: Where it begins, ``x + 1j * y`` (pixels).
-            end: Where it ends; the same place draws a square.
-            width: How wide it is (pixels), above zero.
-            colour: What it is drawn in.
+            end: Where it ends. If that is where it begins, a square is drawn.
+            width: The width of the line (pixels), above zero.
+            colour: The colour of the line.
         """
         if abs(start - MIDDLE) > abs(end - MIDDLE):  # so that rounding moves no pixel
             start, end = end, start

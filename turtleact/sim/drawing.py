@@ -1,16 +1,17 @@
-"""The turtles' drawing, as pixels and as polylines, and the pens that make it.
+"""What turtles have drawn, as pixels and as polylines, and the pens that they draw with.
 
 `Pens` follows the turtles tick by tick. A pen that is on draws a line from its turtle's old place
-to the new one, teleports included. Within a tick, each turtle in name order draws its teleports,
-senses the colour under it, and draws its step. A turtle therefore senses the new lines of the
-turtles before it, but not its own new line.
+to the new one, teleports included. Within a tick, the turtles take turns in name order: each draws
+its teleports, senses the colour under it, and draws its step. A turtle therefore senses the new
+lines of the turtles before it, but not its own new line.
 
 `Drawing` only notes new lines and computes them when somebody looks, so an unseen drawing costs
 little. When `UNREAD` lines are noted, the oldest are computed anyway. The lines of a fleet arrive
 tick by tick as arrays (`rasterising`).
 
 - Pixels show every line, and later lines cover earlier ones.
-- Polylines leave out points within `TOLERANCE` of the line without them. A polyline continues while
+- A polyline leaves out points if the line without them passes within `TOLERANCE` of them. A
+polyline continues while
   its turtle draws with the same pen from where it stopped, up to `LONGEST` points.
 - A drawing is bounded: when its polylines hold `MOST_POINTS` points, everything drawn so far is
   kept only as pixels.
@@ -51,13 +52,16 @@ LONGEST: Final = 500
 """The maximum number of points in one polyline."""
 
 UNREAD: Final = 4096
-"""The maximum number of lines that are only noted (200 kB); then the oldest are computed."""
+"""The maximum number of lines that are only noted (200 kB). Beyond it, the oldest are computed."""
 
 UNREAD_OF_FLEET: Final = 1024
-"""The same limit for a fleet; then all are computed at once, in a few milliseconds."""
+"""The limit `UNREAD` for a fleet.
+
+Beyond it, all lines are computed at once, in a few milliseconds.
+"""
 
 _PORTION: Final = 64
-"""How many lines are then computed at a time: about a millisecond's work."""
+"""How many noted lines are computed at a time: about a millisecond's work."""
 
 _STRAIGHT: Final = 1e-6
 """Lines that bend by less than this (pixels) are drawn as one, because no pixel shows the bend."""
@@ -86,10 +90,10 @@ class Drawing:
         """Draw a straight line.
 
         Args:
-            turtle: The number of the turtle; its lines make one polyline.
+            turtle: The number of the turtle. Its lines are joined to polylines.
             pen: The pen.
             start: Where it begins (m).
-            end: Where it ends (m); the same place makes a dot.
+            end: Where it ends (m). If that is where it begins, a dot is drawn.
         """
         # Finish the fleet's unfinished lines first: they are older, and later lines cover them.
         self._end_fleet()
@@ -98,7 +102,7 @@ class Drawing:
             self._read(_PORTION)
 
     def lines(self, pen: Pen, who: Numbers, start: Places, end: Places) -> None:
-        """Draw straight lines of many turtles, in any order; otherwise like `line`.
+        """Draw the straight lines of many turtles, in any order. Otherwise this works like `line`.
 
         Args:
             pen: The pen of all of them.
@@ -238,7 +242,7 @@ class Drawing:
             self._settle()
 
     def _settle(self) -> None:
-        """Keep everything drawn so far only as pixels."""
+        """Turn everything drawn so far into pixels, and drop the polylines."""
         self._draw_runs()
         self._base = _rgba(self._made_canvas().pixels)
         self._strokes.clear()
@@ -269,13 +273,13 @@ class Pens:
         self._provide_all()
 
     def set(self, turtle: str, colour: Colour, width: int = 0, *, is_off: bool = False) -> None:
-        """Change a turtle's pen, from its next line on.
+        """Change a turtle's pen. The change affects the turtle's next lines.
 
         Args:
             turtle: Its name.
             colour: The colour.
             width: The width (pixels), 0 to 255; 0 means 1.
-            is_off: Whether the pen stops drawing; if so, colour and width do not change.
+            is_off: Whether to switch the pen off. If so, its colour and width do not change.
         """
         holder = self._holders[turtle]
         self._fleet = None
@@ -354,7 +358,7 @@ class Pens:
         self._fleet = None
 
     def _follow_fleet(self, before: Sequence[complex], now: Sequence[complex]) -> bool:
-        """Draw the lines of many turtles at once, if all have the same pen and it is on."""
+        """Draw the lines of many turtles at once, if all have the same pen and the pen is on."""
         if isinstance(now, list):  # a few turtles: see `World.places`
             return False
         if self._fleet is None:
@@ -410,7 +414,7 @@ class _Fleet(NamedTuple):
 
 
 class _Run:
-    """Consecutive lines of one turtle that are straight, as far as any pixel can show."""
+    """Consecutive lines of one turtle that no pixel can tell from one straight line."""
 
     __slots__ = ("end", "pen", "start")
 
@@ -420,7 +424,7 @@ class _Run:
         self.end = end
 
     def takes(self, pen: Pen, start: complex, end: complex) -> bool:
-        """Continue to ``end`` if it is straight ahead; return whether it is."""
+        """Continue to ``end`` if ``end`` is straight ahead; return whether it is."""
         if start != self.end or pen != self.pen:
             return False
         way, step = self.end - self.start, end - start
@@ -438,9 +442,9 @@ class _Stroke:
     """A polyline that may continue.
 
     From the last corner, all later points up to the tip lie in a narrow cone: `_low` to `_high`
-    (rad), counted from `_axis`. If the next tip is inside the cone and no nearer than the points
-    before, the straight line to it passes all of them within `TOLERANCE`. Otherwise the old tip
-    becomes a corner.
+    (rad), counted from `_axis`. If the next tip is inside the cone and no nearer than the earlier
+    points, the straight line to the tip passes all of them within `TOLERANCE`. Otherwise the old
+    tip becomes a corner.
     """
 
     __slots__ = ("_axis", "_high", "_low", "_reach", "corners", "pen", "tip")

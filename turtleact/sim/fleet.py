@@ -1,15 +1,15 @@
-"""Many turtles as arrays: one step for all of them, and their collisions.
+"""Moves many turtles at once, as arrays, and finds their collisions.
 
 Places and steps are complex numbers, ``x + 1j * depth`` (m). A turtle's step is computed when it
-gets a command or is put somewhere. From then on, the step is only turned: ``theta += turn; place +=
-step; step *= spin``, without trigonometry. At most ``COMMAND_TICKS`` turns are chained, so nothing
-drifts.
+gets a command or is put somewhere. From then on, each tick only turns the step: ``theta += turn;
+place += step; step *= spin``, without trigonometry. At most ``COMMAND_TICKS`` turns are chained, so
+nothing drifts.
 
 Angles, straight ways, turns on the spot, walls and the end of a command match `Handful` to the last
-bit. Along a curve the chained turns are rounded differently: after 20,000 steps of random driving,
+bit. Along a curve, the chained turns are rounded differently. After 20,000 steps of random driving,
 places differed by 6e-14 m.
 
-Where turtles collide, each is a disc. If a step would make two discs overlap and bring them closer
+For collisions, each turtle is a disc. If a step would make two discs overlap and bring them closer
 than before, neither turtle moves. A turtle that has stayed in its place may block a third turtle,
 which then stays too, and so on. So discs that lie apart never come to overlap, discs that overlap
 can only part, and the order of the turtles does not matter.
@@ -53,7 +53,7 @@ _Complexes: TypeAlias = npt.NDArray[np.complex128]
 _Indices: TypeAlias = npt.NDArray[np.intp]
 
 _Caught: TypeAlias = tuple[int, _Indices, _Complexes]
-"""A block's first index, the indices of outside turtles counted from there, and their places."""
+"""A block's first index, and the turtles outside: their indices in the block and their places."""
 
 BLOCK = 8192
 """How many turtles are stepped together, so that a step's data fits the second-level cache."""
@@ -68,20 +68,20 @@ _SIDE = np.array(SIDE)
 _SIDE_BITS = _SIDE.view(np.uint64)
 
 BODY: Final = 0.3
-"""The radius of a turtle (m), as in its picture, without head and tail."""
+"""The radius of a turtle (m): that of its picture without head and tail."""
 
 _COLUMNS: Final = 1 << 20
-"""How much larger the number of a cell is than that of the cell below; above the column count."""
+"""The number of a cell minus that of the cell below it. It is larger than the number of columns."""
 
 _AROUND: Final = [row * _COLUMNS + column for row in (-1, 0, 1) for column in (-1, 0, 1)]
 """Maps a cell's number to its neighbours' numbers and its own."""
 
 
 class Fleet:
-    """Many turtles as arrays; does the same as `Handful`.
+    """Many turtles as arrays. It does the same as `Handful`, faster for many turtles.
 
     Args:
-        places: Where they stand, by index.
+        places: Where the turtles stand, by index.
         rule: How a step turns speeds into motion.
     """
 
@@ -107,17 +107,17 @@ class Fleet:
         return len(self._theta)
 
     def drive(self, commands: Mapping[int, Command], tick: int) -> None:
-        """Take up commands by index; each lasts from this tick on for ``COMMAND_TICKS``."""
+        """Take up commands by index. Each lasts for ``COMMAND_TICKS``, from this tick on."""
         at = np.fromiter(commands, np.intp, len(commands))
         self._take_up(at, np.array(list(commands.values())).T, tick)
 
     def drive_all(self, speeds: _Floats, tick: int) -> None:
-        """Take up one command for each turtle: an array of shape (3, N), rows as in `Command`."""
+        """Take up a command per turtle: an array of shape (3, N), with rows as in `Command`."""
         for block in self._blocks:
             self._take_up(block.where, speeds[:, block.where], tick)
 
     def place(self, index: int, place: Place) -> None:
-        """Put a turtle somewhere; the next step wraps its angle and brings it inside the walls."""
+        """Put a turtle at a place. The next step wraps its angle and brings it inside the walls."""
         self._place[index] = complex(place.x, place.depth)
         self._theta[index] = place.theta
         at = np.array([index])
@@ -125,7 +125,7 @@ class Fleet:
         self._is_awake = self._is_disturbed = True
 
     def insert(self, index: int, place: Place) -> None:
-        """Insert a turtle at rest at this index; otherwise like `place`."""
+        """Insert a turtle at rest at this index. Otherwise this works like `place`."""
         # This copies turtle 0, only to make room.
         self._rearrange(np.insert(np.arange(len(self)), index, 0))
         self.place(index, place)
@@ -144,11 +144,11 @@ class Fleet:
         return self._place.real, self._place.imag, self._theta, *self._speeds
 
     def places(self) -> Sequence[complex]:
-        """Where all turtles are, as ``x + 1j * depth``; a copy, as an array."""
+        """An array of the places of all turtles, as ``x + 1j * depth``; a copy."""
         return cast("Sequence[complex]", self._place.copy())
 
     def orders(self) -> list[tuple[State, int]]:
-        """Each turtle's state, and the tick in which its command is too old; `NEVER` if none."""
+        """Each turtle's state, and the tick in which its command expires (`NEVER` without one)."""
         states = map(State, *(column.tolist() for column in self.columns()))
         return list(zip(states, self._expires.tolist(), strict=True))
 
@@ -156,7 +156,7 @@ class Fleet:
         """Move all turtles by one step, which completes tick number ``tick``.
 
         Returns:
-            The turtles that hit a wall; put together when looked at.
+            The turtles that hit a wall. The list is built only when you look at it.
         """
         if tick >= self._next_expiry:
             self._halt(tick)
@@ -200,7 +200,7 @@ class Fleet:
         self._expires[at] = NEVER
 
     def _rearrange(self, order: _Indices) -> None:
-        """Use these turtles in this order; each starts a new motion from where it is.
+        """Keep these turtles, in this order. Each starts a new motion from where it is.
 
         Two fleets with the same turtles are then equal to the last bit, whatever happened to them
         before.
@@ -229,7 +229,7 @@ class Fleet:
                 self._unwind_one(index)
 
     def _unwind(self, at: _Indices) -> None:
-        """Take a whole turn off these angles; if that is not enough, call `_wrap`."""
+        """Take a whole turn off these angles. If that is not enough, call `_wrap`."""
         theta = self._theta[at]
         unwound = theta - np.copysign(2.0 * self._half, theta)
         if np.absolute(unwound).max() >= self._half:
@@ -239,7 +239,7 @@ class Fleet:
         self._step[at] *= 1.0 - 1j * np.copysign(self._slip, theta)
 
     def _unwind_one(self, index: int) -> None:
-        """`_unwind` for one turtle, in a tenth of the time."""
+        """Do what `_unwind` does for one turtle, in a tenth of the time."""
         theta = float(self._theta[index])
         unwound = theta - math.copysign(2.0 * self._half, theta)
         if abs(unwound) >= self._half:
@@ -249,7 +249,7 @@ class Fleet:
         self._step[index] *= complex(1.0, -math.copysign(self._slip, theta))
 
     def _wrap(self, at: _Indices) -> None:
-        """`kinematics.wrap` for these turtles, and their steps from there."""
+        """Wrap the angles of these turtles like `kinematics.wrap`, and compute their steps anew."""
         half, turn = self._half, 2.0 * self._half
         theta = self._theta[at]
         wrapped = theta - turn * np.floor((theta + half) / turn)
@@ -258,7 +258,7 @@ class Fleet:
         self._aim(at, theta)
 
     def _aim(self, at: slice | _Indices, theta: _Floats) -> None:
-        """Work out the steps that end at ``theta``: `kinematics.displacement`, for arrays."""
+        """Compute the steps that end at ``theta``: `kinematics.displacement` for many turtles."""
         vx, vy = self._speeds[0, at], self._speeds[1, at]
         length: float | _Floats = DT
         if self._rule is StepRule.ARC:
@@ -272,7 +272,7 @@ class Fleet:
 
 
 def stopped(before: Sequence[complex], after: Sequence[complex], radius: float = BODY) -> list[int]:
-    """The turtles that a step must not move, because they would collide.
+    """Find the turtles that must not move in a step, because they would collide.
 
     Args:
         before: N places before the step, ``x + 1j * depth`` (m).
@@ -297,7 +297,7 @@ def stopped(before: Sequence[complex], after: Sequence[complex], radius: float =
 
 
 class _Block:
-    """Consecutive turtles: views of the fleet's arrays, and room for intermediate values."""
+    """Some consecutive turtles: views of the fleet's arrays, and room for intermediate values."""
 
     def __init__(self, fleet: Fleet, where: slice) -> None:
         self.where = where
@@ -328,7 +328,7 @@ class _Block:
         return at
 
     def move(self) -> bool:
-        """Move by one step, and turn the next; return whether a turtle may be outside the walls."""
+        """Move by one step and turn the next step; return whether a turtle may be outside."""
         np.add(self._place_parts, self._step_parts, self._place_parts)
         np.multiply(self._step, self._spin, self._step)
         # As unsigned integers, the bits of SIDE are below those of any larger or negative
@@ -383,7 +383,7 @@ def _complex(real: _Floats, imag: _Floats) -> _Complexes:
 
 
 def _near(places: _Complexes, some: _Indices, distance: float) -> tuple[_Indices, _Indices]:
-    """The pairs of turtles nearer than a distance (m); at least one of each pair is among these."""
+    """The pairs of turtles nearer than a distance (m) of which at least one is in ``some``."""
     cells = np.floor(places.imag / distance).astype(np.int64) * _COLUMNS
     cells += np.floor(places.real / distance).astype(np.int64)
     order = np.argsort(cells, kind="stable")

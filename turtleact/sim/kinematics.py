@@ -2,9 +2,9 @@
 
 The numbers and the order of the operations are turtlesim's, so that its Poses come out to the
 last bit: y is kept as the depth below the upper edge, a Pose is rounded to float32 only when it is
-read, and half a turn is 3.14159265, as turtlesim has it. `Handful` steps a few turtles in plain
-floats; `turtleact.sim.fleet` steps many as arrays. This module knows no names, no ROS and no clock:
-time is the number of a tick.
+read, and half a turn is 3.14159265, as in turtlesim. `Handful` moves a few turtles in plain floats;
+`turtleact.sim.fleet` moves many as arrays. This module knows no names, no ROS and no clock: time is
+the number of a tick.
 
 Source: turtlesim 1.8.2, ``Turtle::update`` in ``turtle.cpp``; for arcs Lynch and Park, Modern
 Robotics, section 13.3.1, the integral of a constant twist.
@@ -49,11 +49,11 @@ SIDE = 11.088889122009277
 """Width and height of the world (m): 499/45 in float32."""
 
 COMMAND_TICKS = 63
-"""Ticks that a command lasts: in the 64th it is 1.008 s old, and more than 1.0 s is too old."""
+"""How many ticks a command lasts. In the 64th it is 1.008 s old; over 1.0 s is too old."""
 
 
 NEVER = 2**62
-"""A tick that never comes."""
+"""The number of a tick that never comes."""
 
 
 class StepRule(enum.Enum):
@@ -67,7 +67,7 @@ class StepRule(enum.Enum):
 
 
 class Command(NamedTuple):
-    """The speeds that a turtle is asked for: ahead and to the left (m/s), turning (rad/s)."""
+    """The speeds for a turtle: ahead and to the left (m/s), and turning (rad/s)."""
 
     vx: float
     vy: float
@@ -85,8 +85,8 @@ class Place(NamedTuple):
 class State(NamedTuple):
     """Where a turtle is and how it moves, unrounded.
 
-    x and depth are in [0, SIDE] and theta is in [-pi, pi) after a step, in m and rad; the speeds
-    are those of its command, or 0.
+    After a step, x and depth (m) are in [0, SIDE], and theta (rad) is in [-pi, pi). The speeds are
+    those of the turtle's command, or 0 without one.
     """
 
     x: float
@@ -100,7 +100,8 @@ class State(NamedTuple):
 class Hit(NamedTuple):
     """A turtle that a step would have carried out of the world.
 
-    turtle is its index; x and depth (m) are those from which it was brought back to the wall.
+    ``turtle`` is the turtle's index. ``x`` and ``depth`` (m) are the place from which it was
+    brought back to the wall.
     """
 
     turtle: int
@@ -118,16 +119,16 @@ class Turtles(Protocol):
     def __len__(self) -> int: ...
 
     def drive(self, commands: Mapping[int, Command], tick: int) -> None:
-        """Take up commands by index; each lasts from this tick on for ``COMMAND_TICKS``."""
+        """Take up commands by index. Each lasts for ``COMMAND_TICKS``, from this tick on."""
 
     def drive_all(self, speeds: npt.NDArray[np.float64], tick: int) -> None:
-        """Take up one command for each turtle: an array of shape (3, N), rows as in `Command`."""
+        """Take up a command per turtle: an array of shape (3, N), with rows as in `Command`."""
 
     def place(self, index: int, place: Place) -> None:
-        """Put a turtle somewhere; the next step wraps its angle and brings it inside the walls."""
+        """Put a turtle at a place. The next step wraps its angle and brings it inside the walls."""
 
     def insert(self, index: int, place: Place) -> None:
-        """Insert a turtle at rest at this index; otherwise like `place`."""
+        """Insert a turtle at rest at this index. Otherwise this works like `place`."""
 
     def remove(self, index: int) -> None:
         """Remove a turtle."""
@@ -139,10 +140,10 @@ class Turtles(Protocol):
         """The states of all turtles: N numbers for each field of `State`."""
 
     def places(self) -> Sequence[complex]:
-        """Where all turtles are, as ``x + 1j * depth``; a copy."""
+        """A copy of the places of all turtles, as ``x + 1j * depth``."""
 
     def orders(self) -> list[tuple[State, int]]:
-        """Each turtle's state, and the tick in which its command is too old; `NEVER` if none."""
+        """Each turtle's state, and the tick in which its command expires (`NEVER` without one)."""
 
     def step(self, tick: int) -> Hits:
         """Move all turtles by one step, which completes tick number ``tick``.
@@ -154,13 +155,13 @@ class Turtles(Protocol):
 def displacement(
     theta: float, vx: float, vy: float, chord: tuple[float, float]
 ) -> tuple[float, float]:
-    """How far one step goes in x and y (m).
+    """How far one step moves a turtle in x and y (m).
 
     Args:
         theta: The heading in which the step ends (rad).
         vx: Speed ahead (m/s).
         vy: Speed to the left (m/s).
-        chord: What `chord` returns for the step.
+        chord: The return value of `chord` for the step.
     """
     lag, length = chord
     cos_, sin_ = cos(theta - lag), sin(theta - lag)
@@ -169,15 +170,15 @@ def displacement(
 
 
 def chord(rule: StepRule, turn: float) -> tuple[float, float]:
-    """The straight line that replaces a step along a curve.
+    """The direction and length of the straight line that replaces a step along a curve.
 
     Args:
         rule: The step rule.
         turn: The turn made in the step (rad).
 
     Returns:
-        How much further back than the step's last heading its direction is (rad), and how far it
-        goes for each m/s (s).
+        The angle of the line behind the heading at the end of the step (rad), and the length of the
+        line for each m/s of speed (s).
     """
     if rule is StepRule.EULER or not turn:
         return 0.0, DT
@@ -186,7 +187,7 @@ def chord(rule: StepRule, turn: float) -> tuple[float, float]:
 
 
 def half_turn(rule: StepRule) -> float:
-    """Half a turn under a rule (rad): pi for arcs, 3.14159265 for turtlesim's own step."""
+    """Half a turn (rad) in a step rule: pi for arcs, 3.14159265 for turtlesim's own step."""
     return _HALF_TURN[rule]
 
 
@@ -206,10 +207,10 @@ def wrap(theta: float, half: float) -> float:
 
 
 class Handful:
-    """A few turtles in plain floats; below about ten that is faster than arrays.
+    """A few turtles in plain floats, which is faster than arrays for fewer than about ten turtles.
 
     Args:
-        places: Where they stand, by index.
+        places: Where the turtles stand, by index.
         rule: How a step turns speeds into motion.
     """
 
@@ -222,21 +223,21 @@ class Handful:
         return len(self._turtles)
 
     def drive(self, commands: Mapping[int, Command], tick: int) -> None:
-        """Take up commands by index; each lasts from this tick on for ``COMMAND_TICKS``."""
+        """Take up commands by index. Each lasts for ``COMMAND_TICKS``, from this tick on."""
         for index, command in commands.items():
             self._turtles[index].take_up(command, self._rule, tick + COMMAND_TICKS)
 
     def drive_all(self, speeds: npt.NDArray[np.float64], tick: int) -> None:
-        """Take up one command for each turtle: an array of shape (3, N), rows as in `Command`."""
+        """Take up a command per turtle: an array of shape (3, N), with rows as in `Command`."""
         self.drive(dict(enumerate(map(Command, *speeds.tolist()))), tick)
 
     def place(self, index: int, place: Place) -> None:
-        """Put a turtle somewhere; the next step wraps its angle and brings it inside the walls."""
+        """Put a turtle at a place. The next step wraps its angle and brings it inside the walls."""
         turtle = self._turtles[index]
         turtle.x, turtle.depth, turtle.theta = place
 
     def insert(self, index: int, place: Place) -> None:
-        """Insert a turtle at rest at this index; otherwise like `place`."""
+        """Insert a turtle at rest at this index. Otherwise this works like `place`."""
         self._turtles.insert(index, _Turtle(place))
 
     def remove(self, index: int) -> None:
@@ -254,11 +255,11 @@ class Handful:
         return columns or [()] * len(State._fields)
 
     def places(self) -> Sequence[complex]:
-        """Where all turtles are, as ``x + 1j * depth``; a copy."""
+        """A copy of the places of all turtles, as ``x + 1j * depth``."""
         return [complex(turtle.x, turtle.depth) for turtle in self._turtles]
 
     def orders(self) -> list[tuple[State, int]]:
-        """Each turtle's state, and the tick in which its command is too old; `NEVER` if none."""
+        """Each turtle's state, and the tick in which its command expires (`NEVER` without one)."""
         return [(self.state(index), each.expires) for index, each in enumerate(self._turtles)]
 
     def step(self, tick: int) -> Hits:
@@ -288,12 +289,12 @@ class Handful:
 
 
 class _Turtle:
-    """One turtle: its place, its command, and what each step needs of it.
+    """One turtle: its place, its command, and the values that each step needs.
 
     Attributes:
         turn: How far it turns in a step (rad).
-        lag: As `chord` gives it (rad).
-        length: As `chord` gives it (s).
+        lag: The first value of `chord` (rad).
+        length: The second value of `chord` (s).
         expires: The tick in which its command is too old.
     """
 

@@ -1,8 +1,8 @@
-"""A picture of a world: the drawing and the turtles on it, as SVG and as PNG.
+"""Makes pictures of a world as SVG and PNG: the drawing, and the turtles on it.
 
-500×500 pixels, like turtlesim's window. A turtle is seen from above and looks along its heading; it
-has the size of turtlesim's pictures of turtles, 45 pixels. Its colours follow from its name, so
-they are the same in every picture. All functions are pure.
+A picture has 500×500 pixels, like turtlesim's window. A turtle is seen from above and looks along
+its heading; it has the size of turtlesim's pictures of turtles, 45 pixels. Its colours follow from
+its name, so they are the same in every picture. All functions are pure.
 
 Source: W3C, Scalable Vector Graphics 2; W3C, Portable Network Graphics, third edition.
 """
@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 BACKGROUND: Final = Colour(69, 86, 255)
-"""turtlesim's background, unless its parameters change it."""
+"""The background of turtlesim, unless its parameters change it."""
 
 HUES: Final = (145, 38, 340, 175, 15, 80, 295, 55)
 """The hues of turtles (degrees); none is the blue of the background."""
@@ -62,7 +62,7 @@ class Shades(NamedTuple):
 def shades_of(name: str) -> Shades:
     """The colours of a turtle: ``turtle1`` is green, ``turtle2`` orange, and so on.
 
-    A name without a number has one of the same colours.
+    A turtle whose name has no number gets one of the same colours.
     """
     number = re.search(r"[0-9]+$", name)
     index = int(number[0]) - 1 if number else zlib.crc32(name.encode())
@@ -84,7 +84,8 @@ class Snapshot(NamedTuple):
     Attributes:
         background: The colour where nothing was drawn.
         pixels: The drawing, as `Drawing.pixels` gives it.
-        base: The part of the drawing that the polylines leave out, in the same form, or None.
+        base: The part of the drawing that the polylines leave out, in the same form as ``pixels``,
+            or None.
         polylines: The rest of the drawing.
         turtles: The turtles, in the order in which they are painted.
     """
@@ -97,9 +98,9 @@ class Snapshot(NamedTuple):
 
 
 def to_svg(snapshot: Snapshot) -> str:
-    """A picture that scales: polylines, and an image of everything kept only as pixels.
+    """Draw a picture that scales: polylines, and an image of everything kept only as pixels.
 
-    A polyline covers those that began before it.
+    A polyline covers the polylines that began before it.
     """
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{SIZE}" height="{SIZE}"'
@@ -126,7 +127,7 @@ def to_svg(snapshot: Snapshot) -> str:
 
 
 def to_png(snapshot: Snapshot) -> bytes:
-    """A picture whose drawing equals turtlesim's window pixel by pixel."""
+    """Draw a picture in which each pixel of the drawing equals turtlesim's window."""
     import numpy as np
 
     layers = np.frombuffer(snapshot.pixels, np.uint8).reshape(SIZE, SIZE, 4)
@@ -143,7 +144,8 @@ def to_png(snapshot: Snapshot) -> bytes:
 def thumbnail(pixels: bytes, width: int, height: int) -> list[list[Colour | None]]:
     """A drawing in fewer pixels, row by row from the top; None where nothing was drawn.
 
-    A pixel gets a colour that was drawn there. Of several colours, it gets the one with most blue.
+    A pixel gets a colour that was drawn there. If several colours were drawn there, it gets the one
+    with most blue.
 
     Args:
         pixels: The drawing, as `Drawing.pixels` gives it.
@@ -169,7 +171,7 @@ def svg_shades(name: str) -> str:
 
 
 class _Part(NamedTuple):
-    """A part of a turtle at 0 that looks to the right: the name of its shade, and its outline."""
+    """The shade and outline of a part of a turtle that is at 0 and looks to the right."""
 
     shade: str
     outline: tuple[complex, ...]
@@ -202,7 +204,7 @@ _PARTS: Final = (
     _Part("skin", _ellipse(0.0, 0.14 + _LINE / 2, 0.12 + _LINE / 2)),
     _Part("shell", _ellipse(0.0, 0.14 - _LINE / 2, 0.12 - _LINE / 2)),
 )
-"""From the lowest to the topmost: head, legs, tail, eyes, and the shell with its plates."""
+"""The parts of a turtle, from the lowest to the topmost: head, legs, tail, eyes, and the shell."""
 
 _SVG_FILLS: Final = {"skin": "", "shell": ' fill="currentColor"', "eye": ' fill="#111"'}
 
@@ -212,7 +214,7 @@ def _svg_points(points: Sequence[complex]) -> str:
 
 
 def _short(number: float) -> str:
-    """A hundredth of a pixel is more than enough."""
+    """A number with two decimals: a hundredth of a pixel is more than enough."""
     return f"{number:.2f}".rstrip("0").rstrip(".")
 
 
@@ -251,7 +253,7 @@ def _shown(start: int, length: int) -> slice:
 
 
 def _png(pixels: bytes, *, channels: int) -> bytes:
-    """A PNG of rows of red, green, blue and, of four channels, alpha."""
+    """A PNG of rows of red, green, blue and, if there are four channels, alpha."""
     stride = SIZE * channels
     rows = (b"\0" + pixels[at : at + stride] for at in range(0, len(pixels), stride))  # no filter
     colour_type = {3: 2, 4: 6}[channels]

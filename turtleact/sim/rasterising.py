@@ -1,4 +1,4 @@
-"""The lines of a fleet as arrays: joined while they are straight, then turned into pixels.
+"""Draws the lines of a fleet as arrays: joins them while they are straight, then sets pixels.
 
 `Runs` joins the steps of a turtle that moves straight into one line, so that a fleet does not draw
 one line per turtle and tick. `draw_lines` colours the pixels of many lines. They are exactly the
@@ -26,7 +26,7 @@ _Floats: TypeAlias = npt.NDArray[np.float64]
 _Whole: TypeAlias = npt.NDArray[np.int64]
 
 _MOST = 1024
-"""How many lines are turned into pixels together; more would only take more memory."""
+"""How many lines are turned into pixels together. A higher number would only take more memory."""
 
 
 class Runs:

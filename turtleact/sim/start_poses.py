@@ -1,15 +1,16 @@
-"""Places for turtles: at the start, after a spawn, after a teleport.
+"""Where turtles stand at the start, after a spawn, and after a teleport.
 
-Turtles that a world begins with are put in one of `PLACINGS`:
+The first turtles of a world are placed in one of the ways in `PLACINGS`:
 
-- ``random``: the first in the middle, looking along x, the others evenly spread over the square,
-  each in a place and heading that follow from its number and the seed alone;
-- ``grid``: in rows from the lower left, as many to a row as there are rows, all looking along x;
-- ``ring``: on a circle around the middle, counterclockwise from its right, each looking ahead along
-  it.
+- ``random``: the first turtle in the middle, looking along x, and the others spread evenly over the
+square. The place and heading of each depend only on its number and the seed;
+- ``grid``: in rows from the lower left, with as many turtles in a row as there are rows, all
+looking along x;
+- ``ring``: on a circle around the middle, counterclockwise from the right, each turtle looking
+along the circle.
 
-All keep a metre from the walls. Numbers that come from messages are rounded to float32, as
-turtlesim has them. This module knows no ROS and no clock; all randomness comes from a seed.
+All turtles keep a metre from the walls. Numbers from messages are rounded to float32, as in
+turtlesim. This module knows no ROS and no clock; all randomness comes from a seed.
 
 Source: turtlesim 1.8.2, ``TurtleFrame::spawnTurtle`` and ``Turtle::update``.
 """
@@ -51,7 +52,7 @@ class Teleport(Protocol):
     """A request to put a turtle somewhere else."""
 
     def place_after(self, state: State) -> Place:
-        """Where the turtle is then."""
+        """Where the turtle is after the teleport."""
 
     def _asdict(self) -> dict[str, float]: ...
 
@@ -69,12 +70,12 @@ class Absolute(NamedTuple):
         return cls(*array("f", (x, y, theta)))
 
     def place_after(self, state: State) -> Place:  # noqa: ARG002  # wherever it was
-        """Where the turtle is then."""
+        """Where the turtle is after the teleport."""
         return Place(self.x, max(0.0, SIDE - self.y), self.theta)
 
 
 class Relative(NamedTuple):
-    """A teleport by a turn (rad) and a way along the new heading (m)."""
+    """A teleport that turns by an angle (rad) and then moves along the new heading (m)."""
 
     linear: float
     angular: float
@@ -85,7 +86,7 @@ class Relative(NamedTuple):
         return cls(*array("f", (linear, angular)))
 
     def place_after(self, state: State) -> Place:
-        """Where the turtle is then."""
+        """Where the turtle is after the teleport."""
         theta = state.theta + self.angular
         x = state.x + math.cos(theta) * self.linear
         return Place(x, state.depth - math.sin(theta) * self.linear, theta)
@@ -105,18 +106,18 @@ class Spawn(NamedTuple):
 
     @property
     def place(self) -> Place:
-        """Where the turtle is; its depth is worked out in float32, too."""
+        """Where the turtle is. Its depth is computed in float32, too."""
         (depth,) = array("f", (SIDE - self.y,))
         return Place(self.x, depth, self.theta)
 
 
 def starts(count: int, placing: str = "random", seed: int = 0) -> list[Place]:
-    """Where the turtles of a world start, by their numbers from 1 on.
+    """Where the turtles of a world start, in the order of their numbers from 1 on.
 
     Args:
         count: How many turtles there are; a single one always starts in the middle.
         placing: One of `PLACINGS`.
-        seed: Shifts all turtles except the first, if they are placed at random.
+        seed: Changes the places of all turtles except the first, if ``placing`` is ``random``.
 
     Raises:
         SimError: if there is no such placing.
@@ -144,7 +145,7 @@ def _on_ring(index: int, count: int) -> Place:
 
 
 def _spread(number: int, seed: int) -> Place:
-    """The place of one turtle of a sequence that fills the square evenly, however long it gets.
+    """The place of one turtle in a sequence of places that fills the square evenly at any length.
 
     Source: Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, R3.
     """
@@ -167,7 +168,7 @@ def check_finite(turtle: str, **numbers: float) -> None:
     """Check numbers that a user gives for a turtle, each under its name.
 
     Raises:
-        SimError: for the first that is not finite.
+        SimError: if a number is not finite. The error names the first such number.
     """
     for what, value in numbers.items():
         if not math.isfinite(value):

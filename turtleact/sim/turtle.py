@@ -1,11 +1,12 @@
-"""One turtle as others see it: its topics, its services and its action.
+"""One turtle as nodes of ROS see it: its topics, its services and its action.
 
 - ``<turtle>/cmd_vel`` (geometry_msgs/msg/Twist), taken up at the next tick;
 - ``<turtle>/pose`` (turtlesim/msg/Pose) and ``<turtle>/color_sensor`` (turtlesim/msg/Color),
-  published after each tick to those who read them;
+  published after each tick if somebody subscribes to them;
 - ``<turtle>/set_pen``, ``<turtle>/teleport_absolute`` and ``<turtle>/teleport_relative``;
-- ``<turtle>/rotate_absolute``, one goal at a time; `Rotation` is turtlesim's controller of it, pure
-  and called once a tick. Where turtlesim rounds to float32, so does this.
+- ``<turtle>/rotate_absolute``, one goal at a time; `Rotation` is turtlesim's controller for such a
+goal, a pure class that is called once in each tick. This module rounds to float32 wherever
+turtlesim does.
 
 This module knows no clock: `turtlesim` calls it at each tick.
 
@@ -66,10 +67,10 @@ class Habitat(NamedTuple):
     """What all turtles of a world share.
 
     Attributes:
-        node: The node of their topics, services and actions.
+        node: The node that opens their topics, services and actions.
         world: The world they are in.
         pens: Their pens.
-        on_work: Called with a turtle that has something to take up at the next tick.
+        on_work: Called with a turtle that has received a command or goal for the next tick.
         on_read: Called with a turtle when the first reader of its pose or colour comes, or the
             last one goes.
     """
@@ -82,22 +83,22 @@ class Habitat(NamedTuple):
 
 
 class Turtle:
-    """The topics, services and the action of a turtle in a world; open as soon as made.
+    """The topics, services and the action of a turtle in a world, which are open from the start.
 
     Args:
-        name: Its name, by which the world knows it.
-        habitat: What it shares with the others.
+        name: The turtle's name in the world.
+        habitat: What the turtle shares with the other turtles.
         on_demand: Whether other processes see it only when they ask for it; see `Node`.
 
     Raises:
-        InvalidName: if topics cannot have this name; nothing is open then.
+        InvalidName: if topics cannot have this name. Nothing is open then.
 
     Attributes:
         name: Its name.
         commands: The commands it has received but not used yet.
         poses: Where its pose is published.
         colours: Where the colour under it is published.
-        turn: Its ``rotate_absolute`` goal that runs, if there is one.
+        turn: The ``rotate_absolute`` goal that is running, if there is one.
     """
 
     def __init__(self, name: str, habitat: Habitat, *, on_demand: bool = False) -> None:
@@ -131,7 +132,7 @@ class Turtle:
         )
 
     def leave(self, reason: str) -> None:
-        """Note that the turtle is gone: goals end ABORTED for this reason, requests do nothing.
+        """Note that the turtle is gone: its goals end ABORTED for ``reason``, requests do nothing.
 
         Call this as soon as the world has forgotten the turtle; `aclose` may take a while.
         """
@@ -142,7 +143,7 @@ class Turtle:
             self.turn = None
 
     async def aclose(self) -> None:
-        """Close all of it."""
+        """Close the turtle's topics, services and action."""
         for each in (*self._opened, self._rotations):
             await each.aclose()
 
@@ -153,7 +154,7 @@ class Turtle:
             self._on_read(self)
 
     def take_up(self, twist: Twist) -> None:
-        """Take up a command; it ends a rotation that began before the command."""
+        """Take up a command. The command aborts a rotation that began before it."""
         try:
             self._world.set_velocity(self.name, twist.linear.x, twist.linear.y, twist.angular.z)
         except SimError as error:
@@ -250,10 +251,10 @@ class Turtle:
 
 
 class _Turn:
-    """A goal of ``rotate_absolute`` that runs.
+    """A goal of ``rotate_absolute`` that is running.
 
     Attributes:
-        ended: Set at its end.
+        ended: Set when the goal ends.
         is_held: Whether the goal is paused.
     """
 
@@ -281,7 +282,7 @@ class _Turn:
         return self.result
 
     def tick(self, theta: float) -> float | None:
-        """Return the turn rate, and publish what remains; None if the heading is reached."""
+        """Publish the remaining turn; return the turn rate, or None if the heading is reached."""
         omega = self._rotation.tick(theta)
         self._handle.publish_feedback(RotateAbsolute.Feedback(self._rotation.remaining))
         if omega is None:
@@ -314,9 +315,9 @@ class Rotation:
         self._start = theta
 
     def tick(self, theta: float) -> float | None:
-        """How to turn in a tick that begins with this heading (rad).
+        """How fast to turn in a tick that begins with this heading (rad).
 
-        Exactly opposite turns right.
+        If the target is exactly opposite, the turtle turns right.
 
         Returns:
             The turn rate (rad/s), or None if the heading is reached and the turtle must stand

@@ -1,9 +1,9 @@
-"""The world as a node: it ticks, turtles come and go, and their drawing is visible.
+"""Runs the world on a node: it ticks, turtles come and go, and others can see their drawing.
 
 The world has the services ``spawn``, ``kill``, ``clear`` and ``reset``, and the parameters
-``background_r``, ``background_g``, ``background_b`` and ``holonomic``. `turtle` has the topics and
-services of each turtle, `world_services` those for time, poses and pictures. Only these two modules
-and this one know ROS and a clock.
+``background_r``, ``background_g``, ``background_b`` and ``holonomic``. The module `turtle` has the
+topics and services of each turtle, and `world_services` has those for time, poses and pictures.
+Only these three modules know ROS and a clock.
 
 Where turtlesim would exit (a turtle with an invalid name) or turn forever (numbers that are not
 finite), this logs a message and goes on.
@@ -46,7 +46,7 @@ __all__ = ["Turtlesim"]
 logger = logging.getLogger("turtleact.turtlesim")
 
 MOST_SHOWN: Final = 100
-"""Other processes see so many turtles from the start, and the rest on demand.
+"""Other processes see this many turtles from the start, and more turtles only on demand.
 
 The limit counts a fleet's first turtles and the spawned ones.
 """
@@ -56,14 +56,15 @@ class Turtlesim:
     """A world on a node; it ticks from its creation until it is closed.
 
     The ticks follow an absolute schedule of the node's clock, 16 ms apart, so they do not drift.
-    While the world is paused, that clock stands still, and so does everything that waits on it.
+    While the world is paused, that clock stands still, and everything that waits on the clock waits
+    longer.
 
     Args:
-        node: Where its topics and services are opened, and whose clock it follows.
+        node: The node that opens the topics and services. The world follows the clock of this node.
         world: The turtles.
-        beside: The node for features that the real turtlesim lacks: time, all poses in one
-            message, pictures. If left out, none of that is served.
-        is_paused: Whether it begins with a pause, after its first tick.
+        beside: The node for features that the real turtlesim lacks: time, all poses in one message,
+            pictures. If left out, none of these features is served.
+        is_paused: Whether the world is paused after its first tick.
     """
 
     def __init__(
@@ -93,7 +94,7 @@ class Turtlesim:
         node.service(Kill, "kill", self._kill)
         node.service(Empty, "clear", self._clear)
         node.service(Empty, "reset", self._reset)
-        self.tick()  # tick once now, so that the world is a tick old before anybody can send a goal
+        self.tick()  # tick now, so that the world is a tick old before anybody can send a goal
         self._ticking = Ticking(node.clock, self.tick, is_paused=is_paused)
         if beside is not None:
             Simulation(beside, self._ticking, self._restart)
@@ -105,21 +106,21 @@ class Turtlesim:
         return self._ticking.is_paused
 
     def pause(self) -> None:
-        """Stop time; if it stands still already, do nothing."""
+        """Stop time. If time stands still already, this does nothing."""
         self._ticking.pause()
 
     def resume(self) -> None:
-        """Let time continue from where it stopped; does nothing if the world is not paused."""
+        """Let time continue from where it stopped. This does nothing if the world is not paused."""
         self._ticking.resume()
 
     async def step(self, ticks: int = 1) -> None:
-        """Let some ticks pass in a pause, at the pace of the clock, and wait for the last.
+        """Make some ticks in a paused world, at the pace of the clock, and wait for the last.
 
         Cancelling: no more ticks are made.
 
         Raises:
-            SimError: if the world is not paused, or is already being stepped, or ``ticks`` is
-                negative; if somebody pauses or resumes it before the last.
+            SimError: if the world is not paused or is already being stepped, if ``ticks`` is
+                negative, or if somebody pauses or resumes the world before the last tick.
         """
         await self._ticking.step(ticks)
 
@@ -146,11 +147,11 @@ class Turtlesim:
         return thumbnail(self._pens.drawing.pixels(), width, height)
 
     async def aclose(self) -> None:
-        """Stop ticking."""
+        """Stop the ticks of the world."""
         await self._ticking.aclose()
 
     def tick(self) -> None:
-        """Let one tick pass now; the schedule calls this every 16 ms."""
+        """Make one tick now. The schedule calls this every 16 ms."""
         world = self._world
         busy = list(self._busy)
         self._busy.clear()
@@ -196,7 +197,7 @@ class Turtlesim:
         self._read.clear()
 
     def _tell_poses(self) -> None:
-        """Publish the poses after a tick, except those whose readers have just gone."""
+        """Publish the poses after a tick, except those that have just lost their last reader."""
         if len(self._told) > FEW:
             # Column by column: a list for each turtle would call the garbage collector.
             x, y, theta, linear, angular = self._world.poses().T.tolist()
@@ -275,7 +276,7 @@ class Turtlesim:
         await self._begin_anew(self._world.restart)
 
     async def _begin_anew(self, begin: Callable[[], None]) -> None:
-        """Remove all turtles, let the world make new ones, and serve those."""
+        """Remove all turtles, let the world make new ones, and serve the new ones."""
         async with self._roster:
             logger.info("Resetting turtlesim.")
             # The order matters: the old turtles must not be known any more when they are closed, as
@@ -289,7 +290,7 @@ class Turtlesim:
             self._welcome_all()
 
     async def _part_with(self, turtles: list[Turtle]) -> None:
-        """Close turtles side by side: each may wait for the clean-up of a goal."""
+        """Close turtles at the same time, because each may wait for the clean-up of a goal."""
         self._is_roster_new = True
         for turtle in turtles:
             self._busy.pop(turtle, None)

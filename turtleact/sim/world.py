@@ -1,8 +1,8 @@
-"""The world: turtles by name that come and go, commands, teleports, and one step for all of them.
+"""The world: moves its turtles step by step, with their commands, teleports, spawns and ends.
 
-A tick first takes up what was asked for since the last one: the newest command of each turtle,
-then its teleports in order. Then each turtle, in name order, forgets a command that is too old,
-turns, moves, and is stopped by the walls. The same calls give the same run to the last bit.
+A tick first takes up the requests since the last tick: the newest command of each turtle, then its
+teleports in order. Then each turtle, in name order, forgets a command that is too old, turns,
+moves, and is stopped by the walls. The same calls give the same run to the last bit.
 
 This module knows no ROS and no clock: simulated time is the number of ticks times ``DT``, and the
 caller of `World.step` decides how fast it passes. All randomness comes from a seed.
@@ -42,14 +42,14 @@ if TYPE_CHECKING:
 __all__ = ["FEW", "Names", "Pose", "World"]
 
 FEW = 16
-"""Up to this many turtles are stepped in plain floats, which saves the import of numpy (0.1 s)."""
+"""Up to this many turtles are moved in plain floats, which saves the import of numpy (0.1 s)."""
 
 
 class Pose(NamedTuple):
     """The pose of a turtle as turtlesim publishes it, rounded to float32.
 
-    x and y are in [0, SIDE] (m), y counted from the lower edge; theta is in [-pi, pi) (rad), except
-    for the rounding; linear_velocity (m/s) is never negative; angular_velocity is in rad/s.
+    x and y (m) are in [0, SIDE], and y counts from the lower edge. theta (rad) is in [-pi, pi),
+    except for the rounding. linear_velocity (m/s) is never negative. angular_velocity is in rad/s.
     """
 
     x: float
@@ -60,29 +60,30 @@ class Pose(NamedTuple):
 
 
 class World:
-    """Turtles in a square, moved step by step.
+    """Turtles in a square. Each step moves them all.
 
     ``turtle1`` starts in the middle and looks along x, as in turtlesim. The seed spreads
     all others over the square, unless `placing` says otherwise.
 
-    Up to 16 turtles are stepped in plain floats, with turtlesim's own bits; more as arrays, where
-    places on a curve may differ by 1e-13 m (`turtleact.sim.fleet`).
+    Up to 16 turtles are moved in plain floats, and equal turtlesim's to the last bit. More turtles
+    are moved as arrays, and their places on a curve may differ by 1e-13 m (`turtleact.sim.fleet`).
 
     Args:
         turtles: How many turtles there are, at least one: ``turtle1``, ``turtle2``, …
-        seed: Chooses where all but the first start, if they are spread at random.
+        seed: Determines where all turtles except the first start, if they are placed at random.
         placing: ``"random"``, ``"grid"`` or ``"ring"``.
-        holonomic: Whether turtles can move sideways; if not, ``vy`` is ignored, as in turtlesim.
+        holonomic: Whether turtles can move sideways. If not, ``vy`` is ignored, as in turtlesim.
         rule: How a step turns speeds into motion.
         collide: Whether turtles stop each other (`turtleact.sim.fleet`).
 
     Attributes:
-        holonomic: As above; it may be changed at any time, and applies to later commands.
+        holonomic: The argument ``holonomic``. You may change it at any time; it applies to later
+            commands.
         on_jump: Called with a turtle's name and its places ``x + 1j * depth`` (m) before and after
             each teleport that is made.
 
     Raises:
-        SimError: if there would be no turtle, or there is no such placing.
+        SimError: if ``turtles`` is below 1, or ``placing`` is unknown.
 
     Example:
         >>> world = World()
@@ -127,18 +128,18 @@ class World:
 
     @property
     def tick(self) -> int:
-        """Steps made so far."""
+        """The number of steps made so far."""
         return self._tick
 
     @property
     def time(self) -> float:
-        """Simulated time (s)."""
+        """The simulated time (s)."""
         return self._tick * DT
 
     def set_velocity(
         self, turtle: str | int, vx: float, vy: float = 0.0, omega: float = 0.0
     ) -> None:
-        """Command a turtle from the next step on; this replaces an earlier command.
+        """Command a turtle from the next step on. The command replaces an earlier one.
 
         The command moves the turtle in that step and 62 more, unless another one follows.
 
@@ -146,7 +147,7 @@ class World:
             turtle: Its name or index.
             vx: Speed ahead (m/s).
             vy: Speed to the left (m/s); ignored unless the world is holonomic.
-            omega: Turning to the left (rad/s).
+            omega: Turn rate to the left (rad/s).
 
         Raises:
             SimError: if there is no such turtle, or a speed is not finite.
@@ -164,11 +165,11 @@ class World:
 
         Args:
             vx: Speeds ahead (m/s): N numbers by index, or one for all.
-            vy: Speeds to the left (m/s), likewise.
-            omega: Turning to the left (rad/s), likewise.
+            vy: Speeds to the left (m/s), in the same form.
+            omega: Turn rates to the left (rad/s), in the same form.
 
         Raises:
-            SimError: if a speed is not finite, or there are not N of them.
+            SimError: if a speed is not finite, or an array does not have N speeds.
         """
         import numpy as np
 
@@ -188,12 +189,12 @@ class World:
         self._is_asked = True
 
     def teleport_absolute(self, turtle: str | int, x: float, y: float, theta: float) -> None:
-        """Put a turtle somewhere at the next step; the walls bring it back from outside.
+        """Put a turtle at a place in the next step. From a place outside, the walls bring it back.
 
         Args:
             turtle: Its name or index.
-            x: Distance from the left edge (m); like the other numbers, rounded to float32.
-            y: From the lower edge (m).
+            x: Distance from the left edge (m). All three numbers are rounded to float32.
+            y: Distance from the lower edge (m).
             theta: Its new heading (rad), any angle.
 
         Raises:
@@ -202,11 +203,11 @@ class World:
         self._teleport(turtle, Absolute.of(x, y, theta))
 
     def teleport_relative(self, turtle: str | int, linear: float, angular: float) -> None:
-        """Turn a turtle, then put it ahead along its new heading, at the next step.
+        """In the next step, turn a turtle and then put it ahead along its new heading.
 
         Args:
             turtle: Its name or index.
-            linear: How far ahead (m); rounded to float32, as is the angle.
+            linear: How far ahead (m). Both numbers are rounded to float32.
             angular: How far to turn to the left (rad).
 
         Raises:
@@ -215,16 +216,17 @@ class World:
         self._teleport(turtle, Relative.of(linear, angular))
 
     def spawn(self, x: float, y: float, theta: float, name: str = "") -> str:
-        """Put a new turtle into the world; its first step brings it back from outside.
+        """Put a new turtle into the world. From a place outside, its first step brings it back.
 
         Args:
-            x: Distance from the left edge (m); like the other numbers, rounded to float32.
-            y: From the lower edge (m).
+            x: Distance from the left edge (m). All three numbers are rounded to float32.
+            y: Distance from the lower edge (m).
             theta: Its heading (rad), any angle.
-            name: Its name; the next free ``turtle1``, ``turtle2``, … if empty.
+            name: The turtle's name. If empty, it is the first free name of ``turtle1``,
+                ``turtle2``, …
 
         Returns:
-            Its name.
+            The turtle's name.
 
         Raises:
             SimError: if there is a turtle of that name, or a number is not finite in float32.
@@ -252,7 +254,10 @@ class World:
         self._turtles = _fitting(self._turtles, self._rule)
 
     def reset(self) -> None:
-        """Replace all turtles by ``turtle1`` at the start; names begin again, time continues."""
+        """Replace all turtles by ``turtle1`` at the start.
+
+        Names are counted from 1 again; time continues.
+        """
         self._begin({"turtle1": MIDDLE})
 
     def restart(self) -> None:
@@ -262,13 +267,13 @@ class World:
     def take_up(self) -> None:
         """Take up commands and teleports now, as the next step would.
 
-        Later ones wait for that step.
+        Commands and teleports that come later wait for that step.
         """
         if self._is_asked:
             self._take_up()
 
     def step(self) -> Hits:
-        """Let one tick pass.
+        """Make one tick.
 
         Returns:
             The turtles that were stopped by a wall in this tick, and where it caught them.
@@ -374,7 +379,7 @@ class World:
 
 
 class Names:
-    """The names of the existing turtles.
+    """The names of the turtles that exist.
 
     Args:
         names: The first names, in any order; the numbers of new names continue after them.
@@ -443,7 +448,7 @@ def _turtles(places: list[Place], rule: StepRule) -> Turtles:
 
 
 def _fitting(turtles: Turtles, rule: StepRule) -> Turtles:
-    """Return the same turtles in the form that suits their number, if it has changed."""
+    """Return the same turtles as `Handful` or ``Fleet``, whichever is better for their number."""
     if (len(turtles) <= FEW) == isinstance(turtles, Handful):
         return turtles
     orders = turtles.orders()

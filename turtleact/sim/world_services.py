@@ -1,8 +1,8 @@
-"""What a world offers beyond turtlesim: time that can be paused and stepped, all poses, pictures.
+"""Services beyond turtlesim: pause and step time, read all poses at once, take pictures.
 
 - `Ticking` makes the ticks, 16 ms apart on an absolute schedule. While the world is paused, the
-  clock stands still: code that waits by it misses no tick, and the schedule continues after the
-  pause.
+  clock stands still: code that waits on the clock misses no tick, and the schedule continues after
+  the pause.
 - `Simulation` serves time as other simulators do: ``~/get_simulator_features``,
   ``~/get_simulation_state``, ``~/set_simulation_state``, ``~/step_simulation`` and
   ``~/reset_simulation``, and the action ``~/simulate_steps``.
@@ -10,7 +10,7 @@
   would take longer than a tick, and ``geometry_msgs/msg/PoseArray`` has no names.
 - `Pictures` serves ``~/snapshot``; `pictures` makes the picture, in a thread.
 
-Source: simulation_interfaces 2.1.0; Gazebo for the names, which are below the node's name there,
+Source: simulation_interfaces 2.1.0; Gazebo for the names, which begin with the node's name there,
 too.
 """
 
@@ -64,7 +64,7 @@ __all__ = [
 ]
 
 MOST_BEHIND: Final = 1.0
-"""Ticks that are more than this (s) behind their clock are skipped."""
+"""Ticks are skipped if they are more than this (s) behind their clock."""
 
 FEATURES: Final = (
     SimulatorFeatures.SIMULATION_RESET,
@@ -75,7 +75,7 @@ FEATURES: Final = (
     SimulatorFeatures.STEP_SIMULATION_MULTIPLE,
     SimulatorFeatures.STEP_SIMULATION_ACTION,
 )
-"""The features of the standard that the world has."""
+"""The features of simulation_interfaces that the world has."""
 
 _OK: Final = SimulationResult(SimulationResult.RESULT_OK)
 _STATES: Final = {
@@ -101,7 +101,7 @@ class Ticking:
         is_paused: Whether it starts paused.
 
     Attributes:
-        is_paused: Whether there are no ticks, except for those of `step`.
+        is_paused: Whether the only ticks are those of `step`.
     """
 
     def __init__(self, clock: Clock, tick: Callable[[], None], *, is_paused: bool = False) -> None:
@@ -122,7 +122,7 @@ class Ticking:
         return self._step is not None
 
     def pause(self) -> None:
-        """Make no tick until `resume`, and stop the clock; a `step` that is under way ends now."""
+        """Make no tick until `resume`, and stop the clock. A `step` that is under way ends now."""
         now = self._clock.time()
         self._clock.stop_at(now)
         # A tick that is late now would come at once after the pause, as if time had passed during
@@ -132,20 +132,20 @@ class Ticking:
         self.is_paused = True
 
     def resume(self) -> None:
-        """Continue, with the clock; a `step` that is under way ends now."""
+        """Let ticks and clock continue. A `step` that is under way ends now."""
         self._end_step("resumed")
         self.is_paused = False
         self._clock.stop_at(math.inf)
         self._changed.fire()
 
     async def step(self, ticks: int = 1, on_tick: Callable[[], None] | None = None) -> None:
-        """Let some ticks pass in a pause, at the pace of the clock, and wait for the last.
+        """Make some ticks during a pause, at the pace of the clock, and wait for the last.
 
         Cancelling: no more ticks are made.
 
         Args:
-            ticks: How many, 0 or more.
-            on_tick: Called after each.
+            ticks: How many ticks to make, 0 or more.
+            on_tick: Called after each tick.
 
         Raises:
             SimError: if the world is not paused or already being stepped, if ``ticks`` is negative,
@@ -179,13 +179,13 @@ class Ticking:
             raise SimError(f"the world was {step.how} after {made}: pause it, then step again")
 
     async def aclose(self) -> None:
-        """Make no more ticks; the clock continues."""
+        """Make no more ticks. The clock continues."""
         await self._running.aclose()
         self._end_step("closed")
         self._clock.stop_at(math.inf)
 
     def _due(self, later: int = 0) -> float:
-        """When the next tick is due, or a later one."""
+        """When the next tick is due, or a tick ``later`` ticks after it."""
         return self._start + (self._count + later) * DT
 
     async def _run(self) -> None:
@@ -220,10 +220,10 @@ class Ticking:
 
 
 class Simulation:
-    """The services of a world's time; open as long as the node.
+    """The services of a world's time. They are open as long as their node.
 
     Args:
-        node: Where they are opened.
+        node: The node that opens them.
         ticking: The world's ticks.
         restart: Puts the world back to its start.
     """
@@ -326,16 +326,16 @@ class Simulation:
 
 
 class Poses(Message, type_name="turtleact_interfaces/msg/Poses"):
-    """Where all turtles of a world are after a tick, each field as in ``turtlesim/msg/Pose``.
+    """The poses of all turtles of a world after a tick. Each field is as in ``turtlesim/msg/Pose``.
 
     Attributes:
         stamp: ROS time of the tick.
         names: The turtles; the other lists have the same order.
-        x: From the left edge (m).
-        y: From the lower edge (m).
-        theta: Heading (rad).
-        linear_velocity: Speed (m/s), never negative.
-        angular_velocity: Turning to the left (rad/s).
+        x: Distances from the left edge (m).
+        y: Distances from the lower edge (m).
+        theta: Headings (rad).
+        linear_velocity: Speeds (m/s), never negative.
+        angular_velocity: Turn rates to the left (rad/s).
     """
 
     stamp: Time = field(default_factory=Time)
@@ -361,7 +361,7 @@ class TakeSnapshot(Service, type_name="turtleact_interfaces/srv/TakeSnapshot"):
     """Makes a picture of the world as it looks now."""
 
     class Request(Message):
-        """The format.
+        """Which format the picture has.
 
         Attributes:
             format: ``png`` or ``svg``.
@@ -373,8 +373,8 @@ class TakeSnapshot(Service, type_name="turtleact_interfaces/srv/TakeSnapshot"):
         """The picture.
 
         Attributes:
-            data: What is in the file; empty if there is none.
-            problem: Why there is no picture; empty if there is one.
+            data: The contents of the picture file; empty if there is no picture.
+            problem: Why there is no picture; empty if there is a picture.
         """
 
         data: bytes = b""
@@ -382,10 +382,10 @@ class TakeSnapshot(Service, type_name="turtleact_interfaces/srv/TakeSnapshot"):
 
 
 class Pictures:
-    """The service; open as long as the node.
+    """The service that takes pictures. It is open as long as its node.
 
     Args:
-        node: Where it is opened.
+        node: The node that opens it.
         look: Returns how the world looks now.
     """
 

@@ -1,4 +1,4 @@
-"""How long a tour takes: at least, whatever the law of steering; and at most, with our law.
+"""How long a tour takes: at least, with any steering law; and at most, with our law.
 
 `shortest_time` is proven for every law that keeps to a style. `time_bound` is proven for unlimited
 accelerations (`turtleact.actions.steering.law` has the proof). For limited ones it is an estimate
@@ -6,25 +6,26 @@ that no test has been able to exceed.
 
 `least_loss` is the least time that turning costs a turtle that turns while it drives. Each leg of a
 tour has a direction, in which the turtle must cover a certain distance. While its heading is off by
-an angle e, only cos(e) of its speed counts in that direction, or nothing if that is negative. In a
-tick it therefore loses 1 - cos(e) of its speed. The error changes no faster than the turn rate, so
-turning from an error e to zero loses F(e) over the turn rate. The loss of a leg depends on the
+an angle e, only cos(e) of its speed counts in that direction, or nothing if cos(e) is negative. In
+a tick it therefore loses 1 - cos(e) of its speed. The error changes no faster than the turn rate,
+so turning from an error e to zero loses F(e) over the turn rate. The loss of a leg depends on the
 errors at both ends:
 
 - If they are on different sides, it is F of both. If the leg is too short for that turn, the rest
   of the turn is added.
 - If they are on the same side, it is F of both, too. On a short leg, the turtle arrives before its
-  error is zero; what it would lose below that error is subtracted.
+  error is zero; the loss below that error is subtracted.
 
-A leg may lose more than this shows. Measured in another direction, the distance also takes a
-certain time, and for a short leg both times are similar. Short legs are therefore measured in
-several directions. For each pair of headings, the direction with the strongest bound is used. A leg
-that is left out of the length still takes at least the time of its turn.
+A leg may lose more than this shows. The distance in another direction also takes a certain time,
+and for a short leg the two times are similar. Short legs are therefore measured in several
+directions. For each pair of headings, the direction with the strongest bound is used. A leg that is
+left out of the length still takes at least the time of its turn.
 
 The heading at the end of a leg is the heading at the start of the next. All headings are tried in
 cells. Each cell counts as its best heading would, so the result is a bound however coarse the cells
 are. In this module, angles are in rad, distances in turning radii, and losses in rad of turning at
-full rate. In a tick the turtle first turns and then moves; what it may gain by that is subtracted.
+full rate. In a tick the turtle first turns and then moves, which may save it time; that gain is
+subtracted.
 
 Source: Boyd and Vandenberghe, Convex Optimization, section 5.2 (weak duality); L. S. Pontryagin et
 al., The Mathematical Theory of Optimal Processes, 1962, chapter 1: the directions are the
@@ -66,7 +67,7 @@ _TURNING: dict[Style, float] = {
 }
 _SPARE = 4  # Ticks that one target may lose to rounding up, after the turn and on arrival.
 _ROUNDS = 6  # How often the points of a tour are improved; more would hardly change the bound.
-_ANGLES = 0.5, 0.2  # Angles by which directions are turned (rad), one after the other,
+_ANGLES = 0.5, 0.2  # Directions are turned by one of these angles (rad) after the other,
 _GAIN = 1e-3  # as long as a turn raises the bound by more than this (s),
 _TUNED = 6  # in tours of at most so many targets.
 _COARSE, _FINE = 1, 3  # Cells per part while directions are turned, and for the final bound,
@@ -82,18 +83,18 @@ _ROUNDING = 1e-9  # Angles this close (rad) count as equal, so a cell may end at
 def time_bound(
     pose: Pose, targets: Sequence[Point], steering: Steering, *, theta: float | None = None
 ) -> float:
-    """Return a time (s) within which the law reaches all targets in order, the last in a heading.
+    """Return a time (s) within which the steering law is sure to have reached all targets in order.
 
     Each target counts with the time to drive to it at full speed, up to half a turn (``forward``:
-    three quarters of a turn), and four ticks. Limited accelerations triple this and
-    add the time to reach full speed, driving and turning, four times per target and once more. The
-    bound holds if every command acts for its tick and nobody else moves the turtle.
+    three quarters of a turn), and four ticks. With limited accelerations, all this is tripled. The
+    time to reach full speed, driving and turning, is then added four times for each target, and
+    once more. The bound holds if every command acts for its tick and nobody else moves the turtle.
 
     Args:
         pose: Where the turtle starts.
         targets: In order; without targets the time is 0.
         steering: The style and the limits.
-        theta: The heading (rad) at the last target; left out, any.
+        theta: The heading (rad) at the last target. If left out, any heading will do.
     """
     limits = steering.limits
     length = sum(distance(*a, *b) for a, b in pairwise([(pose[0], pose[1]), *targets]))
@@ -118,24 +119,25 @@ def shortest_time(
 ) -> float:
     """Return a time (s) that no law of the style can beat when it visits the targets in order.
 
-    The time has two parts. One is that of the shortest line through the discs of all targets. The
-    other is what the turtle must lose by turning. For styles that turn while they drive, that is
-    the least sum over all possible headings at the targets (see the module's docstring). For styles
-    that turn before they drive, it is the sum of all turns.
+    The time has two parts. One is the time along the shortest line through the discs of all
+    targets. The other is the time that the turtle must lose by turning. For styles that turn while
+    they drive, this loss is the least sum over all possible headings at the targets (see the
+    module's docstring). For styles that turn before they drive, the loss is the sum of all turns.
 
-    From rest, the time to reach full speed is also a bound, and so is the time of the turn to a
-    wanted heading.
+    The time to reach full speed from rest is also a lower bound. So is the time to turn to a wanted
+    heading.
 
-    The line need not be exact. By duality, any unit vectors prove a length: the one they measure
-    along the legs, with each point at its worst place in its disc. A vector of zero leaves out its
-    leg. If a leg is too short for its turns, the vectors are rotated until they prove no more. In
-    tours of at most six targets, such legs are also measured in several directions.
+    The line need not be exact. By duality, any unit vectors prove a lower bound of the length: what
+    they measure along the legs, with each point at its worst place in its disc. A vector of zero
+    leaves out its leg. If a leg is too short for its turns, the vectors are rotated until the bound
+    no longer rises. In tours of at most six targets, such legs are also measured in several
+    directions.
 
     Args:
         pose: Where the turtle starts, at rest.
         targets: In order; without targets the time is 0.
         steering: The style and the limits; the default ones if left out.
-        theta: The heading (rad) at the last target; left out, any.
+        theta: The heading (rad) at the last target. If left out, any heading will do.
 
     Source: Boyd and Vandenberghe, Convex Optimization, section 5.2 (weak duality).
     """
@@ -203,7 +205,8 @@ def _proven_length(
 ) -> float:
     """The least sum of unit * leg; a point's weight is the difference of the units at its sides.
 
-    It is negative if the units lead back. The loss by turning is then added to that negative sum.
+    The sum is negative if the units lead back. The loss by turning is then added to that negative
+    sum.
     """
     total = -(start * units[0].conjugate()).real
     for centre, unit, leaving in zip(centres, units, [*units[1:], 0j], strict=True):
@@ -254,8 +257,8 @@ class _Tour:
     def _better(self, units: list[complex]) -> Iterator[tuple[float, list[complex], list[float]]]:
         """Turn or drop one direction after another, as long as that proves more.
 
-        Yields after each attempt the best so far: the time (s) that it proves, the directions, and
-        the headings (rad) at the targets.
+        After each attempt, yields the best result so far: the time (s) that it proves, the
+        directions, and the headings (rad) at the targets.
         """
         known: dict[tuple[Leg, ...], list[Cell]] = {}
         best, headings = self._time(units, _COARSE, known)
@@ -311,7 +314,7 @@ class _Tour:
     ) -> tuple[float, list[float]]:
         """The least time (s), as proved in these directions, and the headings (rad) of that time.
 
-        If the tried headings need at most ``enough``, the search ends with them.
+        If the headings in ``tried`` need at most the time ``enough``, the search ends with them.
         """
         limits, driven = self._limits, self._length(units) / self._limits.max_linear
         legs = self._legs(units, views)
@@ -342,7 +345,7 @@ class _Tour:
 
 
 class View(msgspec.Struct, frozen=True):
-    """A direction (rad), and how far along it the turtle must come and can come (radii).
+    """A direction (rad), and how far the turtle must and can come in that direction (radii).
 
     The gain is how much more the way counts in this direction than in that of its leg (radii).
     """
@@ -354,7 +357,7 @@ class View(msgspec.Struct, frozen=True):
 
 
 class Leg(msgspec.Struct, frozen=True):
-    """One leg: its unit vector, and how far along it the turtle must come and can come (radii).
+    """One leg: its unit vector, and how far along it the turtle must and can come (radii).
 
     A leg that is left out of the length is only seen through its views in other directions.
     """
@@ -388,9 +391,9 @@ class Turning(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         half: The largest error there is (rad): pi, or pi / 2 if it may also drive in reverse.
         tick: How far it may turn before it moves (rad).
-        parts: Into how many cells each eighth of the largest error is cut at a corner.
+        parts: How many cells each eighth of the largest error is cut into, at a corner.
         last: The heading that is wanted at the end (rad); any if None.
-        slack: How far that may be off to either side (rad).
+        slack: How far the last heading may be off to either side (rad).
     """
 
     half: float

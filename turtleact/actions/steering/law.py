@@ -14,34 +14,37 @@ calls, so if somebody else moves the turtle, it continues from its new place. Th
   turn on the spot.
 - **Look one target ahead.** Before a turn, the turtle swings wide: a turn by an angle a costs
   a - sin(a) over the turn rate, and only a quarter of that if half of the turn is made before the
-  target. The turtle also cuts the inner side of the target's disc. Both end where the target would
-  get into the turning circle. Styles that drive forwards turn to the next target as soon as that
-  arc leads through this one. If the discs of two targets overlap, the turtle drives to a point
-  between them, if an arc leads there, or if it would have to turn round for the second.
+  target. The turtle also cuts the inner side of the target's disc. It stops doing so where the
+  target would get into the turning circle. Styles that drive forwards turn to the next target as
+  soon as the arc to that target leads through the current one. If the discs of two targets overlap,
+  the turtle may drive to a point between them. It does so if an arc leads there, or if it would
+  otherwise have to turn round for the second target.
 - **Land.** No tick turns beyond the aim or drives beyond the target. A step that would leave the
   area ends at its edge; there the turtle continues to turn.
-- **Face last.** If a heading is wanted at the target, the turtle turns to it there, on the spot.
-- **Ease.** With limited accelerations, the turtle only drives as fast as it can still stop before
-  the target and the edge of the area, and as it can turn meanwhile. While it rolls the wrong way,
+- **Face last.** If a heading is wanted at the target, the turtle turns to that heading there, on
+the spot.
+- **Ease.** With limited accelerations, the turtle slows down early enough to stop before the target
+and the edge of the area, and to finish its turn on the way. While it rolls the wrong way,
   it does not turn. It does not swing wide, and does not stop at a target before the last. It may
   leave the area by centimetres if it comes fast into a corner.
 
 `Helm` holds a command as long as the law would repeat it. Most ticks are like the one before:
 straight on, or turning at full rate. So the helm asks the law twice: for this pose, and for the
-pose to which the command leads some ticks later. If the answers are the same, it takes them to be
-the same for all ticks in between, and holds the command for them. Then it looks ahead again, twice
-as far each time, up to eight ticks. If the answers differ, the second one is used next. The helm
-checks each pose: as soon as the turtle is not where it should be, the hold ends. It holds nothing
-while commands come late, and nothing with limited accelerations, since those speeds change with
-every tick. A hold ends before the target is reached, and never leads out of the area.
+pose to which the command leads some ticks later. If the answers are the same, the helm assumes the
+same answer for all ticks in between, and holds the command for them. Then it looks ahead again,
+twice as far each time, up to eight ticks. If the answers differ, the second one is used next. The
+helm checks each pose: as soon as the turtle is not where it should be, the hold ends. The helm
+holds no command while commands come late. With limited accelerations it holds none either, because
+then the speeds change with every tick. A hold ends before the target is reached, and never leads
+out of the area.
 
 Why the turtle always arrives: let e be the angle to the target, d its distance, and R = v/omega the
 radius of the turning circle. The law drives forwards only if tan(e) <= d / R. Then e/omega + d/v,
 the time to turn on the spot and then drive, falls at least as fast as time passes, also at lower
-speeds. In the other gear it falls at least half as fast, and e falls faster than omega, so this
-ends after e/omega. Therefore a target takes at most 1.5 e/omega + d/v; `time_bound` adds room for
-swinging wide. With limited accelerations, the turtle drives at v <= omega d / (2 tan(e)) in the
-same region, and stands still elsewhere.
+speeds. In the other gear, this time falls at least half as fast. The angle e falls faster than
+omega there, so the turtle leaves that gear after e/omega. Therefore a target takes at most 1.5
+e/omega + d/v; `time_bound` adds room for swinging wide. With limited accelerations, the turtle
+drives at v <= omega d / (2 tan(e)) in the same region, and stands still elsewhere.
 
 The law assumes that a command acts in the tick after the pose was seen, and that the turtle first
 turns and then moves.
@@ -101,7 +104,7 @@ LONGEST: Final = 8
 """A command is held for at most this many ticks."""
 
 OLDEST: Final = 32
-"""After this many ticks a command is sent again, even if it is the same: it lasts one second."""
+"""After this many ticks even the same command is sent again, because a command lasts one second."""
 
 STILL: Final = (0.0, 0.0)
 """The speeds of a turtle that stands still."""
@@ -113,10 +116,10 @@ The error is computed as if the turn rates differed all the time by as much as a
 """
 
 _FOR_GOOD = 32 * LONGEST
-"""A turn that has no effect within this many ticks counts as none: poses are rounded."""
+"""A turn that shows no effect within this many ticks counts as zero, because poses are rounded."""
 
 _ROUNDING = 1e-5
-"""How far (m, rad) a turtle may be from where it should be after a tick: poses are float32."""
+"""How far (m, rad) a pose may be from the expected one after a tick, because poses are float32."""
 
 
 class Steering(msgspec.Struct, frozen=True):
@@ -149,7 +152,7 @@ class Steering(msgspec.Struct, frozen=True):
             raise InvalidMessage("style", f"'{self.style}' is none of {', '.join(get_args(Style))}")
 
     def is_reached(self, pose: Pose, target: Point, *, theta: float | None = None) -> bool:
-        """Whether the target is within the tolerance, and a heading (rad) within its own."""
+        """Whether the target is reached and, if given, the heading ``theta`` (rad)."""
         if distance(pose[0], pose[1], *target) > self.limits.tolerance:
             return False
         return theta is None or abs(wrap_angle(theta - pose[2])) <= self.limits.heading_tolerance
@@ -165,17 +168,17 @@ class Steering(msgspec.Struct, frozen=True):
     ) -> Speeds:
         """The speeds for the next tick.
 
-        At the target the turtle stops, or turns to the heading. To drive through, ask for the next
-        target instead.
+        At the target the turtle stops, or turns to the heading. To make it drive through, pass the
+        next target instead.
 
         Args:
             pose: Where the turtle is (m), and its heading (rad).
             target: Where to go.
-            next_target: Where to go after that; shapes the approach.
-            speeds: The last command. Accelerations are counted from there. If both ways round are
-                equally good, the turtle keeps turning the same way, so that it does not dither when
-                commands come late.
-            theta: The heading (rad) at the target; any if left out.
+            next_target: Where to go next. It shapes the approach to ``target``.
+            speeds: The last command. Accelerations are counted from these speeds. If both ways
+                round are equally good, the turtle keeps turning the same way, so that it does not
+                dither when commands come late.
+            theta: The heading (rad) at the target. If left out, any heading will do.
 
         Returns:
             Linear (m/s) and angular (rad/s) speed, each within its limit.
@@ -294,7 +297,7 @@ class Steering(msgspec.Struct, frozen=True):
     def _eased_speed(
         self, frame: Frame, aim: complex, area: Area, *, facing: float, is_last: bool
     ) -> float:
-        """The speed (m/s) from which it can still turn to its aim, and stop in time."""
+        """The speed (m/s) from which the turtle can still turn to its aim, and stop in time."""
         limits, seen = self.limits, frame.see(aim)
         error = phase(seen)
         if abs(error) >= facing:
@@ -320,10 +323,10 @@ class Course(NamedTuple):
 
 
 class Helm:
-    """Asks the law for a turtle's commands, and holds each as long as the law would repeat it.
+    """Asks the law for commands, and holds each command as long as the law would repeat it.
 
     Args:
-        steering: The law; its tick is the turtle's.
+        steering: The steering law. Its ``limits.dt`` is the turtle's tick.
         longest: For how many ticks a command may be held, 1 or more.
 
     Attributes:
@@ -396,7 +399,7 @@ class Helm:
         return self.left > 0
 
     def foresees(self, pose: Pose) -> bool:
-        """Whether a pose is that of the last command, or the one to which it leads in a tick."""
+        """Whether a pose is that of the last command, or the expected pose one tick later."""
         (x, y, theta), (new_x, new_y, new_theta) = self.at, pose
         along, step_x, step_y = self._stride
         if along != new_theta:  # else it goes straight on
@@ -441,7 +444,7 @@ class Helm:
         return ticks
 
     def _before(self, target: Point) -> int:
-        """For how many ticks the turtle surely does not reach the target."""
+        """The number of ticks in which the turtle cannot yet reach the target."""
         limits = self._steering.limits
         if limits.is_eased:
             return 0
@@ -468,7 +471,7 @@ class Helm:
         return abs(self._step * self._turn) * ticks * ticks / 8.0
 
     def _is_same(self, command: Speeds, ticks: int) -> bool:
-        """Whether a command is as good as the one that is held up to that pose."""
+        """Whether a command is as good as the held one, up to the pose after some ticks."""
         limits, speeds = self._steering.limits, self.speeds
         if command[0] != speeds[0] or not speeds[0]:
             return command == speeds

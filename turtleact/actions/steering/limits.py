@@ -79,7 +79,7 @@ class Area(msgspec.Struct, frozen=True):
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
-    """What a turtle may do, and how near is near enough.
+    """What a turtle may do, and how close to its targets it must come.
 
     Attributes:
         max_linear: Highest speed, forwards and backwards (m/s).
@@ -92,8 +92,8 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         area: Where the turtle stays. It leaves the area only for a target outside.
 
     Raises:
-        InvalidMessage: if a number is not above zero, or not finite where it must be, or a tick
-            turns over pi/2 rad.
+        InvalidMessage: if a number is not above zero, or not finite where it must be, or a turn at
+            full rate is over pi/2 rad in a tick.
     """
 
     max_linear: float = 2.0
@@ -157,7 +157,7 @@ def stopping_speed(room: float, acceleration: float, dt: float) -> float:
     """The highest speed for the next tick after which the turtle can still stop within some room.
 
     From a speed v, the ticks until it stops cover v dt + (v - a dt) dt + …, at most
-    (v + a dt / 2)² / 2a. A speed up to a dt ends with its tick.
+    (v + a dt / 2)² / 2a. From a speed up to a dt, the turtle stops within the tick.
 
     Args:
         room: The length or angle that it may still cover, 0 or more (m or rad).
@@ -184,7 +184,7 @@ def ramp_time(length: float, speed: float, acceleration: float) -> float:
 
     Args:
         length: 0 or more (m or rad).
-        speed: The highest, above zero (m/s or rad/s).
+        speed: The highest speed, above zero (m/s or rad/s).
         acceleration: Above zero (m/s² or rad/s²).
 
     Example:
@@ -263,7 +263,7 @@ def inside(target: complex, limits: Limits) -> tuple[Area, complex]:
 
 
 def room(area: Area, at: complex, step: complex, limits: Limits) -> float:
-    """The share of a step, 0 to 1, that stays in the area; all of it if it leads inwards."""
+    """The share of a step, 0 to 1, that stays in the area; 1 if the step leads inwards."""
     # Half the margin of the aims, so that rounding on the way to an aim does not end at the edge.
     margin = min(_MARGIN, limits.tolerance / 10) / 2
     right = area.right - margin if step.real > 0.0 else area.left + margin
@@ -286,9 +286,9 @@ def reach(area: Area, at: complex, heading: complex, limits: Limits) -> float:
 def is_clear(seen: complex, limits: Limits, *, slack: float = 0.0) -> bool:
     """Whether driving on is the shortest way to a point.
 
-    It is if the last turn is at most a quarter turn. Then the point lies outside the turning
-    circle and, if it is farther aside than the circle's centre, at least a radius ahead. A point
-    inside by up to ``slack`` (m) counts as outside.
+    Driving on is shortest if the last turn is at most a quarter turn. Then the point lies outside
+    the turning circle and, if it is farther aside than the circle's centre, at least a radius
+    ahead. A point inside by up to ``slack`` (m) counts as outside.
     """
     if seen.real >= limits.radius:
         return True
@@ -301,7 +301,7 @@ def is_clear(seen: complex, limits: Limits, *, slack: float = 0.0) -> bool:
 def approach(
     frame: Frame, target: complex, after: complex, limits: Limits, *, area: Area, sharpest: float
 ) -> complex | None:
-    """Where to aim on the way to a target before the last; None for the target itself.
+    """The point to aim at on the way to a target before the last; None for the target itself.
 
     The path consists of a line to a corner, a line from there through the inner side of the
     target's disc, and the arc that joins them. The turtle aims at the corner, as long as a tick
@@ -325,8 +325,8 @@ def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area
     """Whether to turn to the next target now: 1 to the left, -1 to the right, 0 not yet.
 
     The turtle turns if the arc leads through this target: the turning circle cuts its disc within a
-    quarter turn, before it leads to the next target. It does not if the next tick would leave the
-    area.
+    quarter turn, before it leads to the next target. It does not turn if it would leave the area in
+    the next tick.
     """
     turn = wrap_angle(phase((after - target) * frame.heading.conjugate()))
     side = math.copysign(1.0, turn)
@@ -352,6 +352,6 @@ def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
 
 
 def landing(seen: complex, limits: Limits) -> float:
-    """The share of a full step to take: all of it, or as far as the point nearest to the target."""
+    """The share of a full step to take: 1, or less to end at the point nearest to the target."""
     lands = 0.0 < seen.real < limits.step and abs(seen.imag) <= limits.tolerance
     return seen.real / limits.step if lands else 1.0

@@ -1,12 +1,13 @@
 """Converts messages to CDR, the bytes in which ROS 2 sends them, and back.
 
-Plain CDR, version 1: a header of four bytes, then each value at a multiple of its own size, counted
-from the end of the header. It is written in little endian with zeros for padding, and read in
-either byte order. Each class gets one encoder and one decoder, compiled on first use. They report
-no paths, so ``locate`` examines data that they refuse once more. Knows no endpoint.
+The form is plain CDR, version 1: a header of four bytes, then each value at a multiple of its own
+size, counted from the end of the header. Data is written in little endian with zeros for padding,
+and read in either byte order. Each class gets one encoder and one decoder, compiled on first use.
+Encoders and decoders report no paths. If a decoder refuses data, ``locate`` reads the data again to
+find the path. This package knows no endpoint.
 
-Source: OMG, Data-Distribution Service Interoperability 2.2 (RTPS), chapter 10; what ROS 2 makes of
-it is in ``rosidl_typesupport_fastrtps``.
+Source: OMG, Data-Distribution Service Interoperability 2.2 (RTPS), chapter 10; ROS 2 implements it
+in ``rosidl_typesupport_fastrtps``.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ M = TypeVar("M", bound=Message)
 
 ARRAYS = ("list", "array", "numpy")
 
-#: What an encoder raises for a value that it cannot write unchanged.
+#: The exceptions of an encoder for a value that it cannot write unchanged.
 UNFIT = (struct.error, ArithmeticError, AttributeError, TypeError, ValueError)
 
-#: What a decoder raises for bytes that it cannot read.
+#: The exceptions of a decoder for bytes that it cannot read.
 MISREAD = (struct.error, ValueError)
 
 
@@ -66,9 +67,9 @@ def decode(
 ) -> M:
     """Decode a message of this class from CDR.
 
-    The contents of padding and anything after the message are ignored, since ROS 2 leaves garbage
-    in both. Bytes that are not UTF-8 become U+FFFD. Memory and time are limited by the length of
-    the data, whatever lengths the data claims.
+    The contents of padding and anything after the message are ignored, because ROS 2 leaves garbage
+    there. Bytes that are not UTF-8 become U+FFFD. The length of the data limits the memory and time
+    that decoding takes, whatever lengths the data claims.
 
     Args:
         cls: The class.
@@ -79,7 +80,7 @@ def decode(
     Raises:
         InvalidMessage: with the path and place of the first value that is cut off, has an
             impossible length or breaks its bound.
-        InvalidOption: if ``arrays`` is not one of the three.
+        InvalidOption: if ``arrays`` is none of these three words.
 
     >>> from turtleact.interfaces.standard import Time
     >>> decode(Time, bytes.fromhex("00010000 01000000 02000000"))
@@ -120,6 +121,7 @@ def writer_behind(
 def reader_behind(cls: type[M], place: int) -> Callable[[bytes], M]:
     """Return a function that reads what `writer_behind` writes.
 
-    It raises one of `MISREAD` for bytes it cannot read, and assumes that all data is little endian.
+    The function raises one of `MISREAD` for bytes that it cannot read. It takes all data as little
+    endian.
     """
     return decoder(cls, BYTE_ORDERS[HEADER[:2]], "list", place)

@@ -2,7 +2,8 @@
 
 A decoder raises ``struct.error`` or ``ValueError`` for data it cannot read, without a path.
 ``locate`` then walks the data again, slowly, and names the place. A decoder never creates anything
-longer than the data: it compares each length with the rest, or each element takes at least a byte.
+longer than the data. It compares each length with the rest of the data, or relies on each element
+taking at least a byte.
 """
 
 from __future__ import annotations
@@ -97,8 +98,8 @@ class Reader:
     """Writes the source code of a decoder.
 
     Each method adds code that reads a value, and returns an expression for it. The expression is
-    only valid behind the code that `flush` adds, which reads the pending run: values that are read
-    in one call.
+    valid only behind the code that `flush` adds. That code reads the pending run: values that are
+    read in one call.
 
     Attributes:
         source: The code so far.
@@ -210,7 +211,7 @@ class Reader:
         self.source.add(f"{value} = [{expression} {each}]")
 
     def count(self, field_type: FieldType) -> str:
-        """Add code that reads the length of a sequence, unless it is fixed; moves ``p`` past it."""
+        """Add code that reads the length of a sequence, unless fixed, and moves ``p`` behind it."""
         if field_type.form is ArrayForm.FIXED:
             self.flush()
             self.settle()
@@ -277,7 +278,7 @@ def targets(items: list[Item]) -> str:
 
 
 def narrow(content: bytes, order: str) -> str:
-    """Decode the text of a wstring; a unit may also hold a whole character.
+    """Decode the text of a wstring. A unit of four bytes may hold half a character or a whole one.
 
     Raises:
         ValueError: if a unit is not a character.
@@ -298,14 +299,14 @@ def maker(arrays: str, order: str, code: str) -> Make:
 
 
 def as_list(order: str, code: str, content: bytes) -> list[object]:
-    """Make a list of the numbers."""
+    """Make a list of the numbers in some bytes."""
     return list(struct.unpack(f"{order}{len(content) // size_of(code)}{code}", content))
 
 
 def as_array(
     code: str, content: bytes, *, is_swapped: bool
 ) -> array.array[int] | array.array[float]:
-    """Make an array of the numbers."""
+    """Make an array of the numbers in some bytes."""
     result: array.array[int] | array.array[float] = array.array(code)
     result.frombytes(content)
     if is_swapped:
@@ -322,7 +323,7 @@ def numpy_maker(order: str, code: str) -> Make:
 
 
 def locate(cls: type[Message], data: bytes, order: str) -> None:
-    """Raise for the first error in data that a decoder of this class has refused.
+    """Raise an exception for the first error in data that a decoder of this class has refused.
 
     Args:
         cls: The class.

@@ -1,8 +1,9 @@
 """Generates the encoder of a message class as source code.
 
-An encoder accepts values of the expected Python type, or that ``struct`` accepts for it. For other
-values it raises some exception without a path. ``encode`` then asks ``conversion`` to convert the
-message or to say what is wrong. Values that ``struct`` wrongly accepts are checked here.
+An encoder accepts values of the expected Python type, and values that ``struct`` accepts in their
+place. For other values it raises some exception without a path. ``encode`` then uses
+``conversion``, which converts the message or reports the error. Values that ``struct`` wrongly
+accepts are checked here.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ def encoder(
 ) -> Callable[..., bytes]:
     """Return a function that encodes messages of this class.
 
-    Its second argument is the bytes before the message, if they are more than the header.
+    If the bytes before the message are more than the header, they are the function's second
+    argument.
 
     Args:
         cls: The class.
@@ -238,7 +240,7 @@ class Writer:
         self.places = places_in_steps(size_of(code), first) | places_after(items, self.places)
 
     def is_common(self, items: list[Item]) -> bool:
-        """Whether a run has the same padding wherever it starts, also without its last item."""
+        """Whether a run has the same padding wherever it starts, with and without its last item."""
         return all(common_run("<", each, self.places) for each in (items, items[:-1]))
 
     def rows(self, cls: type[Message], value: str, size: int) -> None:
@@ -262,7 +264,7 @@ class Writer:
             self.places = places_aligned(size, self.places)
 
     def bound(self, size: int | None, value: str) -> None:
-        """Add code that refuses a value longer than its bound."""
+        """Add code that refuses a value that is longer than its bound."""
         if size is not None:
             self.guard(f"len({value}) > {size}")
 
@@ -308,7 +310,7 @@ class Writer:
         self.source.add(f"return {'bytes(out)' if self.is_begun else self.joined()}")
 
     def joined(self) -> str:
-        """Return an expression for all pieces."""
+        """Return an expression that joins all pieces of the data so far."""
         return self.pieces[0] if len(self.pieces) == 1 else f"join(({', '.join(self.pieces)}))"
 
     def call(self, function: object, items: list[Item], index: str = "") -> str:
@@ -352,7 +354,7 @@ def octets(value: object) -> bytes:
 
 
 def truths(value: object) -> bytes:
-    """Encode the content of a sequence of bools; ``struct`` would accept anything as a bool."""
+    """Encode the content of a sequence of bools. ``struct`` would accept any object as a bool."""
     if type(value) is not list:
         return copied("?", value)
     if any(item is not True and item is not False for item in value):

@@ -1,4 +1,4 @@
-"""The places of values in CDR, and the source code of functions that read or write them.
+"""Computes where values are in CDR, and holds the source code of functions that access them.
 
 Consecutive values of fixed size form a *run*, which ``struct`` reads or writes in one call. The
 padding in a run depends on where the run starts. If that place is known in advance, the run has one
@@ -98,7 +98,7 @@ class Item(NamedTuple):
 
     Attributes:
         code: The format character of ``struct``.
-        text: Its variable or expression in the generated code; empty if it has no value.
+        text: The variable or expression of the value in the generated code; empty for padding.
     """
 
     code: str
@@ -130,7 +130,7 @@ class Source:
         return name
 
     def function(self) -> Callable[..., object]:
-        """Compile the function. Its code contains only identifiers and numbers."""
+        """Compile the function. The code contains only identifiers and numbers."""
         exec("\n".join(self.lines), self.names)  # noqa: S102
         return self.names["function"]  # type: ignore[return-value]  # the text defines it
 
@@ -141,7 +141,7 @@ def size_of(code: str) -> int:
 
 
 def alignment(code: str) -> int:
-    """Return the alignment of a value; strings of bytes may begin anywhere."""
+    """Return the alignment of a value. Strings of bytes may begin anywhere."""
     return 1 if code[-1] == "s" else size_of(code)
 
 
@@ -151,7 +151,7 @@ def padding(place: int, size: int) -> int:
 
 
 def run(order: str, items: Iterable[Item], place: int) -> struct.Struct:
-    """Return the struct for these values from a place on, in ``<`` or ``>`` byte order."""
+    """Return the struct for these values at a place, in the byte order ``<`` or ``>``."""
     text, at = order, place
     for code, _ in items:
         pad = padding(at, alignment(code))
@@ -177,7 +177,7 @@ def places_after(items: Sequence[Item], places: Places) -> Places:
 
 
 def places_aligned(size: int, places: Places) -> Places:
-    """Return these places, and the aligned places after them for a value of this size."""
+    """Return these places, and for each the next place where a value of this size may begin."""
     return places | {(place + padding(place, size)) % WIDEST for place in places}
 
 
@@ -213,7 +213,7 @@ class Runs(dict[int, "Callable[..., Any]"]):
         self.code = code
 
     def __missing__(self, count: int) -> Callable[..., Any]:
-        """Make a method; the first `MOST_RUNS` are kept."""
+        """Make the method for this count. The first `MOST_RUNS` methods are kept."""
         items = [*self._items, Item(self.code)] if count else self._items
         text = run(self._order, items, self.place).format
         made = struct.Struct(f"{text}{count - 1}{self.code}" if count > 1 else text)
@@ -229,7 +229,7 @@ def members(cls: type[Message]) -> Iterator[tuple[Field, type[Message] | None]]:
 
 
 def is_in_run(field_type: FieldType) -> bool:
-    """Whether such a field is part of a run: a number, or a fixed array of bytes."""
+    """Whether a field of this type is part of a run, as numbers and fixed arrays of bytes are."""
     if field_type.form is ArrayForm.FIXED:
         return field_type.name in BYTE_TYPES
     return not field_type.is_sequence and field_type.name in FORMATS
@@ -273,11 +273,12 @@ def row(cls: type[Message]) -> list[Item] | None:
 
 
 def common_alignment(cls: type[Message], *, counted: bool) -> int:
-    """Return the alignment of messages in a sequence that are runs at equal distances, or 0.
+    """Return the alignment of a sequence's messages if they are runs at equal distances, else 0.
 
     Args:
         cls: The class of the messages.
-        counted: Whether a count comes before them, which aligns the first to its own size.
+        counted: Whether a count comes before the messages. The count aligns the first message to
+            the count's own size.
     """
     items = row(cls)
     if items is None:

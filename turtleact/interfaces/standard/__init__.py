@@ -1,9 +1,9 @@
 """The built-in interfaces: as .msg, .srv and .action files, and as classes generated from them.
 
-Each ROS package is a Python package here, with one module per kind, as in ROS 2:
+As in ROS 2, each ROS package is a Python package with one module per kind:
 ``turtleact.interfaces.standard.geometry_msgs.msg``. The modules are generated from the files beside
 them, and ``scripts/check`` compares the two. The names below are shortcuts to the most used
-classes, imported on first use. Four of them differ from ROS, where the name is ambiguous:
+classes, imported on first use. Four shortcuts differ from the names in ROS, which are ambiguous:
 ``TurtlePose``, ``GoalStatusMessage``, ``ExampleFibonacci`` and ``SimulationResult``.
 
 Source: ROS 2 Jazzy; see the README in this folder.
@@ -211,5 +211,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """List the shortcuts too, imported or not."""
+    """List the module's names and all shortcuts, imported or not."""
     return sorted([*globals(), *__all__])
