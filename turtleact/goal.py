@@ -167,10 +167,10 @@ class GoalOrder(msgspec.Struct, eq=False):
 
     Attributes:
         request: The goal message.
-        sender: The client. Used to find its goals when it goes away; the server tells it nothing.
+        sender: The client. When it goes away, the server finds the client's goals by it.
         cancel_timeout: How long a cancelled caller waits for the goal to end (s, event loop time).
-        goal_id: The 16 bytes that the user or an observer chose; None to let the server or client
-            choose.
+        goal_id: The 16 bytes of an id that the user or an observer chose; None to let the server or
+            client choose one.
         on_feedback: The user's callback for feedback.
         reattach: How long to wait for a server that has gone to return (s, event loop time).
     """

@@ -101,14 +101,14 @@ class GoalObserver:
     def enter_call(self, order: GoalOrder) -> None:
         """Called before a client sends a goal, in the context in which it is sent.
 
-        May set context variables for the sending, and may give the order an id by which to
-        recognise the goal later. The sender's own context stays as it is.
+        An observer may set context variables for the sending, and may give the order an id by which
+        it recognises the goal later. The sender's own context does not change.
         """
 
     def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
-        """Called when the sender has stopped waiting, for the result or only for the acceptance.
+        """Called when the sender stops waiting for the result, or for the acceptance only.
 
-        ``error`` is what the wait has raised; None if nothing.
+        ``error`` is the exception that ended the wait; None if there was none.
         """
 
 
@@ -157,7 +157,8 @@ class Observers:
         want_feedback: Whether any observer overrides `feedback_published`.
         want_bodies: Whether any observer overrides `enter_body`.
         want_calls: Whether any observer overrides `enter_call` or `leave_call`.
-        want_goals: Whether any observer hears of each goal: its changes, feedback or pauses.
+        want_goals: Whether any observer wants to hear of every goal: its changes, feedback or
+            pauses.
     """
 
     __slots__ = (
@@ -224,7 +225,10 @@ class Observers:
         self._call("enter_body", (goal,))
 
     def enter_call(self, order: GoalOrder) -> None:
-        """Let all observers prepare the sending of a goal; call this in the context it uses."""
+        """Let all observers prepare the sending of a goal.
+
+        Call this in the context of the sending.
+        """
         self._call("enter_call", (order,))
 
     def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:

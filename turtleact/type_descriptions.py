@@ -23,16 +23,17 @@ TYPE_HASH: Final = "RIHS01_69b9c19c1021405984cc60dbbb1edceb147a6538b411d812ba6af
 
 
 def offer_descriptions(transport: Transport, node: str) -> Closeable:
-    """Offer the service of a node, given by its fully qualified name."""
+    """Offer the service for a node. ``node`` is the node's fully qualified name."""
     name = _service_name(node)
     endpoint = Endpoint("service", name, GET_TYPE_DESCRIPTION, node, is_unlisted=True)
     return transport.serve(endpoint, _Format(), _Describer())
 
 
 def offer_when_sought(transport: Transport, node: str) -> Closeable:
-    """Offer the service of a node once another process looks for it.
+    """Offer the service for a node once another process looks for it.
 
-    Within one process nobody needs it, so a transport that has no other processes never offers it.
+    Within one process, nobody needs the service. A transport that reaches no other process
+    therefore never offers it.
     """
     if not isinstance(transport, Lazy):
         return _Nothing()

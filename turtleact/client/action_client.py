@@ -46,7 +46,7 @@ __all__ = ["ActionClient", "Attach", "SendGoal"]
 logger = logging.getLogger("turtleact.client")
 
 SILENCE: Final = 5.0
-"""After waiting so long for a server, the client says so once (s, event loop time)."""
+"""After waiting this long for a server, the client logs once that it waits (s, event loop time)."""
 
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
@@ -57,13 +57,13 @@ _Sending: TypeAlias = Coroutine[object, object, T]
 
 
 class ActionClient(Generic[G, R, F]):
-    """Sends goals to one action; made by `turtleact.Node.action_client`.
+    """Sends goals to one action. `turtleact.Node.action_client` makes one.
 
     Attributes:
         name: The fully qualified name of the action.
         action_type: The action.
-        is_open: Whether it can send goals.
-        observers: Hear of each change and feedback of the goals sent by this client.
+        is_open: Whether the client can send goals.
+        observers: The objects that hear of each change and feedback of this client's goals.
     """
 
     def __init__(
@@ -100,13 +100,14 @@ class ActionClient(Generic[G, R, F]):
 
         Args:
             goal: The goal message.
-            goal_id: 16 bytes or a UUID; left out, a new one.
+            goal_id: 16 bytes or a UUID. If left out, the goal gets a new id.
             feedback_callback: A plain function, called with each feedback message while the server
-                publishes it. If it raises, the exception is logged and nothing else happens.
-            reattach: If the server goes away, wait so long (s, event loop time) for it to return,
-                and go on with the goal. If nobody serves the action yet, wait as long. Useful for
-                servers with a journal, which still have the goal after a restart. If the server is
-                in this process, the handle of its goal ends with the server.
+                publishes it. If it raises an exception, that is logged, and the goal goes on.
+            reattach: If the server goes away, wait this long (s, event loop time) for the server to
+                return, and go on with the goal. If nobody serves the action yet, wait this long for
+                a server. Use this with servers that have a journal: they still have the goal after
+                a restart. If the server is in this process, the handle of its goal ends with the
+                server.
 
         Raises:
             InvalidOption: if the ``feedback_callback`` is a coroutine function, or ``reattach`` is
@@ -135,15 +136,17 @@ class ActionClient(Generic[G, R, F]):
     def attach(self, goal_id: bytes | uuid.UUID) -> Attach[R, F]:
         """Attach to a goal that somebody else sent: ``await`` this or use ``async with``.
 
-        Both give a handle. Leaving the block never cancels the goal.
+        Either way, you get a handle. Leaving the block never cancels the goal.
 
         Args:
             goal_id: 16 bytes or a UUID.
 
         Raises:
             ServerUnavailable: (when awaited or entered) if nobody serves the action.
-            TurtleactError: likewise, if the client is closed or belongs to another event loop.
-            UnknownGoal: likewise, if the server does not hold the goal, or no longer does.
+            TurtleactError: (when awaited or entered) if the client is closed or belongs to another
+                event loop.
+            UnknownGoal: (when awaited or entered) if the server does not hold the goal, or no
+                longer holds it.
         """
         return Attach(self, goal_id_bytes(goal_id))
 
@@ -151,10 +154,10 @@ class ActionClient(Generic[G, R, F]):
         """Wait until a server exists for the action. Cancelling: safe.
 
         Args:
-            timeout: How long to wait (s, by the graph's clock); left out, there is no limit.
+            timeout: How long to wait (s, by the graph's clock). If left out, there is no limit.
 
         Returns:
-            Whether it is served.
+            Whether the action has a server.
 
         Raises:
             InvalidOption: if ``timeout`` is not a number.
@@ -175,7 +178,7 @@ class ActionClient(Generic[G, R, F]):
         return await (await self._find_server()).cancel(None, nanoseconds(stamp))
 
     async def aclose(self) -> None:
-        """Leave the graph. Goals it has sent go on, unless ``on_client_lost`` cancels them."""
+        """Leave the graph. The client's goals go on, unless ``on_client_lost`` cancels them."""
         self._home.check()
         self.is_open = False
         self.observers.closed()
@@ -219,7 +222,7 @@ class ActionClient(Generic[G, R, F]):
         return server
 
     def _hint(self) -> str:
-        """Say what the graph offers instead of the action."""
+        """Suggest what the graph offers instead of the action."""
         transport = self._endpoints.transport
         actions = [action for action in graph_of(transport).actions if action != self.name]
         if near := nearest(self.name, actions):
@@ -245,7 +248,10 @@ class ActionClient(Generic[G, R, F]):
     # goals
 
     def _send(self, order: GoalOrder, send: Callable[[GoalOrder], _Sending[T]]) -> _Sending[T]:
-        """Send a goal with `_run` or `_enter`; if observers hear of calls, in its own context."""
+        """Send a goal with `_run` or `_enter`.
+
+        If observers hear of calls, use a separate context.
+        """
         if not self.observers.want_calls:
             return send(order)
         return _InOwnContext(self._send_observed(order, send))
@@ -318,17 +324,17 @@ if TYPE_CHECKING:
 else:
 
     class _Calling(msgspec.Struct, Generic[R], eq=False):
-        """The base of `SendGoal` at runtime; a struct cannot inherit from an abstract class."""
+        """The base of `SendGoal` at runtime. A struct cannot inherit from an abstract class."""
 
 
 class SendGoal(_Calling[R], Generic[G, R, F]):
-    """A goal that is about to be sent, once.
+    """A goal that is about to be sent. You can send it once.
 
-    ``await`` sends it and gives the result. If the waiting task is cancelled, the goal is canceled
-    too. The task waits for the goal's end, and then ends cancelled.
+    ``await`` sends the goal and gives the result. If the waiting task is cancelled, the goal is
+    canceled too. The task waits for the goal's end, and then ends cancelled.
 
-    ``async with`` sends it and gives a handle. If you leave the block while the goal is active, the
-    goal is canceled and you wait for its end, unless you have detached it.
+    ``async with`` sends the goal and gives a handle. If you leave the block while the goal is
+    active, the goal is canceled and you wait for its end, unless you have detached it.
 
     The object is also a coroutine: you can pass it to ``create_task``, or pass
     `ActionClient.send_goal` to ``start_soon``. If you neither await nor enter it, Python warns as
@@ -421,8 +427,8 @@ Coroutine.register(SendGoal)
 class _InOwnContext(Coroutine[object, object, T]):
     """Runs a coroutine of the caller's task in a copy of the task's context.
 
-    Whatever the coroutine sets, the caller's context stays as it is. Tokens of context variables
-    could not promise that, because a coroutine may be closed in another context.
+    The caller's context stays unchanged, whatever the coroutine sets. Tokens of context variables
+    could not guarantee that, because a coroutine may be closed in another context.
     """
 
     __slots__ = ("_context", "_running")
@@ -454,7 +460,7 @@ class _InOwnContext(Coroutine[object, object, T]):
 
 
 class Attach(msgspec.Struct, Generic[R, F], eq=False):
-    """What `ActionClient.attach` returns: ``await`` or enter it for a handle of the goal."""
+    """An attempt to attach to a goal. ``await`` or enter it to get a handle."""
 
     _client: ActionClient[Any, R, F]
     _goal_id: bytes
@@ -471,7 +477,7 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Leave the goal alone; it continues."""
+        """Leave the block. The goal continues."""
 
 
 class _ClientObservers(Observers):
@@ -479,7 +485,7 @@ class _ClientObservers(Observers):
 
     The client follows goals in other processes itself and reports on them. A server in the same
     process reports on its goals through its own observers. While the client has observers of goals,
-    a relay among the server's observers passes on what concerns this client's goals.
+    a relay among the server's observers passes on the news of this client's goals.
     """
 
     __slots__ = ("_relay", "_relayed", "_theirs")
@@ -496,18 +502,18 @@ class _ClientObservers(Observers):
         self._set_relay()
 
     def remove(self, observer: GoalObserver) -> None:
-        """Stop telling ``observer``; an unknown observer is ignored."""
+        """Stop telling ``observer``. An unknown observer is ignored."""
         super().remove(observer)
         self._set_relay()
 
     def watch(self, server: object | None) -> None:
-        """Relay from this server from now on, instead of another one; None for no server."""
+        """Relay the news of this server from now on; None to relay from no server."""
         theirs = getattr(server, "observers", None)
         self._theirs = theirs if isinstance(theirs, Observers) else None
         self._set_relay()
 
     def _set_relay(self) -> None:
-        """Register the relay with the server's observers if it is needed; otherwise remove it."""
+        """Register the relay with the server's observers if needed; otherwise remove the relay."""
         wanted = self._theirs if self.want_goals else None
         if wanted is not self._relayed:
             if self._relayed is not None:
@@ -546,6 +552,6 @@ class _Relay(GoalObserver):
 
 
 def _is_coroutine_function(callback: object) -> bool:
-    """A faster `inspect.iscoroutinefunction` for functions and methods."""
+    """Do what `inspect.iscoroutinefunction` does, but faster, for functions and methods."""
     code = getattr(callback, "__code__", None)
     return code is not None and bool(code.co_flags & CO_COROUTINE)

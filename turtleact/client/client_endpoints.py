@@ -1,9 +1,9 @@
-"""The endpoints of an action client: three service clients and two subscriptions.
+"""Opens the endpoints of an action client: three service clients and two subscriptions.
 
-This module also finds out which kind of server is at the other end, because that decides how to
-send requests. A ROS 2 service queues ten requests that its node has not taken yet. If more arrive,
-it silently drops the oldest. The client therefore sends only a few at a time. Servers of turtleact
-drop no requests, and attach a note to each answer that identifies them.
+This module also finds out which kind of server is at the other end. How it sends requests depends
+on that. A ROS 2 service queues ten requests that its node has not taken yet. If more arrive, it
+silently drops the oldest. The client therefore sends only a few at a time. Servers of turtleact
+drop no requests. They attach a note to each answer, which identifies them.
 
 Source: rcl_action ``action_client.c``; rmw_zenoh_cpp ``rmw_service_data.cpp``, ``add_new_query``;
 rmw ``qos_profiles.h``.
@@ -61,7 +61,7 @@ OFFERED_WITHIN: Final = 2.0
 """How long to wait for a server to declare its service for pausing (s, by the graph's clock)."""
 
 AT_ONCE: Final = 8
-"""How many unanswered requests are allowed; two places of the queue are left to other clients."""
+"""How many unanswered requests are allowed. Other clients can use the queue's last two places."""
 
 # Both responses begin with a number, in the byte after the CDR header.
 _UNKNOWN: Final = bytes([GoalStatus.UNKNOWN])
@@ -76,7 +76,7 @@ class RequestLimiter:
         self._waiting: deque[anyio.Event] = deque()
 
     async def call(self, caller: Caller, request: object, note: str = "") -> Reply:
-        """Send a request in its turn and wait for the reply; raises what the caller raises.
+        """Send a request in its turn, and wait for the reply. The errors are those of the caller.
 
         Cancelling: safe. A request that still waits for its turn is not sent.
         """
@@ -120,27 +120,27 @@ class RequestLimiter:
 class ClientEndpoints:
     """The endpoints of one client.
 
-    At first only the client of ``send_goal`` exists; it makes the action client visible on the
-    graph. The other endpoints cost something and are useless if the server is in the same process.
-    `open` adds them.
+    At first only the client of ``send_goal`` exists. It makes the action client visible on the
+    graph. `open` adds the other endpoints, which cost time and are useless if the server is in the
+    same process.
 
     Args:
         transport: The transport to open them on.
-        endpoint: Makes their descriptions.
+        endpoint: A function that describes each endpoint.
         names: Their names.
         action_type: The action.
         introspection: Which events of the three services are published.
 
     Attributes:
-        transport: As given.
+        transport: The argument ``transport``.
         name: The fully qualified name of the action.
         action_type: The action.
         is_open: Whether the other endpoints are open.
         send_goal: Sends goals, each to one server.
-        get_result: Asks for results; exists after `open`.
+        get_result: Asks for results. It exists after `open`.
         is_ours: Whether the server belonged to turtleact when it last answered; see `knows_ours`.
-        takes_both: Whether a goal's two requests may be sent at once. Becomes False if the server
-            did not know a goal yet when the second request arrived.
+        takes_both: Whether a goal's two requests may be sent at the same time. It becomes False if
+            a second request arrived before the server knew its goal.
     """
 
     get_result: Caller
@@ -195,9 +195,9 @@ class ClientEndpoints:
     # which kind of server
 
     def knows_ours(self) -> bool:
-        """Whether the server belongs to turtleact, so that requests need not wait for their turn.
+        """Whether the server belongs to turtleact. Requests then need not wait for their turn.
 
-        True if its note said so and no server has appeared since.
+        This is True if the server's note showed it and no server has appeared since.
         """
         if self.is_ours and self._seen != self.transport.changes:
             self._seen = self.transport.changes
@@ -205,7 +205,7 @@ class ClientEndpoints:
         return self.is_ours
 
     def learn(self, reply: Reply) -> None:
-        """Learn from a reply whether the server belongs to turtleact, whose replies have a note."""
+        """Learn from a reply whether the server belongs to turtleact: its replies have a note."""
         if not reply.note:
             self.is_ours = False
         elif not self.is_ours:
@@ -215,7 +215,10 @@ class ClientEndpoints:
             self._cancels.admit_all()
 
     async def ask_for_goal(self, request: object, note: str) -> Reply:
-        """Send a goal and return the answer; the request waits its turn unless `knows_ours`."""
+        """Send a goal, and return the answer.
+
+        The request waits for its turn unless `knows_ours`.
+        """
         if self.knows_ours():
             return await self.send_goal.call(request, note)
         return await self._goals.call(self.send_goal, request, note)
@@ -227,11 +230,11 @@ class ClientEndpoints:
         return await self._cancels.call(self._cancel_goal, request)
 
     async def set_paused(self, goal: Goal, *, is_paused: bool, timeout: float = 0.0) -> None:
-        """Pause or resume a goal. Only servers of turtleact can; ROS 2 has no such service.
+        """Pause or resume a goal. Only servers of turtleact can do that: ROS 2 has no such service.
 
         Args:
             goal: The goal.
-            is_paused: Whether it is to be paused.
+            is_paused: Whether to pause the goal (true) or resume it (false).
             timeout: How long its body may take to stand still (s).
 
         Raises:
@@ -261,7 +264,7 @@ class ClientEndpoints:
         """Open the other services and the feedback topic. A second call does nothing.
 
         Args:
-            goals: Has an object of any kind for the id of each goal whose feedback is wanted.
+            goals: Maps the id of each goal with wanted feedback to an object of any kind.
             take_feedback: Called with that object and the feedback message.
         """
         if self.is_open:
@@ -307,7 +310,7 @@ class ClientEndpoints:
         self._subscribe(name, type_name, _States(), deliver, STATUS_QOS)
 
     def watch_paused(self, take_paused: Callable[[frozenset[bytes]], None]) -> None:
-        """Open the topic with the goals that are paused. A second call does nothing.
+        """Open the topic of the paused goals. A second call does nothing.
 
         Args:
             take_paused: Called with the ids of all goals that are paused.
@@ -323,7 +326,7 @@ class ClientEndpoints:
         self._subscribe(name, type_name, WireFormat(PausedGoals), deliver, STATUS_QOS)
 
     def report_lost(self, count: int) -> None:
-        """Report to the doctor that so many more feedback messages have not arrived."""
+        """Report to the doctor that ``count`` more feedback messages have not arrived."""
         if self._lost is None:
             from turtleact.fault_reports import LostFeedback  # few programs need it
 
@@ -339,7 +342,7 @@ class ClientEndpoints:
         self._opened.clear()
 
     def _find_servers(self) -> list[Endpoint]:
-        """Find all servers of the action; a restarted server counts as a new one."""
+        """Find all servers of the action. A restarted server counts as a new server."""
         endpoints = self.transport.endpoints(self._names.send_goal)
         return [each for each in endpoints if each.kind == "service"]
 
@@ -374,7 +377,7 @@ class _FeedbackOfGoals(FeedbackFormat, Generic[T]):
 
     Args:
         action: The action.
-        goals: Has an object of any kind for the id of each known goal.
+        goals: Maps the id of each known goal to an object of any kind.
     """
 
     def __init__(self, action: type[Action], goals: Mapping[bytes, T]) -> None:

@@ -1,8 +1,9 @@
-"""A client's view of one goal: its feedback, its events, its end, and how to cancel it.
+"""A client's handle of one goal: reads its feedback, events and end, and cancels it.
 
-The handle reads a `Goal` object. For a server in the same process, it is the server's own object;
-otherwise messages keep it up to date (`turtleact.goal_server`). The goal's sender reads feedback
-without loss, and the body waits for it. Clients that have attached to the goal read what is kept.
+The handle reads a `Goal` object. If the server is in the same process, that is the server's own
+object. Otherwise messages keep the object up to date (`turtleact.goal_server`). The goal's sender
+reads feedback without loss, and the body waits for the sender. Clients that have attached to the
+goal read the messages that are kept.
 
 Source: rclpy ``action/client.py`` for names and behaviour.
 """
@@ -42,7 +43,7 @@ class Outcome(msgspec.Struct, Generic[R], frozen=True):
 
     Attributes:
         status: SUCCEEDED, CANCELED or ABORTED.
-        result: The result; if the goal did not succeed, the partial or default result.
+        result: The result. If the goal did not succeed, it is the partial or default result.
         reason: Why it was aborted; empty otherwise.
     """
 
@@ -130,7 +131,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
     @property
     def request(self) -> Message | None:
-        """The goal message; None if another process holds the goal and another client sent it."""
+        """The goal message; None for a goal in another process that another client sent."""
         return cast("Message | None", self._reader.goal.request)
 
     @property
@@ -140,7 +141,10 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
     @property
     def accepted(self) -> bool:
-        """Whether the server accepted the goal; always true, since only then is there a handle."""
+        """Whether the server accepted the goal.
+
+        It is always true: only accepted goals have handles.
+        """
         return True
 
     @property
@@ -167,7 +171,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         return self._reader.read()
 
     def events(self) -> AsyncIterator[Event[F, R]]:
-        """Iterate over the goal's events, from its acceptance to its result; each has a ``kind``.
+        """Iterate over the goal's events, from its acceptance to its result. Each has a ``kind``.
 
         Events share the feedback with ``async for feedback in handle``: a message given by one of
         the two loops does not appear in the other.
@@ -204,7 +208,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         return await self._reader.cancel()
 
     def cancel_nowait(self) -> None:
-        """Ask the server to cancel the goal without waiting; `status` shows later if it agreed."""
+        """Ask the server to cancel the goal, without waiting. `status` shows later if it agreed."""
         self._reader.cancel_nowait()
 
     @property
@@ -214,7 +218,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
     @property
     def is_resumed(self) -> bool:
-        """Whether an earlier process began it; always False for a server in another process."""
+        """Whether an earlier process began the goal. False for a server in another process."""
         return self._reader.goal.resumed is not None
 
     async def pause(self, timeout: float = 5.0) -> None:
@@ -234,7 +238,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         await self._reader.pause(timeout)
 
     async def resume(self) -> None:
-        """Let a paused goal go on; resuming one that is not paused does nothing.
+        """Let a paused goal go on. Resuming a goal that is not paused does nothing.
 
         Raises:
             PauseRefused: if the server's ``on_resume`` fails. The goal stays paused.
@@ -257,7 +261,7 @@ class GoalReader:
         is_sender: Whether this client sent the goal.
 
     Attributes:
-        goal: As given.
+        goal: The argument ``goal``.
         missed: How many feedback messages this reader has missed.
         is_detached: Whether the goal continues when the handle's block is left.
     """
@@ -289,13 +293,13 @@ class GoalReader:
         return self._server.name_goal(self.goal)
 
     def check_home(self) -> None:
-        """Raise unless this is called in the client's event loop."""
+        """Check that this is called in the client's event loop; otherwise raise an error."""
         self._home.check()
 
     # feedback
 
     async def read(self) -> Any:  # noqa: ANN401  # the action's own class
-        """Return the next feedback message; raises StopAsyncIteration when the goal has ended."""
+        """Return the next feedback message. Raise StopAsyncIteration when the goal has ended."""
         # Messages in the log come first, even if the goal has ended. Checking the log and starting
         # to wait happen in one step of the task, so no signal can fire in between and be lost.
         goal = self.goal
@@ -330,7 +334,7 @@ class GoalReader:
         return None if log is None or self._next >= log.count else max(self._next, log.dropped)
 
     def start_iteration(self) -> None:
-        """Begin an iteration; if the sender reads, all feedback is kept from now on."""
+        """Begin an iteration. If the sender reads, all feedback is kept from now on."""
         self._home.check()
         log = self.goal.feedback
         if log is None:
@@ -340,7 +344,7 @@ class GoalReader:
             log.read = self._next
 
     def end_iteration(self, thread: int) -> None:
-        """Record that an iterator made in ``thread`` is gone. May be called in any thread.
+        """Record that an iterator made in ``thread`` is gone. Any thread may call this.
 
         Only the end of the last iteration counts, so an abandoned loop does not disturb later ones.
         """
@@ -402,7 +406,7 @@ class GoalReader:
             self._server.cancel_goal_nowait(self.goal)
 
     async def leave(self, timeout: float) -> None:
-        """Stop reading. Unless the goal is detached, cancel it and wait for its end.
+        """Stop reading. Unless the goal is detached, cancel the goal and wait for its end.
 
         Args:
             timeout: The longest wait (s, event loop time).
@@ -413,13 +417,13 @@ class GoalReader:
 
 
 class _Iteration:
-    """One ``async for`` loop; when it is left, the body need not wait for its reader any more.
+    """One ``async for`` loop. When the loop ends, the body no longer waits for its reader.
 
     Python does not report a ``break`` to the iterator: it only drops the iterator. An async
-    generator would learn of it from the event loop's hooks. But it could not continue after a
-    cancelled ``anext``, and trio warns about every generator that is not exhausted. Therefore the
-    finalizer of this plain iterator reports the end. If the iterator is part of a reference cycle,
-    the finalizer may run in any thread.
+    generator would learn of the ``break`` from the event loop's hooks. But it could not continue
+    after a cancelled ``anext``, and trio warns about every generator that is not exhausted.
+    Therefore the finalizer of this plain iterator reports the end. If the iterator is part of a
+    reference cycle, the finalizer may run in any thread.
     """
 
     __slots__ = ("_reader", "_thread")

@@ -1,4 +1,4 @@
-"""Follows the goals of one client at a server in another process.
+"""Follows the goals that one client has at a server in another process.
 
 Each goal has a `Goal` object here, which messages from the server keep up to date. A goal takes two
 requests: one sends it, the other waits for its result. There are two ways to send them:
@@ -61,13 +61,13 @@ ATTEMPTS: Final = 3
 """How often to ask for a goal's result if the server seems to have returned."""
 
 SETTLED: Final = 1.0
-"""If a server leaves a request open for so long, it is back (s, event loop time)."""
+"""A server that leaves a request open for this long is back (s, event loop time)."""
 
 PAUSE: Final = 0.1
-"""The pause between two attempts to reattach to a server that can be seen but does not answer."""
+"""The pause between two attempts to reattach to a visible server that does not answer."""
 
 CLOSING: Final = 5.0
-"""How long a closing client waits for its tasks, all of which can be cancelled (s)."""
+"""How long a client that is being closed waits for its tasks, which it has cancelled (s)."""
 
 _EXECUTING: Final = GoalStatus.EXECUTING
 
@@ -103,9 +103,9 @@ class RemoteGoal(msgspec.Struct, eq=False):
         goal_id: Its id.
         is_sender: Whether this client sent it.
         is_accepted: Whether the server has accepted it.
-        is_abandoned: Whether it must be canceled as soon as it is accepted.
-        is_awaited: Whether somebody waits for its acceptance.
-        is_observed: Whether observers have heard of it.
+        is_abandoned: Whether the goal must be canceled as soon as it is accepted.
+        is_awaited: Whether somebody waits for the goal's acceptance.
+        is_observed: Whether observers have heard of the goal.
         note: The note to send with the goal.
         received: How many feedback messages have arrived.
         reattach: How long to wait for a server that has gone to return (s, event loop time).
@@ -135,8 +135,8 @@ class RemoteGoals:
     Args:
         endpoints: The client's endpoints.
         tasks: The task functions of the event loop.
-        now: Returns the current time (ns since the epoch).
-        observers: Hear of each change of the goals sent by this client.
+        now: A function that returns the current time (ns since the epoch).
+        observers: The objects that hear of each change of this client's goals.
 
     Attributes:
         by_id: All goals that have not ended, by id.
@@ -189,7 +189,7 @@ class RemoteGoals:
         self._follow_in_task(remote)
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
-        """Ask the server to cancel by id, by stamp (ns), by both, or every goal.
+        """Ask the server to cancel the goals that the id and the stamp (ns) select.
 
         Raises:
             ServerUnavailable: if nobody answers, or the client is closed.
@@ -209,7 +209,7 @@ class RemoteGoals:
         return response
 
     def cancel_nowait(self, goal: Goal) -> None:
-        """Ask the server to cancel a goal; a task of the client sends the request."""
+        """Ask the server to cancel a goal. A task of the client sends the request."""
 
         async def ask() -> None:
             try:
@@ -226,11 +226,14 @@ class RemoteGoals:
         return goal.listener  # type: ignore[return-value]  # only this method sets it
 
     def open(self) -> None:
-        """Open the client's endpoints. Do so before the first request, or feedback may be lost."""
+        """Open the client's endpoints.
+
+        Call this before the first request, or feedback may be lost.
+        """
         self._endpoints.open(self.by_id, self._take_feedback)
 
     def close(self) -> None:
-        """Stop following goals; everybody who waits for one gets an error."""
+        """Stop following goals. Everybody who waits for a goal gets an error."""
         self._is_open = False
         for task in tuple(self._running.values()):
             if task is not None:
@@ -241,14 +244,14 @@ class RemoteGoals:
                 self._let_go(remote)
 
     async def aclose(self) -> None:
-        """Close, and wait for the tasks to end."""
+        """Stop following goals, and wait for the tasks to end."""
         self.close()
         await wait_while(lambda: self._running, self._ended, CLOSING)
 
     # two requests at once, without a task
 
     def _send_both(self, remote: RemoteGoal) -> bool:
-        """Send both requests, if the server takes both at once; return whether both were sent.
+        """Send both requests, if the server takes both at once. Return whether both were sent.
 
         If only one was sent, the task that follows the goal continues with it.
         """
@@ -270,11 +273,11 @@ class RemoteGoals:
         return True
 
     def _on_reply(self, remote: RemoteGoal) -> None:
-        """Handle the replies that have arrived; start a task if something must be awaited.
+        """Handle the replies that have arrived. Start a task if something must be awaited.
 
-        Called for each of the two replies, in any order. The result is handled only after the
-        acceptance. If a request has failed, a task is started, which meets the same failure again
-        and handles it.
+        This is called for each of the two replies, which come in any order. The result is handled
+        only after the acceptance. If a request has failed, a task is started. The task gets the
+        same failure again, and handles it.
         """
         if remote.task is not None:
             return
@@ -339,7 +342,7 @@ class RemoteGoals:
         """Send a goal unless it was sent already, and wait until it is accepted.
 
         Raises:
-            GoalRejected: if the server rejects it.
+            GoalRejected: if the server rejects the goal.
             ServerUnavailable: if nobody serves the action, or the server goes away.
         """
         patience = _Patience(self._endpoints, remote)
@@ -364,7 +367,7 @@ class RemoteGoals:
         """Wait for the server to report the end of a goal.
 
         Raises:
-            UnknownGoal: if the server does not hold it.
+            UnknownGoal: if the server does not hold the goal.
             ServerUnavailable: if the server goes away and does not return in time.
         """
         patience = _Patience(self._endpoints, remote)
@@ -414,8 +417,8 @@ class RemoteGoals:
         """Record the answer to a goal that was sent.
 
         Raises:
-            GoalRejected: if the server rejected it.
-            ServerUnavailable: if it is being closed, and the client waits for it to return.
+            GoalRejected: if the server rejected the goal.
+            ServerUnavailable: if the server is being closed, and the client waits for its return.
         """
         if not (reply.note and self._endpoints.is_ours):
             self._endpoints.learn(reply)
@@ -434,7 +437,7 @@ class RemoteGoals:
             self.signal(goal).fire()
 
     def _has_ended(self, reply: Reply) -> bool:
-        """Whether a reply has the result; False if the server does not know the goal."""
+        """Whether a reply has the result. False if the server does not know the goal."""
         if not (reply.note and self._endpoints.is_ours):
             self._endpoints.learn(reply)
         response: Any = reply.message
@@ -467,7 +470,7 @@ class RemoteGoals:
             goal.listener.fire()
 
     def take_state(self, remote: RemoteGoal, state: State) -> None:
-        """Record a goal's state from the status topic; the end comes with the result instead."""
+        """Record a goal's state from the status topic. The end comes with the result instead."""
         seconds, rest, number = state
         remote.goal.stamp = seconds * SECOND + rest
         status = status_of(number)
@@ -488,7 +491,7 @@ class RemoteGoals:
     # states
 
     def _move(self, remote: RemoteGoal, status: GoalStatus) -> None:
-        """Bring a goal into a state through the states before it; never backwards."""
+        """Bring a goal into a state through the states before it; never move it back."""
         # The status topic, a reply to a cancel and the result may arrive in any order, and some
         # states may never be reported. Missing states are filled in, and old news is ignored.
         for event in _STEPS.get(remote.goal.status, {}).get(status, ()):
@@ -505,8 +508,8 @@ class RemoteGoals:
     def _show(self, remote: RemoteGoal) -> None:
         """Tell the observers that this client has sent a goal, before anything else of it.
 
-        Feedback does not travel with the acceptance and may arrive before it. So the first of the
-        two calls this.
+        Feedback does not travel with the acceptance and may arrive before it. So whichever arrives
+        first leads to this call.
         """
         if remote.is_sender and not remote.is_observed:
             remote.is_observed = True
@@ -560,7 +563,7 @@ class RemoteGoals:
     # tasks
 
     def _run(self, running: Coroutine[object, object, None], name: str) -> Cancelable:
-        """Run a coroutine in a task; closing the client cancels the task and waits for it."""
+        """Run a coroutine in a task. Closing the client cancels the task and waits for it."""
         key = object()
 
         async def run() -> None:
@@ -578,12 +581,13 @@ class RemoteGoals:
 
 
 class _Patience:
-    """Decides whether a request is sent again after its server has gone.
+    """Decides whether to send a request again after its server has gone.
 
-    Without ``reattach``, the server may only have been unreachable for a moment: this waits for it
-    once, and allows `ATTEMPTS` requests. With ``reattach``, each absence of the server may last
-    that many seconds. An absence ends when feedback arrives, or when a request has been open for
-    `SETTLED` seconds. A server that is killed again and again may never live that long.
+    Without ``reattach``, the server may only have been unreachable for a moment. The client then
+    waits once for its return, and sends at most `ATTEMPTS` requests. With ``reattach``, each
+    absence of the server may last that many seconds. An absence ends when feedback arrives, or when
+    a request has been open for `SETTLED` seconds. A server that is killed again and again may never
+    live that long.
 
     Args:
         endpoints: The client's endpoints.
@@ -603,7 +607,7 @@ class _Patience:
         self._until = 0.0
 
     async def wait_for_return(self, error: ServerUnavailable) -> None:
-        """Wait until the request can be sent again.
+        """Wait until the client can send the request again.
 
         Raises:
             ServerUnavailable: the first error of this absence, if the server stays away.

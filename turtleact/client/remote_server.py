@@ -1,11 +1,11 @@
-"""An action server in another process, as its clients see it.
+"""Stands in for an action server in another process.
 
-Implements `turtleact.goal_server.GoalServer` with messages. `turtleact.client.remote_goals` sends
-goals and follows them. Feedback and status arrive on topics.
+It implements `turtleact.goal_server.GoalServer` with messages. `turtleact.client.remote_goals`
+sends goals and follows them. Feedback and status arrive on topics.
 
 - The topics are open before the first request is sent, so no early feedback is lost.
-- A result that arrives before its feedback waits for it; the server says how many messages there
-  are (`GoalNote`).
+- A result that arrives before the goal's feedback waits for that feedback. The server says how many
+messages there are (`GoalNote`).
 - If a server goes away, its goals end here, and every waiter gets `ServerUnavailable`.
 
 Source: rcl_action ``action_client.c``; the ROS 2 design article "Actions".
@@ -52,7 +52,7 @@ class RemoteActionServer:
     Args:
         endpoints: The client's endpoints.
         tasks: The task functions of the event loop.
-        observers: Hear of each change of the goals sent by the client.
+        observers: The objects that hear of each change of the client's goals.
     """
 
     def __init__(self, endpoints: ClientEndpoints, tasks: Tasks, observers: Observers) -> None:
@@ -76,14 +76,14 @@ class RemoteActionServer:
     # sending
 
     async def send_goal(self, order: GoalOrder) -> Goal:
-        """Send a goal, return it once it is accepted, and follow its status from then on.
+        """Send a goal, return it once it is accepted, and follow its status after that.
 
-        Cancelling: the goal is canceled, even if it is accepted late. The caller waits for its end,
-        at most ``order.cancel_timeout`` seconds.
+        Cancelling: the goal is canceled, even if it is accepted late. The caller waits at most
+        ``order.cancel_timeout`` seconds for its end.
 
         Raises:
             InvalidGoal: if the request does not fit the action. Nothing was sent.
-            GoalRejected: if the server rejects it.
+            GoalRejected: if the server rejects the goal.
             ServerUnavailable: if nobody serves the action, or the server goes away.
         """
         self._endpoints.watch_status(self._take_states)
@@ -104,7 +104,7 @@ class RemoteActionServer:
         return goal
 
     async def run_goal(self, order: GoalOrder) -> Goal:
-        """Send a goal and return it once it has ended; otherwise like `send_goal`."""
+        """Send a goal, and return it once it has ended. Otherwise this works like `send_goal`."""
         remote = self._send(order)
         goal = remote.goal
         try:
@@ -132,7 +132,7 @@ class RemoteActionServer:
         return remote
 
     async def _abandon(self, remote: RemoteGoal, timeout: float) -> None:
-        """Cancel a goal whose sender was cancelled, and wait for its end; never raises.
+        """Cancel a goal after its sender was cancelled, and wait for its end. This never raises.
 
         The sender must end cancelled, whatever the server does. The server may die while it is
         asked to cancel, or never answer. If the goal is not accepted yet, the task that follows it
@@ -154,7 +154,7 @@ class RemoteActionServer:
     # goals that already exist
 
     async def attach(self, goal_id: bytes) -> Goal | None:
-        """Find a goal that somebody else sent in the status; return None if no server holds it."""
+        """Find somebody else's goal in the status topic. Return None if no server holds it."""
         remote = self._goals.by_id.get(goal_id)
         if remote is not None:
             return remote.goal
@@ -181,7 +181,7 @@ class RemoteActionServer:
             await signal.wait()
 
     def name_goal(self, goal: Goal) -> bytes:
-        """Return the id of a goal; every goal here has one."""
+        """Return the id of a goal. Every goal here has an id."""
         return cast("bytes", goal.id)
 
     def _take_states(self, told: dict[bytes, State]) -> None:
@@ -200,7 +200,7 @@ class RemoteActionServer:
     # canceling
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
-        """Ask the server to cancel by id, by stamp (ns), by both, or every goal.
+        """Ask the server to cancel the goals that the id and the stamp (ns) select.
 
         Raises:
             ServerUnavailable: if nobody answers, or the client is closed.
@@ -208,11 +208,11 @@ class RemoteActionServer:
         return await self._goals.cancel(goal_id, stamp)
 
     async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
-        """Ask the server to cancel one goal; raises like `cancel`."""
+        """Ask the server to cancel one goal. The errors are those of `cancel`."""
         return await self._goals.cancel(goal.id, 0)
 
     def cancel_goal_nowait(self, goal: Goal) -> None:
-        """Ask the server to cancel a goal without waiting; a failure is logged."""
+        """Ask the server to cancel a goal without waiting. A failure is logged."""
         self._goals.cancel_nowait(goal)
 
     # pausing
@@ -234,7 +234,7 @@ class RemoteActionServer:
         self._goals.take_paused(goal, is_paused=True)
 
     async def resume(self, goal: Goal) -> None:
-        """Ask the server to let a paused goal go on; raises like `pause`."""
+        """Ask the server to let a paused goal go on. The errors are those of `pause`."""
         await self._endpoints.set_paused(goal, is_paused=False)
         self._goals.take_paused(goal, is_paused=False)
 
@@ -262,7 +262,7 @@ class _Child:
         self._server = server
 
     async def pause_unless_ended(self, goal: Goal, timeout: float) -> bool:
-        """Pause the goal with its parent; return False if it is ending anyway.
+        """Pause the goal with its parent. Return False if the goal is ending anyway.
 
         Raises:
             PauseRefused: if its server refuses, or does not answer in time.
@@ -278,7 +278,7 @@ class _Child:
         return True
 
     async def resume(self, goal: Goal) -> None:
-        """Resume the goal with its parent; does nothing if it is not paused.
+        """Resume the goal with its parent. If the goal is not paused, do nothing.
 
         Raises:
             PauseRefused: if its server refuses, or does not answer.

@@ -20,10 +20,10 @@ from turtleact.transports.base import Endpoint
 __all__ = ["CLOCKS_APART", "HASHED", "Fault", "differing_definitions", "find_faults"]
 
 CLOCKS_APART: Final = 0.1
-"""Clocks that differ by more are a fault (s)."""
+"""Clocks that differ by more than this (s) are a fault."""
 
 HASHED: Final = re.compile(r"RIHS[0-9]+_[0-9a-f]+")
-"""A type hash. ROS 2 Humble writes another word, because its types have no hashes."""
+"""The form of a type hash. ROS 2 Humble writes another word, because its types have no hashes."""
 
 LACKS: Final[dict[Policy, str]] = {
     "durability": "more durability (transient_local, not volatile)",
@@ -35,7 +35,7 @@ LACKS: Final[dict[Policy, str]] = {
 """What a subscription asks for if a policy does not fit."""
 
 MOST_FIELDS: Final = 4
-"""How many differing fields are named."""
+"""At most this many differing fields are named."""
 
 
 class Fault(msgspec.Struct, frozen=True):
@@ -43,7 +43,7 @@ class Fault(msgspec.Struct, frozen=True):
 
     Attributes:
         kind: The kind of fault, such as "duplicate-node".
-        names: What is concerned: nodes, topics, services, actions or types.
+        names: The names that the fault is about: nodes, topics, services, actions or types.
         problem: What is wrong.
         advice: What to do.
     """
@@ -54,7 +54,7 @@ class Fault(msgspec.Struct, frozen=True):
     advice: str
 
     def __str__(self) -> str:
-        """One line."""
+        """The problem and the advice in one line."""
         return f"{self.kind}: {self.problem}{f'; {self.advice}' if self.advice else ''}"
 
 
@@ -67,7 +67,7 @@ def find_faults(snapshot: Snapshot) -> list[Fault]:
 
 
 def missing_router(snapshot: Snapshot) -> Iterator[Fault]:
-    """No router is in reach."""
+    """Find out whether no router is in reach."""
     if snapshot.routers == ():
         yield Fault(
             "no-router",
@@ -91,7 +91,7 @@ def empty_domain(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def unfitting_versions(snapshot: Snapshot) -> Iterator[Fault]:
-    """A router has another major version of Zenoh, or a peer a release of ROS 2 without hashes."""
+    """Find routers with another major version of Zenoh, and peers that send no type hashes."""
     for router in snapshot.routers or ():
         theirs, ours = _major(router.version), _major(snapshot.zenoh)
         if theirs and ours and theirs != ours:
@@ -117,7 +117,7 @@ def unfitting_versions(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def clocks_apart(snapshot: Snapshot) -> Iterator[Fault]:
-    """The clock of a process differs from ours."""
+    """Find processes with a clock that differs from ours."""
     for answer in snapshot.answers:
         offset = answer.offset
         if offset is not None and abs(offset) - answer.uncertainty > CLOCKS_APART:
@@ -131,7 +131,7 @@ def clocks_apart(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def silent_nodes(snapshot: Snapshot) -> Iterator[Fault]:
-    """A process is on the graph but does not answer."""
+    """Find processes that are on the graph but do not answer."""
     for answer in snapshot.answers:
         if not answer.is_answered:
             names = _nodes_of(snapshot, answer.session) or (answer.node,)
@@ -161,7 +161,7 @@ def duplicate_nodes(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def several_servers(snapshot: Snapshot) -> Iterator[Fault]:
-    """Several nodes serve one action, so that a goal of a ROS 2 client runs several times."""
+    """Find actions that several nodes serve. A goal of a ROS 2 client then runs several times."""
     servers: dict[str, set[tuple[str, str]]] = {}
     for each in snapshot.endpoints:
         if each.endpoint.kind == "service" and each.endpoint.name.endswith(SEND_GOAL):
@@ -211,9 +211,9 @@ def _type_fault(
 
 
 def differing_definitions(snapshot: Snapshot) -> Iterator[Fault]:
-    """Nodes have different definitions of one type, so they do not hear each other.
+    """Find types with different definitions, because their nodes do not hear each other.
 
-    Of the topics and services of an action, only the first that differs is named.
+    If several topics and services of an action differ, only the first is named.
     """
     told: set[tuple[str, str]] = set()
     for (name, type_name), found in sorted(_by_name_and_type(snapshot).items()):
@@ -239,7 +239,7 @@ def differing_definitions(snapshot: Snapshot) -> Iterator[Fault]:
 def _holders(
     snapshot: Snapshot, type_name: str, found: Iterable[EndpointSeen]
 ) -> dict[str, list[str]]:
-    """Who has which definition: the nodes by type hash; this process counts as ``here``."""
+    """The nodes that have each definition, by type hash. This process counts as ``here``."""
     holders: dict[str, set[str]] = {}
     for each in _listed(found):
         if HASHED.fullmatch(each.endpoint.type_hash):
@@ -251,7 +251,7 @@ def _holders(
 
 
 def unknown_interfaces(snapshot: Snapshot) -> Iterator[Fault]:
-    """A type on the graph is not known here."""
+    """Find types on the graph that are not known here."""
     where: dict[str, set[str]] = {}
     for each in _listed(snapshot.endpoints):
         if each.endpoint.type_name not in snapshot.known:
@@ -270,7 +270,7 @@ def unknown_interfaces(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def incompatible_qos(snapshot: Snapshot) -> Iterator[Fault]:
-    """A subscription asks for more than a publisher of its topic offers."""
+    """Find subscriptions that ask for more than a publisher of their topic offers."""
     for (name, _), found in sorted(_by_name_and_type(snapshot).items()):
         ends = {each.endpoint for each in _listed(found)}
         publishers = sorted((e for e in ends if e.kind == "publisher"), key=_order)
@@ -297,7 +297,7 @@ def _lack(policy: Policy, reader: Endpoint) -> str:
 
 
 def reported(snapshot: Snapshot) -> Iterator[Fault]:
-    """A process has found a fault in itself, such as a full disk."""
+    """Return the faults that processes have found in themselves, such as a full disk."""
     for report in snapshot.reports:
         kind, _, subject = report.name.partition(" ")
         yield Fault(kind, (subject,), report.problem, report.advice)
@@ -368,12 +368,12 @@ def _short(type_hash: str) -> str:
 
 
 def _plain(name: str) -> str:
-    """The name that users know: that of the action, or of the service whose events these are."""
+    """The name that users know: that of the action, or of the service that a topic belongs to."""
     return name.partition("/_action/")[0].removesuffix("/_service_event")
 
 
 def _owner(type_name: str) -> str:
-    """The interface as users name it: for a part of an action or service, the whole."""
+    """The interface as users name it. For a part of an action or service, that is the whole."""
     package, _, rest = type_name.partition("/")
     kind, _, name = rest.partition("/")
     if kind in ("action", "srv"):
@@ -386,7 +386,7 @@ def _order(endpoint: Endpoint) -> tuple[str, bytes]:
 
 
 def _why_differing(snapshot: Snapshot, type_name: str, hashes: list[str]) -> str:
-    """Name the fields in which the definitions differ, if they are known."""
+    """Name the fields in which the definitions differ, if the definitions are known."""
     known = [
         (each, fields)
         for each in hashes
@@ -405,7 +405,7 @@ def _why_differing(snapshot: Snapshot, type_name: str, hashes: list[str]) -> str
 
 
 def _shown(path: str, *, is_implied: bool) -> str:
-    """The path of a field as users know it: an action's services are not theirs."""
+    """The path of a field as users know it. For an action's services, ROS 2's part is left out."""
     return path.removeprefix("request.").removeprefix("response.") if is_implied else path
 
 

@@ -1,4 +1,4 @@
-"""The fields of a type, flat, so that two definitions of it can be compared. Pure.
+"""Lists all fields of a type, nested ones included, to compare two definitions of the type.
 
 Source: type_description_interfaces/msg/TypeDescription and FieldType.
 """

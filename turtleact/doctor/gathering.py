@@ -1,9 +1,9 @@
-"""Takes a snapshot of a running graph: looks at tokens, and asks each process a harmless question.
+"""Takes a snapshot of a running graph: reads tokens, and asks each process a harmless question.
 
 Each process is asked through a service that it offers anyway: to cancel a goal that does not exist,
 to list no parameters, or to describe a type. The answer shows that the process is alive. The time
-at which it was sent shows how far the clock of the process is off. A process without such a service
-is not asked.
+of the answer shows how far the clock of the process is off. A process without such a service is not
+asked.
 
 Source: action_msgs/srv/CancelGoal, rcl_interfaces/srv/ListParameters,
 type_description_interfaces/srv/GetTypeDescription.
@@ -47,10 +47,10 @@ if TYPE_CHECKING:
 __all__ = ["take_snapshot"]
 
 PATIENCE: Final = 2.0
-"""How long processes have to answer (s, event loop time)."""
+"""How long to wait for the answers of processes (s, event loop time)."""
 
 DESCRIBING: Final = 1.0
-"""How long a node has to describe a type (s, event loop time)."""
+"""How long to wait for a node's description of a type (s, event loop time)."""
 
 REPORTING: Final = 1.0
 """How long to wait for the faults that processes report (s, event loop time)."""
@@ -61,13 +61,13 @@ LIST_PARAMETERS: Final = "rcl_interfaces/srv/ListParameters"
 GET_DESCRIPTION: Final = "type_description_interfaces/srv/GetTypeDescription"
 
 QUESTIONS: Final = (CancelGoal.type_name, LIST_PARAMETERS, GET_DESCRIPTION)
-"""The types of services that can be asked without doing harm, the preferred one first."""
+"""The types of services that can be called without doing harm, the preferred type first."""
 
 
 async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
     """Look at the graph of a node, ask its processes, and collect what they report.
 
-    Takes about `PATIENCE` seconds if a process does not answer. Cancelling: safe.
+    This takes about `PATIENCE` seconds if a process does not answer. Cancelling: safe.
 
     Args:
         node: A node on the graph. It is left out of the snapshot.
@@ -116,7 +116,7 @@ def _one_error() -> Iterator[None]:
 
 
 def _seen(node: Node) -> tuple[tuple[NodeSeen, ...], tuple[EndpointSeen, ...]]:
-    """The nodes and endpoints on the graph, without those of the node that looks."""
+    """The nodes and endpoints on the graph, without those of the node that takes the snapshot."""
     transport, own = node.transport, node.fully_qualified_name
     near: Transport = transport
     if isinstance(transport, ZenohTransport):
@@ -135,7 +135,7 @@ def _seen(node: Node) -> tuple[tuple[NodeSeen, ...], tuple[EndpointSeen, ...]]:
 
 
 def _to_ask(endpoints: Iterable[EndpointSeen]) -> dict[str, Endpoint]:
-    """Which service to ask of each session, if it has one that can be asked."""
+    """The service to call for each session, if the session has one that can be called."""
     best: dict[str, Endpoint] = {}
     for each in endpoints:
         endpoint = each.endpoint
@@ -151,7 +151,7 @@ def _rank(service: Endpoint) -> int:
 
 
 async def _ask(node: Node, session: str, service: Endpoint, answers: list[Answer]) -> None:
-    """Ask a process twice: whether it answers, and then what its clock says."""
+    """Ask a process twice: first whether it answers, then for the time on its clock."""
     caller, request = _join(node, service)
     pending: PendingCall | None = None
     sent = received = 0
@@ -191,7 +191,7 @@ def _join(node: Node, service: Endpoint) -> tuple[Caller, object]:
 
 
 async def _collect_reports(node: Node, reports: list[Report]) -> None:
-    """Collect what has been reported; each publisher's last message is latched."""
+    """Collect the faults that processes have reported. Each publisher's last message is latched."""
     left = node.count_publishers(TOPIC)
     if not left:
         return
@@ -229,7 +229,7 @@ async def _look_around(node: Node, around: list[Snapshot], with_domains: bool) -
 
 
 def _router(zid: str, said: str) -> Router:
-    """A router, from what its admin space says about it."""
+    """Describe a router from its admin space."""
     try:
         told = msgspec.json.decode(said, type=_Told)
     except msgspec.DecodeError:
@@ -239,7 +239,7 @@ def _router(zid: str, said: str) -> Router:
 
 
 class _Told(msgspec.Struct):
-    """What a router says about itself, as far as it is needed here."""
+    """The part of a router's description of itself that is needed here."""
 
     version: str = ""
     sessions: list[object] = []
@@ -256,7 +256,7 @@ def _own_zenoh() -> str:
 
 
 def _known(type_names: Iterable[str]) -> dict[str, str]:
-    """The hash here of each type that is known here."""
+    """The type hash of each type that is known in this process."""
     known: dict[str, str] = {}
     for name in type_names:
         try:
@@ -272,7 +272,7 @@ async def _find_fields(
     known: Mapping[str, str],
     fields: dict[tuple[str, str], Fields],
 ) -> None:
-    """Find out the fields of types that have several definitions on the graph."""
+    """Find the fields of types that have several definitions on the graph."""
     holders: dict[str, dict[str, str]] = {}  # type name to hash to one node that has it
     for each in endpoints:
         end = each.endpoint

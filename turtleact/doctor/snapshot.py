@@ -1,4 +1,4 @@
-"""What a graph looks like at one moment, as far as one process can see it. Pure data."""
+"""Describes a graph at one moment, as far as one process can see it. Pure data."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Fields = Mapping[str, str]
 
 
 class NodeSeen(msgspec.Struct, frozen=True):
-    """A node.
+    """A node on the graph.
 
     Attributes:
         name: Its fully qualified name.
@@ -27,7 +27,7 @@ class NodeSeen(msgspec.Struct, frozen=True):
 
 
 class EndpointSeen(msgspec.Struct, frozen=True):
-    """An endpoint.
+    """An endpoint on the graph.
 
     Attributes:
         endpoint: The endpoint.
@@ -39,14 +39,14 @@ class EndpointSeen(msgspec.Struct, frozen=True):
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """The answer of a session to a question, or that it gave none.
+    """Whether and how a session answered a question.
 
     Attributes:
         session: The id of the session.
         node: The node that was asked.
         is_answered: Whether it has answered in time.
         offset: How far its clock is ahead of ours (s); None if unknown.
-        uncertainty: By how much the offset may be wrong (s).
+        uncertainty: How far the offset may be wrong (s).
     """
 
     session: str
@@ -89,15 +89,15 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         domain: The ROS domain; None within a process.
-        routers: The routers in reach; None within a process, where there is no need for one.
+        routers: The routers in reach; None within a process, where no router is needed.
         zenoh: The version of our Zenoh; empty if unknown.
         nodes: All nodes. Several may have one name.
         endpoints: All endpoints.
         answers: The sessions that were asked something.
         reports: The faults that processes have found in themselves.
-        known: The type hash here of each type on the graph that is known here, by type name.
+        known: The type hash in this process of each known type on the graph, by type name.
         fields: The fields of types that have several definitions, by type name and hash.
-        domains: The ROS domains that others use, if that was asked.
+        domains: The ROS domains that others use; empty if that was not asked.
     """
 
     domain: int | None = None

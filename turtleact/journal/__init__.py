@@ -1,4 +1,4 @@
-"""Journals: goals on disk, so that they outlive their server's process.
+"""Journals keep goals on disk, so that the goals outlive their server's process.
 
 Open a journal, and name it when you serve an action::
 

@@ -3,8 +3,8 @@
 All functions here block. The journal calls them in one thread of its own. Other processes may read
 the file at the same time, because it is in WAL mode.
 
-A commit with ``synchronous=FULL`` waits for the disk and survives a power loss. One with ``NORMAL``
-survives a killed process only, and costs a fiftieth.
+A commit with ``synchronous=FULL`` waits for the disk and survives a power loss. A commit with
+``NORMAL`` survives only a killed process, and takes a fiftieth of the time.
 
 Source: sqlite.org, "Write-Ahead Logging" and "PRAGMA Statements".
 """
@@ -48,10 +48,10 @@ BUSY = 5.0
 """How long a reader or a prune waits for the writer (s)."""
 
 AT_ONCE = 1000
-"""So many goals are deleted in one transaction, during which a server cannot write."""
+"""At most this many goals are deleted in one transaction. A server cannot write during one."""
 
 PAUSE = 0.002
-"""After each such transaction, the file is left to a server for this time (s)."""
+"""After each such transaction, a server may use the file for this time (s)."""
 
 _COLUMNS = GoalRecord.__struct_fields__
 
@@ -107,15 +107,15 @@ class JournalError(TurtleactError):
 
 
 class JournalHeld(JournalError):
-    """Another process writes the journal."""
+    """The journal cannot be opened because another process writes it."""
 
 
 class Accept(msgspec.Struct):
     """A goal to write.
 
     Attributes:
-        record: The goal; writing it sets its number.
-        known: The goal that already had this id, if any; set when this is written.
+        record: The goal to write. Writing it sets its number.
+        known: The goal that already had this id, if any. It is set when the job is written.
     """
 
     record: GoalRecord
@@ -127,7 +127,7 @@ class Change(msgspec.Struct):
 
     Attributes:
         goal_id: The goal.
-        change: What changes.
+        change: What changes in the goal.
     """
 
     goal_id: bytes
@@ -145,14 +145,14 @@ class Withdraw(msgspec.Struct):
 
 
 class Database:
-    """The file, opened by the one process that writes it.
+    """The journal's file, opened by the one process that writes it.
 
     Args:
         path: The file. It is created if it does not exist.
 
     Attributes:
-        path: As given.
-        moved_to: Where a damaged file was put; None if the file was sound.
+        path: The path of the file.
+        moved_to: The new path of a damaged file; None if the file was sound.
 
     Raises:
         JournalError: if it cannot be opened.
@@ -178,14 +178,14 @@ class Database:
     # writing
 
     def write(self, jobs: Sequence[Accept | Change | Withdraw], *, is_durable: bool) -> None:
-        """Write everything in one transaction, or nothing of it.
+        """Write all jobs in one transaction, or none of them.
 
         Args:
-            jobs: What to write, in order. Of several changes of a goal, only the sum is written.
+            jobs: What to write, in order. Several changes of a goal are written as one.
             is_durable: Whether to wait for the disk.
 
         Raises:
-            sqlite3.Error: if it cannot be written.
+            sqlite3.Error: if the jobs cannot be written.
         """
         execute = self._connection.execute
         execute(f"PRAGMA synchronous = {'FULL' if is_durable else 'NORMAL'}")
@@ -228,7 +228,7 @@ class Database:
     # reading
 
     def load(self, now: int) -> list[GoalRecord]:
-        """Return the goals that have not ended, or whose result can be asked for at ``now``."""
+        """Return the goals that have not ended or still have their result at ``now``."""
         # A sign before the column keeps SQLite from going through the whole table in that order.
         return [
             *self._select("WHERE ended = 0 ORDER BY number"),
@@ -268,7 +268,7 @@ class Database:
         return connection
 
     def _set_aside(self) -> None:
-        """Rename a damaged file and what belongs to it; nothing is deleted."""
+        """Rename a damaged file and the files that belong to it. Nothing is deleted."""
         stamp = time.strftime("%Y%m%d-%H%M%S")
         self.moved_to = self.path.with_name(f"{self.path.name}.damaged-{stamp}")
         for suffix in ("", "-wal", "-shm"):
@@ -278,7 +278,7 @@ class Database:
 
 
 def find_goals(path: Path, beginning: str) -> list[GoalRecord]:
-    """Read the goals whose id begins with these hexadecimal digits, at most ten.
+    """Read at most ten goals, with ids that begin with these hexadecimal digits.
 
     Raises:
         JournalError: if there is no such file, or it is not a journal.
@@ -289,7 +289,7 @@ def find_goals(path: Path, beginning: str) -> list[GoalRecord]:
 
 
 def read_goals(path: Path, since: int = 0) -> Iterator[GoalRecord]:
-    """Read goals from a journal, also while a server writes it.
+    """Read goals from a journal, even while a server writes it.
 
     Args:
         path: The file.
@@ -312,8 +312,8 @@ def read_goals(path: Path, since: int = 0) -> Iterator[GoalRecord]:
 def prune(path: Path, before: int) -> int:
     """Delete the goals that ended before ``before`` (ns since the epoch, wall clock).
 
-    Works while a server writes the journal, which has its turn again and again. Goals whose result
-    can still be asked for stay.
+    You may call this while a server writes the journal; the server gets its turn again and again.
+    Goals with a result that is still available stay.
 
     Returns:
         How many goals were deleted.
@@ -372,14 +372,14 @@ def _select(
 
 
 def _add(columns: dict[str, object], change: GoalChange) -> None:
-    """Add a change to those of the same goal that are written with it."""
+    """Merge a change into the earlier changes of the same goal, so that they are written as one."""
     columns |= change.columns()
     if change.feedback is not None:
         columns["feedback_count"] = int(str(columns.get("feedback_count", 0))) + 1
 
 
 def _lock(path: Path) -> sqlite3.Connection:
-    """Take the lock that lets one process write the journal; the system frees it with the process.
+    """Take the lock that lets only one process write the journal. It is freed with the process.
 
     The lock is a transaction in a second, empty SQLite file, which works alike on all systems.
     """
@@ -403,7 +403,7 @@ def _lock(path: Path) -> sqlite3.Connection:
 
 
 def _holder(path: Path) -> str:
-    """Name the process that holds a journal."""
+    """Describe the process that holds a journal."""
     with suppress(JournalError), _reading(path) as connection:
         for process, host, command in connection.execute("SELECT * FROM holder"):
             where = "" if host == socket.gethostname() else f" on {host}"
@@ -437,7 +437,7 @@ def _is_damaged(error: sqlite3.DatabaseError) -> bool:
 
 
 def explain(error: sqlite3.Error) -> str:
-    """Say what an error means and what to do."""
+    """Explain what an error means and what to do about it."""
     name = getattr(error, "sqlite_errorname", "")
     if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")):
         return f"it is damaged, or no journal: {error}"

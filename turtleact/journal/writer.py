@@ -1,11 +1,11 @@
-"""The journal that servers use: a thread that writes, and what the event loop knows of it.
+"""The journal that servers use: a thread writes the file, and the event loop gives it work.
 
-Everything to be written goes to one thread, in order. The thread writes all that has come meanwhile
-in one transaction. While it waits for the disk, more comes; so a hundred goals at once cost a few
-waits, not a hundred.
+Everything to be written goes to one thread, in order. The thread writes everything that has
+gathered in one transaction. While it waits for the disk, more gathers. A hundred goals at once
+therefore take a few waits, not a hundred.
 
-If the disk takes no more, new goals are rejected with the reason. Running goals go on: their
-changes stay in memory, and the thread tries again until it can write them.
+If the disk is full, new goals are rejected with that reason. Running goals go on: their changes
+stay in memory, and the thread tries again until it can write them.
 """
 
 from __future__ import annotations
@@ -41,23 +41,25 @@ __all__ = ["Journal", "open_journal"]
 logger = logging.getLogger("turtleact.journal")
 
 RETRY = 1.0
-"""After a failure, what could not be written is tried again after this time (s)."""
+"""After a failed write, the thread tries again after this time (s)."""
 
 CLOSING = 5.0
-"""How long a closing journal goes on trying to write what is left (s)."""
+"""How long a journal that is being closed keeps trying to write the rest (s)."""
 
 
 class _Job(msgspec.Struct, eq=False):
-    """Something to write.
+    """Something for the thread to write.
 
     Attributes:
-        work: What to write; None to learn only that all before it was written.
-        done: Called in the event loop when it is written; without ``is_durable``, also when the
-            first attempt has failed.
-        failed: Called in the event loop with the reason instead of trying again.
-        is_durable: Whether it must survive a power loss.
+        work: What to write; None if the caller only wants to know when all earlier jobs are
+            written.
+        done: Called in the event loop when the job is written. Without ``is_durable``, it is also
+            called when the first attempt has failed.
+        failed: If given, it is called in the event loop with the reason of a failure, and the
+            thread does not try again.
+        is_durable: Whether the job must survive a power loss.
         is_told: Whether ``done`` was called although the write has failed.
-        is_awaited: Whether virtual time stands still until this was tried.
+        is_awaited: Whether virtual time stands still until the job was tried.
     """
 
     work: Accept | Change | Withdraw | None
@@ -69,14 +71,14 @@ class _Job(msgspec.Struct, eq=False):
 
 
 class Journal:
-    """Keeps the goals of servers in a file; made by `open_journal`.
+    """Keeps the goals of servers in a file. `open_journal` makes one.
 
     One process writes a journal at a time. Any process may read it: see `read_goals`.
 
     Attributes:
         path: The file.
-        max_starts: After so many crashes of its server without feedback in between, a goal is not
-            started again; None for no limit.
+        max_starts: A goal is not started again after this many crashes of its server without
+            feedback in between; None for no limit.
         aborts_at_close: Whether a server that is closed ends its goals.
     """
 
@@ -104,17 +106,17 @@ class Journal:
     # what servers ask for; see `turtleact.goal_journal.GoalJournal`
 
     def load(self, action: str) -> list[GoalRecord]:
-        """Return the goals of an action that have not ended, or whose result can be asked for."""
+        """Return the goals of an action that have not ended or still have their result."""
         self._home.check()
         now = time.time_ns()
         held = [each for each in self._held.values() if each.action == action]
         return [each for each in held if not each.ended or not 0 < each.expires <= now]
 
     async def accept(self, record: GoalRecord) -> GoalRecord | None:
-        """Put a new goal on disk; if its id is known, return the record of that goal instead.
+        """Put a new goal on disk. If its id is known, return the record of the known goal instead.
 
         Raises:
-            JournalError: if it cannot be written, or the journal is closed.
+            JournalError: if the goal cannot be written, or the journal is closed.
         """
         accept = Accept(record)
         await self._write(accept)
@@ -133,12 +135,12 @@ class Journal:
     def progress(
         self, goal_id: bytes, change: GoalChange, then: Callable[[], object] | None = None
     ) -> None:
-        """Write a change soon, and call ``then`` when a killed process would not lose it."""
+        """Write a change soon, and call ``then`` once the change would survive a killed process."""
         self._apply(goal_id, change)
         self._put(_Job(Change(goal_id, change), then))
 
     def end(self, goal_id: bytes, change: GoalChange, then: Callable[[], object]) -> None:
-        """Put a goal's end on disk, and call ``then`` when it is there, however long that takes."""
+        """Put a goal's end on disk, and call ``then`` when it is there, however long this takes."""
         self._apply(goal_id, change)
         record = self._held.get(goal_id)
         if record is not None:
@@ -147,7 +149,7 @@ class Journal:
         self._put(_Job(Change(goal_id, change), then, is_durable=True))
 
     async def written(self) -> None:
-        """Wait until all changes so far have been written, or have failed to be."""
+        """Wait until each change so far has been written or has failed."""
         reached = anyio.Event()
         self._put(_Job(None, reached.set))
         await reached.wait()
@@ -158,7 +160,7 @@ class Journal:
         """Open the file.
 
         Raises:
-            JournalError: if it cannot be opened.
+            JournalError: if the file cannot be opened.
         """
         self._thread.start()
         with anyio.CancelScope(shield=True), self._thread_work.counted():
@@ -176,7 +178,7 @@ class Journal:
             await self._ended.wait()
 
     async def _write(self, work: Accept | Withdraw) -> None:
-        """Put something on disk and wait until it is there.
+        """Put a job on disk and wait until it is there.
 
         Raises:
             JournalError: if it cannot be written, or the journal is closed.
@@ -213,7 +215,7 @@ class Journal:
             record.feedback_count += 1
 
     def _forget_expired(self) -> None:
-        """Forget ended goals when their time is over; the file still has them."""
+        """Forget ended goals when their time is over. The file still has them."""
         now = time.time_ns()
         while self._expiring and 0 < self._expiring[0].expires <= now:
             record = self._expiring.popleft()
@@ -221,7 +223,7 @@ class Journal:
                 del self._held[record.id]
 
     def _put(self, job: _Job) -> bool:
-        """Give the thread something to do; False if the journal is closed."""
+        """Give the thread a job. Return False if the journal is closed."""
         with self._changed:
             if self._is_closing:
                 is_open = False
@@ -270,7 +272,10 @@ class Journal:
             self._tasks.from_anywhere(self._ended.set)
 
     def _next(self) -> list[_Job]:
-        """Take all that has come; nothing when the journal is closed and all is written."""
+        """Take all jobs that have come.
+
+        The list is empty once the journal is closed and written.
+        """
         with self._changed:
             if self._is_failing and not self._is_closing:
                 self._changed.wait(RETRY)
@@ -300,7 +305,7 @@ class Journal:
         self._report(jobs, [job.done for job in jobs if job.done is not None and not job.is_told])
 
     def _fail(self, jobs: list[_Job], error: sqlite3.Error) -> None:
-        """Report the failure of jobs that have ``failed``, and keep the others to try again."""
+        """Report the failure of jobs with a ``failed`` callback; keep the others to try again."""
         if not self._is_failing:
             self._is_failing = True
             problem = "%s cannot be written: %s; goals go on, and writing is tried again"
@@ -346,16 +351,17 @@ def _by_expiry(record: GoalRecord) -> tuple[bool, int]:
 async def open_journal(
     path: str | Path, *, max_starts: int | None = 3, abort_at_close: bool = False
 ) -> AsyncIterator[Journal]:
-    """Open a journal for the length of a block; servers of several nodes may share it.
+    """Open a journal for the length of a block. Servers of several nodes may share it.
 
     Close the servers before the journal, as the order of ``async with`` does.
 
     Args:
-        path: The file; it is created if it does not exist. SQLite keeps two files beside it.
-        max_starts: A goal whose server has crashed so often since its newest feedback ends ABORTED
-            instead of being started again; None for no limit.
-        abort_at_close: Whether a server that is closed ends its goals. Otherwise, with
-            ``on_restart="resume"``, they go on when the server is back.
+        path: The file, which is created if it does not exist. SQLite keeps two more files beside
+            it.
+        max_starts: If a goal's server has crashed this many times since the goal's newest feedback,
+            the goal ends ABORTED instead of being started again. None for no limit.
+        abort_at_close: Whether closing a server ends its goals. If not, the goals go on when the
+            server is back, with ``on_restart="resume"``.
 
     Raises:
         InvalidOption: if ``max_starts`` is not a whole number from 1 up, or None.

@@ -1,8 +1,9 @@
-"""Actions as tools for language models: a node as a server of the Model Context Protocol.
+"""Offers a node's actions to language models, as tools of the Model Context Protocol.
 
 This package needs the extra ``mcp``. It serves an ordinary `turtleact.Node` and knows nothing below
-that. The rest of turtleact imports it only when it is used, and the package imports the SDK only
-when one of its names is: `turtleact.mcp.greeting` can answer a client before.
+that. The rest of turtleact imports this package only when it is used. The package imports the SDK
+only when one of its own names is used, so that `turtleact.mcp.greeting` can answer a client before
+that.
 """
 
 from __future__ import annotations

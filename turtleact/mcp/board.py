@@ -1,7 +1,7 @@
-"""The goals that the servers of the offered actions hold, as their status topics tell.
+"""Finds the goals that the servers of the offered actions hold, from their status topics.
 
-A status topic is read from the first question on. Its last message is latched, so a goal that was
-accepted before is there, too.
+A status topic is read from the first question about goals on. Its last message is latched, so
+earlier goals are known, too.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class HeldGoal(NamedTuple):
         goal_id: The 16 bytes of its id.
         action: The name of its action.
         status: Its state.
-        stamp: When it was accepted (ns since the epoch, by the server's clock).
+        stamp: When the goal was accepted (ns since the epoch, by the server's clock).
     """
 
     goal_id: bytes
@@ -52,8 +52,8 @@ class Board:
     """Reads the status topics of some actions.
 
     Args:
-        node: Subscribes to them.
-        actions: Returns the names of the actions that count now.
+        node: The node that subscribes to the topics.
+        actions: A function that returns the names of the actions that count now.
     """
 
     def __init__(self, node: Node, actions: Callable[[], Collection[str]]) -> None:
@@ -78,7 +78,7 @@ class Board:
         return sorted(found, key=lambda goal: goal.stamp)
 
     async def find(self, goal_id: bytes) -> HeldGoal | None:
-        """The goal of an id, if a server holds it."""
+        """The goal with an id, if a server holds it."""
         return next((goal for goal in await self.goals() if goal.goal_id == goal_id), None)
 
     async def _join(self) -> None:

@@ -1,6 +1,7 @@
-"""The tools of a server: one for each offered action and service, and a few that are always there.
+"""Lists a server's tools: one per offered action and service, and a few that are always there.
 
-The list follows the graph: an action's tool goes with the action's server, and comes back with it.
+The list follows the graph: an action's tool disappears with the action's server, and returns with
+it.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ ACTS: Final = ToolAnnotations(read_only_hint=False, destructive_hint=True, open_
 
 
 class Entry(NamedTuple):
-    """A tool, and what it stands for.
+    """A tool, and the action or service that it calls.
 
     Attributes:
         tool: The tool as clients see it.
         name: The name of the action or service; empty for a tool that is always there.
-        interface: The class of the action or service; None likewise.
+        interface: The class of the action or service; None for a tool that is always there.
     """
 
     tool: Tool
@@ -127,15 +128,15 @@ FIXED: Final = (
     ),
     _fixed("resume_goal", "Let a paused goal go on.", _object(goal_id=GOAL_ID), STATUS, ACTS),
 )
-"""The tools that do not depend on the graph; the offer may have no use for some of them."""
+"""The tools that do not depend on the graph. An offer may leave out some of them."""
 
 
 class Catalogue:
     """The tools for a graph and an offer.
 
     Args:
-        node: Sees the graph.
-        offer: What of it is offered.
+        node: The node that sees the graph.
+        offer: What is offered of the graph.
     """
 
     def __init__(self, node: Node, offer: Offer) -> None:
@@ -176,7 +177,7 @@ class Catalogue:
 
     @staticmethod
     def _add(found: dict[str, Entry], entry: Entry, kind: str) -> None:
-        """Add a tool; a second one of its name gets its kind behind it."""
+        """Add a tool. If its name is taken, its kind is put behind the name."""
         name = entry.tool.name
         if name in found:
             name = f"{name}.{kind}"
@@ -184,7 +185,7 @@ class Catalogue:
         found[name] = entry
 
     def _entry(self, name: str, interface: type[Action] | type[Service]) -> Entry:
-        """The tool of an action or service; made once, as its schemas do not change."""
+        """The tool of an action or service. It is made once, because its schemas do not change."""
         key = name, interface.type_name
         if key not in self._made:
             if issubclass(interface, Action):
@@ -198,7 +199,7 @@ class Catalogue:
 def _known(
     served: Mapping[str, tuple[str, ...]], kind: type[Any], names: set[str] | frozenset[str]
 ) -> dict[str, Any]:
-    """The classes of these names. If a name has several types, the first one known here counts."""
+    """The class of each name. If a name has several types, the first type known here counts."""
     found: dict[str, Any] = {}
     for name in sorted(names):
         for type_name in served.get(name, ()):
@@ -237,6 +238,6 @@ def _service_tool(name: str, service_type: type[Service]) -> Tool:
 
 
 def _said(interface: type[Action] | type[Service]) -> str:
-    """What the author says about an interface; empty for generated text that repeats the name."""
+    """The author's description of an interface; empty for generated text that repeats the name."""
     text = introduction(interface)
     return "" if interface.type_name in text else text.replace("``", "`")

@@ -1,9 +1,9 @@
-"""Asking the user before something moves: elicitation, as old and new clients have it.
+"""Asks the user before something moves, with the elicitation of old and new clients.
 
 Up to version 2025-11-25 of the protocol, the server sends the question as a request of its own.
-From 2026-07-28 on, it answers the call with the question, and the client repeats the call with the
-user's answer. Between the two the client holds a token. The token is good once, and for the same
-tool with the same arguments.
+From 2026-07-28 on, the server answers the call with the question, and the client repeats the call
+with the user's answer. Between the two calls, the client holds a token. The token is valid once,
+for the same tool with the same arguments.
 
 Source: MCP 2026-07-28, "Elicitation" and "Multi Round-Trip Requests".
 """
@@ -37,7 +37,7 @@ MOST_ASKED: Final = 256
 """How many questions may be open. If there are more, the oldest are forgotten."""
 
 FORM: Final = {"type": "object", "properties": {}}
-"""The form that the user fills in: it has no fields, only yes and no."""
+"""The form that the user fills in. It has no fields; the user only answers yes or no."""
 
 
 class Confirmation:
@@ -49,10 +49,10 @@ class Confirmation:
     async def ask(
         self, ctx: Request, params: CallToolRequestParams, question: str
     ) -> InputRequiredResult | None:
-        """Ask the user; returns None if the user agrees, or the reply that asks.
+        """Ask the user. Return None if the user agrees, or the reply that asks the question.
 
         Raises:
-            TurtleactError: if the user does not agree, or cannot be asked.
+            TurtleactError: if the user does not agree, or the client cannot ask.
         """
         capabilities = ctx.session.client_capabilities
         if capabilities is None or capabilities.elicitation is None:

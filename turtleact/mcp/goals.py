@@ -1,7 +1,7 @@
-"""The goals that models send: one call of a tool is one goal, from its arguments to its answer.
+"""Sends the goals of models. One call of a tool sends one goal and answers at its end.
 
-A call that is cancelled cancels its goal and waits for the goal's end, because the client's block
-does (`turtleact.client.action_client.SendGoal`). A client that goes away cancels its calls, too.
+A call that is cancelled cancels its goal and waits for the goal's end, because the block of
+`turtleact.client.action_client.SendGoal` does that. A client that goes away cancels its calls, too.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 __all__ = ["Goals", "Report"]
 
 Report: TypeAlias = Callable[[float, float | None, str | None], Awaitable[None]]
-"""Sends a progress message: a number that grows, a total, and a text."""
+"""A function that sends a progress message: a number that grows, a total, and a text."""
 
 KEPT: Final = 64
-"""How many feedback messages wait to be reported. If there are more, the oldest are skipped."""
+"""How many feedback messages may wait to be reported. If there are more, the oldest are skipped."""
 
 BURST: Final = 20
 """How many progress messages may come at once, before their rate is limited."""
@@ -47,7 +47,7 @@ class Goals:
 
     Args:
         node: Sends the goals.
-        limits: How many there may be.
+        limits: How many goals and calls there may be.
 
     Attributes:
         active: How many goals and calls are under way.
@@ -60,7 +60,7 @@ class Goals:
         self._clients: dict[tuple[str, str], AnyClient] = {}
 
     def client(self, name: str, action_type: type[Action]) -> AnyClient:
-        """The client of an action; opened once, and closed with the node."""
+        """The client of an action. It is opened once, and closed with the node."""
         key = name, action_type.type_name
         client = self._clients.get(key)
         if client is None:
@@ -70,7 +70,7 @@ class Goals:
 
     @contextmanager
     def place(self) -> Iterator[None]:
-        """A block in which something is under way.
+        """Count one goal or call as under way for the length of a block.
 
         Raises:
             TurtleactError: if too much is under way.
@@ -89,7 +89,7 @@ class Goals:
     async def run(self, client: AnyClient, goal: Message, report: Report) -> CallToolResult:
         """Send a goal, report its feedback, and wait for its end.
 
-        Cancelling: the goal is canceled, and its end is waited for.
+        Cancelling: cancels the goal and waits for its end.
         """
         with self.place():
             reporter = _Reporter(report, self.limits.progress_rate)
@@ -114,14 +114,14 @@ async def _follow(client: AnyClient, goal: Message, reporter: _Reporter) -> Call
 
 
 class _Reporter:
-    """Passes feedback on as progress, and never holds up the body of the goal.
+    """Reports feedback as progress, and never holds up the body of the goal.
 
-    Feedback comes by a plain call and waits in a short queue. A client that reads slowly, or a body
-    that publishes faster than the rate, skips the oldest messages.
+    Feedback arrives by a plain call and waits in a short queue. If a client reads slowly, or a body
+    publishes faster than the rate, the oldest messages are skipped.
 
     Attributes:
         latest: The newest feedback.
-        ended: Set when the last message has been passed on.
+        ended: Set when the last message has been reported.
     """
 
     def __init__(self, report: Report, rate: float) -> None:
@@ -142,12 +142,12 @@ class _Reporter:
         self._changed.set()
 
     def end(self) -> None:
-        """Pass on what waits, and end."""
+        """Report the messages that wait, and end."""
         self._over.set()
         self._changed.set()
 
     async def run(self) -> None:
-        """Pass feedback on until `end`."""
+        """Report feedback until `end` is called."""
         credit, since = float(BURST), anyio.current_time()
         while True:
             while self._waiting:
@@ -168,7 +168,7 @@ class _Reporter:
         self.ended.set()
 
     def _skip(self) -> None:
-        """Keep only the newest message: after a pause for the rate, the others are old news."""
+        """Keep only the newest message. After a pause for the rate, the others are out of date."""
         newest = self._waiting.pop()
         self._waiting.clear()
         self._waiting.append(newest)

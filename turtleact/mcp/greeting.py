@@ -1,12 +1,12 @@
-"""The answer to ``initialize``, given before the SDK is imported.
+"""Answers ``initialize`` before the SDK is imported.
 
-Importing the SDK takes longer than all else at the start of ``turtleact mcp``. A client meanwhile
-waits for one answer that depends on nothing: which version of the protocol the server speaks, and
-what it can do. So this module answers that request by itself. `turtleact.mcp.stdio` then hands the
-same request to the SDK and drops the SDK's answer. A test compares the two answers for every
-version of the protocol.
+Importing the SDK takes longer than everything else at the start of ``turtleact mcp``. Meanwhile, a
+client waits for an answer that is always the same: which version of the protocol the server speaks,
+and what the server can do. So this module gives that answer itself. `turtleact.mcp.stdio` then
+hands the same request to the SDK and drops the SDK's answer. A test compares the two answers for
+every version of the protocol.
 
-A request that looks unusual is left to the SDK. So is everything after the first line.
+An unusual request, and everything after the first line, is left to the SDK.
 
 Source: MCP 2025-11-25, "Lifecycle", for `initialize`. Later versions have no such request.
 """
@@ -26,11 +26,11 @@ INSTRUCTIONS: Final = (
     "radians, times in seconds, unless a description says otherwise."
 )
 VERSIONS: Final = ("2024-11-05", "2025-03-26", "2025-06-18", "2025-11-25")
-"""The versions that begin with ``initialize``. A client that asks for another gets the last."""
+"""The versions that begin with ``initialize``. A client that asks for another gets the last one."""
 
 
 class Greeting(msgspec.Struct, frozen=True):
-    """An answer that was given before the SDK could.
+    """An answer that was given before the SDK was there.
 
     Attributes:
         request_id: The id of the request.
@@ -60,7 +60,7 @@ class _Initialize(msgspec.Struct):
 
 
 def greet(line: str, version: str) -> Greeting | None:
-    """Answer the first line that a client has sent; returns None if the SDK has to.
+    """Answer the first line that a client has sent. Return None if the SDK must answer it.
 
     Args:
         line: The line.

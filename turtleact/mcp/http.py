@@ -1,8 +1,8 @@
-"""A server over HTTP: an ASGI app for other servers, and a port of its own.
+"""Serves MCP over HTTP, as an ASGI app for other servers or on a port of its own.
 
 The SDK checks the Host and the Origin of a request, so that a page of another site cannot reach the
-server through a browser. On a loopback address that is enough. Clients on other machines have to
-know a token, too.
+server through a browser. On a loopback address, these checks are enough. Clients on other machines
+must know a token, too.
 
 Source: MCP 2026-07-28, "Transports", Streamable HTTP; RFC 6750 for the token.
 """
@@ -46,7 +46,7 @@ class Address(msgspec.Struct, frozen=True):
 
     @property
     def url(self) -> str:
-        """What clients connect to."""
+        """The URL that clients connect to."""
         place = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{place}:{self.port}{PATH}"
 
@@ -55,11 +55,12 @@ class Address(msgspec.Struct, frozen=True):
 async def open_app(
     server: McpServer, *, hosts: Collection[str] = (), token: str = ""
 ) -> AsyncIterator[ASGIApp]:
-    """A server as an ASGI app, to be mounted beside others; its path is ``/mcp``.
+    """Offer a server as an ASGI app that you can mount beside others. Its path is ``/mcp``.
 
     Args:
-        server: Made by `turtleact.mcp.open_mcp`.
-        hosts: Names and addresses of this machine that clients may use, besides loopback ones.
+        server: The server from `turtleact.mcp.open_mcp`.
+        hosts: Names and addresses of this machine that clients may use besides those of the
+            loopback.
         token: The token that clients must send: ``Authorization: Bearer …``. Empty for none.
     """
     allowed = [each for host in (*LOOPBACK, *hosts) for each in (host, f"{host}:*")]
@@ -81,19 +82,20 @@ async def open_http(
     token: str | None = None,
     hosts: Collection[str] = (),
 ) -> AsyncIterator[Address]:
-    """Serve on a port; the server listens when the block begins. Needs asyncio.
+    """Serve on a port. The server listens when the block begins. This needs asyncio.
 
     Args:
-        server: Made by `turtleact.mcp.open_mcp`.
-        host: The address or name to bind; other machines can reach it unless it is a loopback one.
+        server: The server from `turtleact.mcp.open_mcp`.
+        host: The address or name to bind. Other machines can reach it unless it is a loopback
+            address.
         port: The port, or 0 for any free one.
-        token: The token that clients must send. If left out, none is needed on a loopback address;
-            elsewhere one is made for this run.
-        hosts: As for `open_app`; ``host`` is among them.
+        token: The token that clients must send. If left out, no token is needed on a loopback
+            address. On any other address, a token is made for this run.
+        hosts: As for `open_app`. ``host`` is always among them.
 
     Raises:
         InvalidOption: if the host or the port cannot be bound, or if the token is empty and the
-            host is not a loopback one.
+            host is not a loopback address.
     """
     token = token_for(host, token)
     with bound(host, port) as listener:

@@ -1,6 +1,6 @@
-"""What a model is offered: which actions, services and topics, and how much of them. Pure.
+"""Defines what a model is offered: which actions, services and topics, and how much of them.
 
-Nothing is offered that the program or the command line does not name.
+Only what the program or the command line names is offered.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ __all__ = ["ALL", "Limits", "Names", "Offer", "tool_name"]
 ALL: Final = "all"
 
 Names: TypeAlias = Collection[str] | Literal["all"]
-"""Names of the graph, or every name that there is."""
+"""Some names of the graph, or every name."""
 
 LONGEST_NAME: Final = 128
 DIGEST: Final = 8
-"""Hexadecimal digits that tell long tool names apart."""
+"""The number of hexadecimal digits that tell long tool names apart."""
 
 not_allowed = re.compile(r"[^A-Za-z0-9_.-]")
 
@@ -34,8 +34,9 @@ class Limits(msgspec.Struct, frozen=True):
 
     Attributes:
         goals: The maximum number of goals and service calls under way.
-        progress_rate: Progress messages per second and goal; between them, feedback is skipped.
-        kept_tasks: How many tasks are remembered after their goals have ended.
+        progress_rate: The maximum number of progress messages per second and goal. Other feedback
+            is skipped.
+        kept_tasks: The maximum number of tasks that are remembered after their goals have ended.
     """
 
     goals: int = 128
@@ -55,7 +56,7 @@ class Offer(msgspec.Struct, frozen=True):
         actions: The actions that may be used; None for every action.
         services: The services that may be called.
         topics: The topics that may be read; None for every topic.
-        is_read_only: Whether only what changes nothing is offered.
+        is_read_only: Whether the offer is limited to what changes nothing.
         asks: Whether the user is asked before each goal and each service call.
         limits: How much clients may ask for.
     """
@@ -78,7 +79,7 @@ class Offer(msgspec.Struct, frozen=True):
         is_read_only: bool,
         asks: bool,
     ) -> Offer:
-        """Check and complete the names.
+        """Make an offer, with each name checked and made absolute.
 
         Raises:
             InvalidName: if a name breaks ROS 2's rules.
@@ -93,7 +94,10 @@ class Offer(msgspec.Struct, frozen=True):
         )
 
     def allows_action(self, name: str) -> bool:
-        """Whether goals of an action may be seen and, unless read only, sent."""
+        """Whether goals of an action may be seen.
+
+        Unless the offer is read-only, they may also be sent.
+        """
         return self.actions is None or name in self.actions
 
     def allows_topic(self, name: str) -> bool:
@@ -102,7 +106,7 @@ class Offer(msgspec.Struct, frozen=True):
 
 
 def tool_name(name: str) -> str:
-    """The name of a tool for a name of the graph.
+    """The name of the tool for an action or service with this name.
 
     >>> tool_name("/turtle1/rotate_absolute")
     'turtle1.rotate_absolute'

@@ -1,4 +1,4 @@
-"""What tools answer: text for the model, and the same as data for programs. Pure."""
+"""Makes the answers of tools: text for the model, and the same as data for programs."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 __all__ = ["LONGEST_TEXT", "answer", "data_of", "failure", "goal_schema", "one_line"]
 
 LONGEST_TEXT: Final = 100_000
-"""How many characters of JSON a model gets as text; a program gets everything as data."""
+"""A model gets at most this many characters of JSON as text. A program gets everything as data."""
 
 LONGEST_LINE: Final = 500
-"""The maximum length of a message that tells progress (characters)."""
+"""The maximum length of a progress message (characters)."""
 
 DECIMALS: Final = 3
 MOST_SHOWN: Final = 100
-"""How many items of a list such a message is made from; its text is cut after fewer."""
+"""A progress message is made from at most this many items of a list, and cut after fewer."""
 
 ENDS: Final = [GoalStatus.SUCCEEDED.name, GoalStatus.CANCELED.name, GoalStatus.ABORTED.name]
 
 
 def goal_schema(action_type: type[Action]) -> Schema:
-    """The schema of what the tool of an action answers."""
+    """The schema of the answer of an action's tool."""
     properties: Schema = {
         "goal_id": {"type": "string", "description": "The id of the goal, 32 hexadecimal digits."},
         "status": {"type": "string", "enum": ENDS, "description": "How the goal ended."},
@@ -52,7 +52,7 @@ def goal_schema(action_type: type[Action]) -> Schema:
 
 
 def data_of(goal_id: bytes, outcome: Outcome[Any], feedback: Message | None) -> CallToolResult:
-    """What the tool of an action answers at the end of its goal.
+    """The answer of an action's tool at the end of its goal.
 
     A goal that did not succeed is an error of the tool. Its reason comes first, word for word.
     """
@@ -71,7 +71,7 @@ def data_of(goal_id: bytes, outcome: Outcome[Any], feedback: Message | None) -> 
 
 
 def answer(data: dict[str, Any], *, error: str = "") -> CallToolResult:
-    """A reply with data; an error if there is a text for one."""
+    """A reply with data. It is an error if ``error`` has a text."""
     text = json.dumps(data, ensure_ascii=False)
     if len(text) > LONGEST_TEXT:
         text = f"{text[:LONGEST_TEXT]}… {len(text) - LONGEST_TEXT} more characters"

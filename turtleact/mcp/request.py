@@ -9,4 +9,4 @@ from mcp.server.context import ServerRequestContext
 __all__ = ["Request"]
 
 Request: TypeAlias = ServerRequestContext[Any, Any]
-"""A request of a client, and the way back to it."""
+"""A request of a client, and the way back to the client."""

@@ -1,7 +1,8 @@
-"""JSON Schema for the interfaces of ROS, and arguments that fit it. Pure.
+"""Makes JSON Schema for interfaces of ROS, and messages from arguments that fit the schema.
 
-A model sees an interface only through its schema, so the schema holds all that is known: ranges of
-integers, lengths of lists and texts, defaults, constants, and the comments with their units.
+A model sees an interface only through its schema. The schema therefore holds all that is known:
+ranges of integers, lengths of lists and texts, defaults, constants, and the comments with their
+units.
 
 - A field of a goal is required if the interface gives it no default. In ROS, a default of zero
   looks like no default. So if any field of the goal has another default, only lists and messages
@@ -9,7 +10,7 @@ integers, lengths of lists and texts, defaults, constants, and the comments with
 - A field of a nested message is never required, as in ROS.
 - Constants become an ``enum`` if their names begin with the field's: ``STATUS_OK`` for ``status``.
   Constants whose values are single bits can be combined, so the description lists them instead.
-  In a result, too, it only lists them, because nothing keeps a server from sending another value.
+  In a result, the description also lists them, because a server may send another value.
 
 Source: JSON Schema 2020-12; the ROS 2 article "Interface definition".
 """
@@ -49,7 +50,7 @@ LARGEST: Final = 2**20
 
 FLOATS: Final = frozenset({"float32", "float64"})
 FEWEST_FLAGS: Final = 3
-"""So many constants that are single bits, or zero, are taken for flags."""
+"""At least this many constants that are single bits, or zero, are taken for flags."""
 
 
 @cache
@@ -70,7 +71,7 @@ def input_schema(cls: type[Message]) -> Schema:
 
 @cache
 def output_schema(cls: type[Message]) -> Schema:
-    """The schema of a result, feedback or response as `plain` gives it: all fields are there."""
+    """The schema of a result, feedback or response as `plain` makes it, with all fields."""
     return _object(cls, is_output=True)
 
 
@@ -96,7 +97,7 @@ def message_from(cls: type[M], arguments: Mapping[str, object], *, root: str) ->
         root: The first word of the path in errors: "goal" or "request".
 
     Raises:
-        InvalidMessage: for the first value that does not fit, a missing field, or too much data.
+        InvalidMessage: if a value does not fit, a field is missing, or there is too much data.
     """
     data = msgspec.json.encode(arguments)
     if len(data) > LARGEST:
@@ -151,7 +152,7 @@ def _field(
 
 
 def _default(field: Field) -> Primitive | list[Primitive] | None:
-    """The value that a field has if it is left out; None if that is a message or an empty list."""
+    """The value of a field that is left out; None if this is a message or an empty list."""
     value = zero(field.type) if field.default is None else field.default
     return list(value) or None if isinstance(value, tuple) else value
 

@@ -1,4 +1,4 @@
-"""A node as a server of the Model Context Protocol: actions are tools of a language model.
+"""Runs a server of the Model Context Protocol on a node: actions are tools of a language model.
 
 The official SDK speaks the protocol, in all its versions. This module answers its requests, and
 tells clients when the list of tools changes.
@@ -67,18 +67,20 @@ PICTURE_URI: Final = "ros://world.png"
 TOPIC_URI: Final = "ros://topic"
 
 MOST_SESSIONS: Final = 64
-"""How many sessions of the older protocol are told of changes. If there are more, the oldest are
-not told."""
+"""At most this many sessions of the older protocol are told of changes.
+
+If there are more, the oldest are not told.
+"""
 
 TELLING: Final = 1.0
-"""How long a session may take to be told of a change (s, event loop time)."""
+"""The time limit for telling a session of a change (s, event loop time)."""
 
 SETTLED: Final = 0.05
-"""How long the graph must be still before clients are told that it changed (s, loop time)."""
+"""Clients hear of a change once the graph has been still for this time (s, event loop time)."""
 
 
 class McpServer:
-    """A running server; made by `open_mcp`.
+    """A running server. `open_mcp` makes one.
 
     Attributes:
         sdk: The SDK's server. Connect a client to it in memory, or run it on a transport.
@@ -233,10 +235,10 @@ class McpServer:
     async def _listen(
         self, ctx: Request, params: SubscriptionsListenRequestParams
     ) -> SubscriptionsListenResult:
-        """Tell a client of changes until it leaves; tasks are not among them, so they are polled.
+        """Tell a client of changes until it leaves. Tasks are not included: clients poll them.
 
         Raises:
-            MCPError: if the client wants to hear of tasks, but does not declare the extension.
+            MCPError: if the client wants to hear of tasks but does not declare the extension.
         """
         if TASK_IDS in (params.notifications.model_extra or {}):
             require_tasks(ctx)
@@ -282,7 +284,7 @@ class McpServer:
 
 
 class _Server(Server[Any]):
-    """The SDK's server; tells clients of the older protocol that its tools may change."""
+    """The SDK's server. It tells clients of the older protocol that its tools may change."""
 
     def create_initialization_options(
         self,
@@ -307,8 +309,8 @@ async def open_mcp(
 ) -> AsyncIterator[McpServer]:
     """Offer a node's graph to language models for the length of a block.
 
-    At its end, calls under way are cancelled, and so are their goals. Goals that were sent as tasks
-    go on.
+    At the end of the block, calls under way and their goals are cancelled. Goals that were sent as
+    tasks go on.
 
     Args:
         node: The node that sends the goals.
@@ -317,7 +319,7 @@ async def open_mcp(
         topics: The topics that may be read, or "all".
         read_only: Whether to offer only what changes nothing.
         confirm: Whether to ask the user before each goal and each service call. A client that
-            cannot ask its user may then send none.
+            cannot ask its user may then send no goal and make no call.
         limits: How much clients may ask for.
 
     Raises:

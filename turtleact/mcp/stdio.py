@@ -1,11 +1,11 @@
-"""A server on stdin and stdout, for a client that starts it as its child.
+"""Serves MCP on stdin and stdout, for a client that starts the server as its child.
 
 The SDK reads stdin in a thread, which cannot be interrupted: a signal would not end the program
-before the client's next message. So stdin is read by the event loop where it can be, that is, if it
-is a pipe, a socket or a terminal of a POSIX system.
+before the client's next message. So the event loop reads stdin where it can: on a POSIX system, if
+stdin is a pipe, a socket or a terminal.
 
 A client waits for the answer to its first message while the SDK is still being imported.
-`open_wire` answers it at once (`turtleact.mcp.greeting`).
+`open_wire` gives that answer at once (`turtleact.mcp.greeting`).
 
 Source: MCP 2026-07-28, "Transports", for the framing: one JSON message a line.
 """
@@ -36,24 +36,24 @@ __all__ = ["Wire", "import_sdk", "open_wire", "serve_stdio"]
 CHUNK: Final = 2**16
 
 LONGEST: Final = 2**24
-"""The longest message that is read (bytes)."""
+"""The maximum length of a message (bytes)."""
 
 
 def import_sdk() -> None:
-    """Import what `serve_stdio` needs of the SDK; this takes long, and may run in a thread."""
+    """Import what `serve_stdio` needs of the SDK. This takes long. You may call it in a thread."""
     import mcp.server.stdio  # noqa: F401  # needs modules of the system's own
 
 
 class Wire:
-    """The lines that come from stdin; made by `open_wire`.
+    """The lines that come from stdin. `open_wire` makes one.
 
     Args:
-        reader: Reads stdin; None if the event loop cannot.
+        reader: Reads stdin; None if the event loop cannot read it.
 
     Attributes:
-        greeting: The answer that the first line has got; None if the SDK has to answer it.
+        greeting: The answer to the first line; None if the SDK has to answer it.
         greeted: Set when it is known whether there is a greeting.
-        is_taken: Whether the SDK is there and answers; stdout then belongs to it.
+        is_taken: Whether the SDK has taken over. From then on, stdout belongs to it.
     """
 
     def __init__(self, reader: asyncio.StreamReader | None) -> None:
@@ -78,7 +78,7 @@ class Wire:
             self.greeted.set()
 
     async def __aiter__(self) -> AsyncIterator[str]:
-        """All lines, also the first."""
+        """Return all lines, including the first."""
         await self.greeted.wait()
         if self._first is not None and self.lines is not None:
             yield self._first
@@ -88,7 +88,7 @@ class Wire:
 
 @asynccontextmanager
 async def open_wire() -> AsyncIterator[Wire]:
-    """Read stdin for the length of a block, and greet a client that says hello."""
+    """Read stdin for the length of a block, and answer a client that sends ``initialize``."""
     file = _file_of(sys.stdin)
     if file is None or not _can_be_waited_for(file):
         yield Wire(None)
@@ -107,9 +107,9 @@ async def open_wire() -> AsyncIterator[Wire]:
 
 
 async def serve_stdio(server: McpServer, wire: Wire) -> None:
-    """Serve one client until it closes stdin; its calls are cancelled then.
+    """Serve one client until it closes stdin. Its calls are then cancelled.
 
-    Nothing else may write to stdout meanwhile. The SDK leads prints of user code to stderr.
+    Nothing else may write to stdout meanwhile. The SDK redirects prints of user code to stderr.
     """
     from mcp.server.stdio import stdio_server  # needs modules of the system's own
 
@@ -122,16 +122,17 @@ async def serve_stdio(server: McpServer, wire: Wire) -> None:
 
 
 class _WithoutGreeting:
-    """The SDK's way out, without the answer that the client already has."""
+    """The SDK's outgoing stream, without the answer that the client already has."""
 
     def __init__(self, inner: Any, wire: Wire) -> None:  # noqa: ANN401  # the SDK's stream
         self._inner = inner
         self._wire = wire
 
     async def send(self, item: Any, /) -> None:  # noqa: ANN401  # the SDK's message
-        """Send a message, except for the answer to the request that was greeted.
+        """Send a message, unless it answers the ``initialize`` that was answered already.
 
-        That answer is the first message: the SDK finishes this request before it reads another.
+        That answer is the first message, because the SDK finishes this request before it reads
+        another.
         """
         if self._wire.greeting is not None:
             self._wire.greeting = None
@@ -139,11 +140,11 @@ class _WithoutGreeting:
         await self._inner.send(item)
 
     async def aclose(self) -> None:
-        """Close the way out."""
+        """Close the stream."""
         await self._inner.aclose()
 
     async def __aenter__(self) -> _WithoutGreeting:
-        """Enter."""
+        """Return this stream."""
         await self._inner.__aenter__()
         return self
 
@@ -153,7 +154,7 @@ class _WithoutGreeting:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> bool | None:
-        """Close the way out."""
+        """Close the stream at the end of a block."""
         return cast("bool | None", await self._inner.__aexit__(kind, error, trace))
 
 
@@ -166,7 +167,7 @@ def _file_of(stream: TextIO) -> int | None:
 
 
 def _can_be_waited_for(file: int) -> bool:
-    """Whether the event loop can wait for a file; not for a regular file or ``/dev/null``."""
+    """Whether the event loop can wait for a file. It cannot for a regular file or ``/dev/null``."""
     if os.name != "posix":
         return False
     mode = os.fstat(file).st_mode
@@ -174,7 +175,7 @@ def _can_be_waited_for(file: int) -> bool:
 
 
 async def _lines(reader: asyncio.StreamReader) -> AsyncIterator[str]:
-    """The lines. Of a line that is too long, only the beginning is given, which is no JSON."""
+    """Yield the lines. A line that is too long is cut, so it is no valid JSON."""
     held = bytearray()
     while chunk := await reader.read(CHUNK):
         *lines, rest = chunk.split(b"\n")

@@ -1,9 +1,9 @@
-"""Goals as MCP Tasks: the call of a tool is answered at once, and the goal goes on by itself.
+"""Runs goals as MCP Tasks: a call of a tool is answered at once, and the goal goes on by itself.
 
 This is the extension ``io.modelcontextprotocol/tasks``, for requests of clients that declare it.
 The id of a task is the id of its goal. So a task needs no storage of its own: after a restart of
-this server, the server of the action still knows the goal, and with a journal it does so after its
-own restart, too.
+this server, the server of the action still knows the goal. With a journal, the action's server
+still knows the goal after its own restart, too.
 
 ====================== ==========================================================
 goal                   task
@@ -55,21 +55,21 @@ __all__ = ["EXTENSION", "TASK_IDS", "Tasks", "declares_tasks", "require_tasks"]
 
 EXTENSION: Final = "io.modelcontextprotocol/tasks"
 TASK_IDS: Final = "taskIds"
-"""The key with which a client asks to be told of tasks, in ``subscriptions/listen``."""
+"""The key in ``subscriptions/listen`` with which a client asks to be told of tasks."""
 
 METHODS: Final = ("tasks/get", "tasks/update", "tasks/cancel")
 FIRST_VERSION: Final = "2026-07-28"
-"""The first version of the protocol that has the extension; versions are dates."""
+"""The first version of the protocol that has the extension. Versions are dates."""
 
 KEEP_MS: Final = 3_600_000
-"""How long the end of a task is kept at least, unless too many have ended since."""
+"""How long an ended task is kept at least, unless too many tasks have ended since."""
 
 POLL_MS: Final = 500
 RETURN: Final = 600.0
 """How long a goal's server may be away before its task ends with an error (s)."""
 
 PAUSE: Final = 0.5
-"""The pause before a server that has gone is looked for again (s, event loop time)."""
+"""The pause before the next search for a server that has gone (s, event loop time)."""
 
 
 class TaskParams(RequestParams):
@@ -79,7 +79,7 @@ class TaskParams(RequestParams):
 
 
 class _Task:
-    """A goal as a task."""
+    """A goal that was sent as a task."""
 
     def __init__(self, goal_id: bytes) -> None:
         now = datetime.now(UTC)
@@ -105,7 +105,7 @@ class _Task:
         self.over.set()
 
     def told(self) -> dict[str, Any]:
-        """The task as the protocol has it."""
+        """The task in the protocol's form."""
         handle = self.handle
         latest = self.latest or (handle.last_feedback if handle is not None else None)
         told = {
@@ -124,12 +124,12 @@ class _Task:
 
 
 class Tasks:
-    """The tasks that this server knows; it finds others on the graph.
+    """The tasks that this server knows. It finds other tasks on the graph.
 
     Args:
         goals: Sends the goals.
-        board: Finds goals that somebody else has sent, or this server before its restart.
-        action_type: Returns the type of an offered action.
+        board: Finds goals that somebody else, or this server before its restart, has sent.
+        action_type: A function that returns the type of an offered action.
     """
 
     def __init__(
@@ -150,9 +150,9 @@ class Tasks:
             server.add_request_handler(method, TaskParams, handler)
 
     async def begin(self, client: AnyClient, goal: Message) -> dict[str, Any] | CallToolResult:
-        """Send a goal; returns its task once it is accepted.
+        """Send a goal, and return its task once the goal is accepted.
 
-        Cancelling: the goal is canceled, as nobody would know its id.
+        Cancelling: cancels the goal, because nobody would know its id.
         """
         task = _Task(new_goal_id())
         task.following = Background(self._send(client, goal, task), f"task {task.goal_id.hex()}")
@@ -168,7 +168,7 @@ class Tasks:
         return {"resultType": "task", **task.told()}
 
     async def aclose(self) -> None:
-        """Stop following goals; the goals go on."""
+        """Stop following goals. The goals go on."""
         for task in self._tasks.values():
             if task.following is not None:
                 await task.following.aclose()
@@ -187,7 +187,10 @@ class Tasks:
             task.known.set()
 
     async def _attach(self, client: AnyClient, task: _Task) -> None:
-        """Follow a goal that a server holds; with a journal, also after the server's restarts."""
+        """Follow a goal that a server holds.
+
+        With a journal, this includes restarts of the server.
+        """
         try:
             while task.reply is None:
                 try:
@@ -218,10 +221,10 @@ class Tasks:
             del self._tasks[oldest.goal_id]
 
     async def _find(self, ctx: Request, text: str) -> _Task:
-        """The task of an id.
+        """The task with an id.
 
         Raises:
-            MCPError: if there is none, or if the client does not know of tasks.
+            MCPError: if there is no such task, or the client has not declared the extension.
         """
         if ctx.protocol_version < FIRST_VERSION:
             raise MCPError(METHOD_NOT_FOUND, "Method not found", ctx.method)
@@ -254,7 +257,7 @@ class Tasks:
         return (await self._find(ctx, params.task_id)).told()
 
     async def _update(self, ctx: Request, params: TaskParams) -> dict[str, Any]:
-        """Take input for a task. No task ever asks for any, so the input is ignored."""
+        """Take input for a task. The input is ignored, because no task ever asks for input."""
         await self._find(ctx, params.task_id)
         return {}
 
@@ -267,17 +270,17 @@ class Tasks:
 
 
 def declares_tasks(ctx: Request) -> bool:
-    """Whether a request comes from a client that can take a task for an answer."""
+    """Whether the client of a request accepts a task as the answer."""
     capabilities = ctx.session.client_capabilities
     declared = None if capabilities is None else capabilities.extensions
     return ctx.protocol_version >= FIRST_VERSION and EXTENSION in (declared or {})
 
 
 def require_tasks(ctx: Request) -> None:
-    """Refuse a request about tasks of a client that has not declared the extension.
+    """Refuse a request about tasks if its client has not declared the extension.
 
     Raises:
-        MCPError: if it has not.
+        MCPError: if the client has not declared it.
     """
     if not declares_tasks(ctx):
         needed: dict[str, Any] = {"requiredCapabilities": {"extensions": {EXTENSION: {}}}}

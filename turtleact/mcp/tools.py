@@ -1,4 +1,4 @@
-"""What the tools do that are not actions: goals of others, services, topics, and pictures."""
+"""Runs the tools that are not actions: goals of others, services, topics, and pictures."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ if TYPE_CHECKING:
 __all__ = ["Tools", "picture", "read_topic"]
 
 PATIENCE: Final = 5.0
-"""How long a topic has for a message, and a goal for its end after a cancel (s, loop time)."""
+"""How long to wait for a topic's message, or for a canceled goal's end (s, event loop time)."""
 
 PICTURE_PATIENCE: Final = 10.0
-"""How long a world has for a picture (s, event loop time): it is drawn in a thread."""
+"""How long to wait for a world's picture, which a thread draws (s, event loop time)."""
 
 
 class Tools:
-    """Runs these tools.
+    """Runs the tools that are not actions.
 
     Args:
-        node: Reaches the graph.
+        node: The node that the tools use.
         offer: What may be used.
         catalogue: The actions.
         board: The goals that servers hold.
-        goals: The clients of the actions, and the limit on what is under way.
+        goals: The clients of the actions, and the limit on goals and calls under way.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Tools:
         """Run a tool that is always there.
 
         Raises:
-            TurtleactError: if it fails; the text is for the model.
+            TurtleactError: if the tool fails. The text is written for the model.
         """
         _check_texts(tool, arguments)
         return await self._runs[tool.name](**arguments)
@@ -140,7 +140,7 @@ class Tools:
         return _status(handle)
 
     async def _attach(self, text: str) -> ClientGoalHandle[Any, Any]:
-        """A handle of a goal of an offered action."""
+        """Return a handle for a goal of an offered action."""
         held = await self._board.find(goal_id_bytes(text))
         action_type = None if held is None else self._catalogue.actions().get(held.action)
         if held is None or action_type is None:
@@ -153,7 +153,7 @@ async def read_topic(node: Node, offer: Offer, topic: str) -> Message:
     """The newest message of a topic, or the next one if none is latched.
 
     Raises:
-        TurtleactError: if the topic is not offered, not there, or silent.
+        TurtleactError: if the topic is not offered, does not exist, or has no message.
     """
     name = resolve_name(topic)
     topics = {
@@ -176,7 +176,7 @@ async def picture(node: Node) -> bytes:
     """A picture of the world, as PNG.
 
     Raises:
-        TurtleactError: if there is no world, or it makes no picture.
+        TurtleactError: if there is no world, or the world makes no picture in time.
     """
     services = graph_of(node.transport).services
     names = [name for name, types in services.items() if TakeSnapshot.type_name in types]
@@ -197,7 +197,7 @@ async def picture(node: Node) -> bytes:
 
 
 def _check_texts(tool: Tool, arguments: dict[str, object]) -> None:
-    """Check the arguments of a tool that takes nothing but texts."""
+    """Check the arguments of a tool that takes only texts."""
     names = list(tool.input_schema["properties"])
     for name, value in arguments.items():
         if name not in names:

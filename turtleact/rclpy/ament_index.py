@@ -1,4 +1,4 @@
-"""The part of ``ament_index_python`` that programs use: where packages are."""
+"""The part of ``ament_index_python`` that programs use: it finds packages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def get_package_prefix(package_name: str) -> str:
     """Return the prefix in which a package is installed, or the folder of its sources.
 
     Raises:
-        PackageNotFoundError: if there is none.
+        PackageNotFoundError: if there is no such package.
     """
     for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
         if Path(prefix, "share", package_name).is_dir():
@@ -35,7 +35,7 @@ def get_package_share_directory(package_name: str, print_warning: bool = True) -
     """Return the folder with the data of a package, or the folder of its sources.
 
     Raises:
-        PackageNotFoundError: if there is none.
+        PackageNotFoundError: if there is no such package.
     """
     prefix = get_package_prefix(package_name)
     share = Path(prefix, "share", package_name)
@@ -43,7 +43,7 @@ def get_package_share_directory(package_name: str, print_warning: bool = True) -
 
 
 def get_package_share_path(package_name: str, print_warning: bool = True) -> Path:
-    """Return the same as a path."""
+    """Return the folder of `get_package_share_directory` as a path."""
     return Path(get_package_share_directory(package_name, print_warning))
 
 

@@ -1,4 +1,4 @@
-"""Callback groups: which callbacks of a node may run at the same time."""
+"""Callback groups decide which callbacks of a node may run at the same time."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ __all__ = ["CallbackGroup", "MutuallyExclusiveCallbackGroup", "ReentrantCallback
 
 
 class Member(Protocol):
-    """What a group knows of an entity."""
+    """The part of an entity that a callback group uses."""
 
     def describe(self) -> str:
-        """Describe this entity for a diagnostic message."""
+        """Return a description of this entity for a diagnostic message."""
 
 
 class CallbackGroup:
@@ -39,7 +39,7 @@ class CallbackGroup:
         raise NotImplementedError
 
     def beginning_execution(self, entity: Member) -> bool:
-        """Take the right to run a callback of the entity; return whether that was possible."""
+        """Take the right to run a callback of the entity. Return whether that was possible."""
         raise NotImplementedError
 
     def ending_execution(self, entity: Member) -> None:
@@ -59,7 +59,7 @@ class ReentrantCallbackGroup(CallbackGroup):
         return True
 
     def ending_execution(self, entity: Member) -> None:
-        """Do nothing: nobody waits."""
+        """Do nothing, because no callback waits."""
 
 
 class MutuallyExclusiveCallbackGroup(CallbackGroup):
@@ -82,7 +82,7 @@ class MutuallyExclusiveCallbackGroup(CallbackGroup):
             return self._active_entity is None
 
     def beginning_execution(self, entity: Member) -> bool:
-        """Take the right to run a callback of the entity; return whether that was possible."""
+        """Take the right to run a callback of the entity. Return whether that was possible."""
         with self._lock:
             assert ref(entity) in self.entities  # noqa: S101  # as in rclpy
             if self._active_entity is None:

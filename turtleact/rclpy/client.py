@@ -29,10 +29,10 @@ logger = RcutilsLogger("rclpy.client")
 
 
 class Client(Subscriptable, Entity):
-    """Calls a service; made by `Node.create_client`.
+    """Calls a service. `Node.create_client` makes one.
 
     Args:
-        context: Its shutdown ends every wait.
+        context: The context. Its shutdown ends every wait.
         end: The transport's end.
         srv_type: The class of the service.
         srv_name: The name of the service, as it was given.
@@ -117,12 +117,12 @@ class Client(Subscriptable, Entity):
         return future
 
     def get_pending_request(self, sequence_number: int) -> Future:
-        """Return the future of a request; raises KeyError if it is not pending."""
+        """Return the future of a request. Raises KeyError if the request is not pending."""
         with self._lock:
             return self._pending[sequence_number]
 
     def remove_pending_request(self, future: Future) -> None:
-        """Forget a request: its future will never be done."""
+        """Forget a request. Its future will never be done."""
         with self._lock:
             for number, pending in self._pending.items():
                 if pending is future:
@@ -135,7 +135,7 @@ class Client(Subscriptable, Entity):
             return self._end.is_served
 
     def wait_for_service(self, timeout_sec: float | None = None) -> bool:
-        """Wait until there is a server, without spinning; return whether there is one."""
+        """Wait until the service has a server, without spinning. Return whether it has one."""
         return wait_until(self.service_is_ready, timeout_sec, self.context.ok)
 
     def is_ready_now(self) -> bool:
@@ -150,7 +150,7 @@ class Client(Subscriptable, Entity):
             return NOTHING
 
     async def run(self, taken: tuple[int, bytes]) -> None:
-        """Give the response to whoever waits for it."""
+        """Set the result of the future that waits for the response."""
         number, data = taken
         with self._lock:
             future = self._pending.get(number)
@@ -160,7 +160,7 @@ class Client(Subscriptable, Entity):
             future.set_result(decode(data, self.srv_type.Response))
 
     def describe(self) -> str:
-        """Describe this entity for a diagnostic message."""
+        """Return a description of this entity for a diagnostic message."""
         return f"the client of {self._full_name}"
 
     def _answered(self, number: int, data: bytes, note: str) -> None:  # noqa: ARG002  # no note

@@ -1,4 +1,4 @@
-"""Clocks: system time, steady time, and ROS time, which somebody else may tell."""
+"""Clocks: system time, steady time, and ROS time, which somebody else may set."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = [
 
 
 class ClockChange(IntEnum):
-    """How the source of ROS time has changed."""
+    """The kinds of changes of the source of ROS time."""
 
     ROS_TIME_NO_CHANGE = 1
     ROS_TIME_ACTIVATED = 2
@@ -39,11 +39,12 @@ class ClockChange(IntEnum):
 
 
 class JumpThreshold:
-    """The jumps of a clock that a callback hears of.
+    """The jumps of a clock for which a callback is called.
 
     Args:
-        min_forward: The smallest forward jump to report; None reports none.
-        min_backward: The smallest backward jump to report, negative; None reports none.
+        min_forward: The smallest forward jump to report. With None, no such jump is reported.
+        min_backward: The smallest backward jump to report, negative. With None, no such jump is
+            reported.
         on_clock_change: Whether to report changes of the source.
 
     Raises:
@@ -70,7 +71,7 @@ class JumpThreshold:
         self.on_clock_change = on_clock_change
 
     def is_met_by(self, jump: TimeJump) -> bool:
-        """Whether a callback hears of this jump."""
+        """Whether a callback is called for this jump."""
         if jump.clock_change in (
             ClockChange.ROS_TIME_ACTIVATED,
             ClockChange.ROS_TIME_DEACTIVATED,
@@ -85,8 +86,8 @@ class TimeJump:
     """A jump of a clock.
 
     Args:
-        clock_change: Whether the source has changed.
-        delta: How far it has jumped.
+        clock_change: Whether the source of the time has changed.
+        delta: How far the clock has jumped.
     """
 
     def __init__(self, clock_change: ClockChange, delta: Duration) -> None:
@@ -95,12 +96,12 @@ class TimeJump:
 
     @property
     def clock_change(self) -> ClockChange:
-        """Whether the source has changed."""
+        """Whether the source of the time has changed."""
         return self._clock_change
 
     @property
     def delta(self) -> Duration:
-        """How far it has jumped."""
+        """How far the clock has jumped."""
         return self._delta
 
 
@@ -109,7 +110,7 @@ class JumpHandle(Block):
 
     Args:
         clock: The clock.
-        threshold: Which jumps count.
+        threshold: The jumps for which the callbacks are called.
         pre_callback: Called before a jump.
         post_callback: Called with the jump, after it.
 
@@ -157,7 +158,7 @@ class Clock:
     _changed: threading.Condition
 
     def __new__(cls, *, clock_type: ClockType = ClockType.SYSTEM_TIME) -> Self:
-        """Choose the class."""
+        """Make a clock of the class for this kind of clock."""
         if not isinstance(clock_type, ClockType):
             raise TypeError("Clock type must be a ClockType enum")
         made = ROSClock if clock_type is ClockType.ROS_TIME and cls is Clock else cls
@@ -171,7 +172,7 @@ class Clock:
         return made_clock
 
     def __init__(self, *, clock_type: ClockType = ClockType.SYSTEM_TIME) -> None:
-        """All is done by `__new__`."""
+        """Do nothing, because `__new__` has made the clock."""
 
     @property
     def clock_type(self) -> ClockType:
@@ -185,7 +186,7 @@ class Clock:
 
     @property
     def is_told(self) -> bool:
-        """Whether somebody else tells the time."""
+        """Whether somebody else, such as a simulator, sets the time."""
         return False
 
     def __repr__(self) -> str:
@@ -206,7 +207,7 @@ class Clock:
         pre_callback: Callable[[], object] | None = None,
         post_callback: Callable[[TimeJump], object] | None = None,
     ) -> JumpHandle:
-        """Have callbacks called when the time jumps.
+        """Call callbacks when the time jumps.
 
         Raises:
             ValueError: if there is no callback.
@@ -224,7 +225,7 @@ class Clock:
         self._jump_handles.append(handle)
 
     def remove_jump_handle(self, handle: JumpHandle) -> None:
-        """Stop telling it of jumps."""
+        """Stop telling a handle of jumps."""
         if handle in self._jump_handles:
             self._jump_handles.remove(handle)
 
@@ -268,11 +269,11 @@ class Clock:
 
 
 _LONGEST = 0.5
-"""How long to sleep at most before looking again (s); a signal may not interrupt a lock."""
+"""How long to sleep at most before looking again (s). A signal may not interrupt a lock."""
 
 
 class ROSClock(Clock):
-    """A clock whose time may be told by somebody else, such as a simulator."""
+    """A clock of ROS time. Somebody else, such as a simulator, may set its time."""
 
     _told = 0
     _is_told = False
@@ -282,16 +283,16 @@ class ROSClock(Clock):
         return super().__new__(cls, clock_type=clock_type)
 
     def __init__(self, *, clock_type: ClockType = ClockType.ROS_TIME) -> None:
-        """All is done by `__new__`."""
+        """Do nothing, because `__new__` has made the clock."""
 
     @property
     def ros_time_is_active(self) -> bool:
-        """Whether somebody else tells the time."""
+        """Whether somebody else, such as a simulator, sets the time."""
         return self._is_told
 
     @property
     def is_told(self) -> bool:
-        """Whether somebody else tells the time."""
+        """Whether somebody else, such as a simulator, sets the time."""
         return self._is_told
 
     def now_ns(self) -> int:
@@ -299,11 +300,11 @@ class ROSClock(Clock):
         return self._told if self._is_told else time.time_ns()
 
     def _set_ros_time_is_active(self, enabled: bool) -> None:
-        """Choose whether somebody else tells the time."""
+        """Choose whether somebody else sets the time."""
         self.activate(is_told=enabled)
 
     def activate(self, *, is_told: bool) -> None:
-        """Choose whether somebody else tells the time."""
+        """Choose whether somebody else sets the time."""
         if is_told == self._is_told:
             return
         before = self.now_ns()
@@ -316,10 +317,10 @@ class ROSClock(Clock):
         self._jump(TimeJump(change, Duration(nanoseconds=after - before)), turn)
 
     def set_ros_time_override(self, time: Time) -> None:
-        """Tell the time.
+        """Set the time of the clock.
 
         Raises:
-            TypeError: if it is not a `Time`.
+            TypeError: if ``time`` is not a `Time`.
         """
         if not isinstance(time, Time):
             raise TypeError(

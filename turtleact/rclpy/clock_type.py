@@ -8,7 +8,7 @@ __all__ = ["ClockType"]
 
 
 class ClockType(IntEnum):
-    """Which time a clock tells."""
+    """The time that a clock follows."""
 
     UNINITIALIZED = 0
     ROS_TIME = 1

@@ -1,4 +1,4 @@
-"""What ``python -m turtleact.rclpy [OPTIONS] FILE.py|-m MODULE [ARGUMENTS]`` does.
+"""Implements ``python -m turtleact.rclpy [OPTIONS] FILE.py|-m MODULE [ARGUMENTS]``.
 
 The program runs as under ``python FILE.py``: with its arguments, its folder on the path, Python's
 own tracebacks and exit statuses.
@@ -63,7 +63,7 @@ def run(begin: Callable[[], object]) -> None:
 
 
 def _run(program: str, file: Path | None) -> None:
-    """Run a file, or else a module, to its end; raises what it raises."""
+    """Run a file or a module to its end. Its exceptions are raised here."""
     error: BaseException | None = None
     try:
         if file is None:

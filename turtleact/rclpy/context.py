@@ -1,4 +1,4 @@
-"""Contexts: from ``init`` to ``shutdown``."""
+"""Contexts: the time between ``init`` and ``shutdown``."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ DEFAULT_DOMAIN = 2**64 - 1
 
 
 class Tracked(Protocol):
-    """What a context knows of a node."""
+    """The part of a node that a context uses."""
 
     def destroy_node(self) -> None:
         """Destroy the node. A second call does nothing."""
 
 
 class Context:
-    """What nodes, executors and clocks belong to. Nothing works before `init` and after `shutdown`.
+    """The owner of nodes, executors and clocks. They work only between `init` and `shutdown`.
 
-    Shutting down destroys the nodes, then calls the callbacks of `on_shutdown`.
+    Shutting the context down destroys the nodes, then calls the callbacks of `on_shutdown`.
     """
 
     def __init__(self) -> None:
@@ -62,13 +62,13 @@ class Context:
         """Initialise the context.
 
         Args:
-            args: The arguments of the program; those after ``--ros-args`` count. None means
-                ``sys.argv``.
+            args: The arguments of the program, of which those after ``--ros-args`` are used. None
+                means ``sys.argv``.
             initialize_logging: Whether to apply the log levels in the arguments.
-            domain_id: The ROS domain; None means that of the environment.
+            domain_id: The ROS domain. None means the domain in the environment.
 
         Raises:
-            RuntimeError: if it was initialised before, or the domain is negative.
+            RuntimeError: if the context was initialised before, or the domain is negative.
             UnknownROSArgsError: if an argument after ``--ros-args`` is unknown.
         """
         with self._lock:
@@ -106,10 +106,10 @@ class Context:
             return self._connection
 
     def check(self) -> None:
-        """Raise unless the context is ok.
+        """Check that the context is initialised and not shut down.
 
         Raises:
-            NotInitializedException: if it is not.
+            NotInitializedException: if it is not ok.
         """
         if not self._is_ok:
             raise NotInitializedException
@@ -125,27 +125,27 @@ class Context:
         return self._domain
 
     def destroy(self) -> None:
-        """Shut down unless it is shut down already."""
+        """Shut down the context, unless that has been done."""
         self._shut_down()
 
     def shutdown(self) -> None:
         """Shut down.
 
         Raises:
-            RuntimeError: if it is not initialised, or was shut down before.
+            RuntimeError: if the context is not initialised, or was shut down before.
         """
         if not self._shut_down():
             raise RuntimeError("Context must be initialized before it can be shutdown")
 
     def try_shutdown(self) -> None:
-        """Shut down unless it is shut down already."""
+        """Shut down the context, unless that has been done."""
         self._shut_down()
 
     def on_shutdown(self, callback: Callable[[], object]) -> None:
-        """Call ``callback()`` when the context is shut down, or at once if it is shut down already.
+        """Call ``callback()`` when the context is shut down, or at once if it has been already.
 
         Raises:
-            TypeError: if it cannot be called.
+            TypeError: if the callback is not callable.
         """
         if not callable(callback):
             raise TypeError("callback should be a callable, got {}", type(callback))
@@ -167,7 +167,7 @@ class Context:
         self._nodes.discard(node)
 
     def _shut_down(self) -> bool:
-        """Shut down and return True; return False if that was done before, or is impossible."""
+        """Shut down and return True. If that was done before, or is impossible, return False."""
         with PROCESS.ending():
             return self._end()
 

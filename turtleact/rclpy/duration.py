@@ -25,7 +25,7 @@ class Duration:
         nanoseconds: Nanoseconds to add.
 
     Raises:
-        OverflowError: if it does not fit into 64 bits.
+        OverflowError: if the length does not fit into 64 bits.
     """
 
     Infinite: ClassVar[Duration]
@@ -95,7 +95,7 @@ class Duration:
         """Return the length in a ``builtin_interfaces.msg.Duration``.
 
         Raises:
-            TypeError: if it is another message.
+            TypeError: if ``msg`` is of another type.
         """
         wanted: Anything = interface_class("builtin_interfaces/msg/Duration")
         if not isinstance(msg, wanted):

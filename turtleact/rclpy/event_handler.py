@@ -1,9 +1,9 @@
 """Events of publishers and subscriptions: matched, incompatible, missed deadlines, liveliness.
 
-Only endpoints with callbacks for events pay for them. Who is on the topic is read from the graph
-whenever it has changed. Deadlines and the liveliness of an own publisher are counted here, because
-transports enforce no policy in time. A mismatch of quality of service is told, but the messages
-still flow, as with rmw_zenoh. Lost messages are never noticed.
+Events cost time only for endpoints with callbacks for them. The endpoints of the topic are read
+from the graph whenever the graph has changed. This module checks deadlines and the liveliness of
+its own publishers, because transports enforce no policy in time. A mismatch of quality of service
+is reported, but the messages still flow, as with rmw_zenoh. Lost messages are never noticed.
 
 Source: rmw ``events_statuses`` for the facts; `turtleact.graph.misfits` for what is incompatible.
 """
@@ -86,8 +86,8 @@ class _Counted(msgspec.Struct, frozen=True, kw_only=True):
     """How often something has happened.
 
     Attributes:
-        total_count: How often in all.
-        total_count_change: How often since the last callback.
+        total_count: How often it has happened in total.
+        total_count_change: How often it has happened since the last callback.
     """
 
     total_count: int = 0
@@ -103,7 +103,7 @@ class QoSRequestedDeadlineMissedInfo(_Counted, frozen=True):
 
 
 class QoSLivelinessLostInfo(_Counted, frozen=True):
-    """The publisher did not assert in time that it is alive."""
+    """The publisher did not show in time that it is alive."""
 
 
 class QoSMessageLostInfo(_Counted, frozen=True):
@@ -118,7 +118,7 @@ class QoSRequestedIncompatibleQoSInfo(_Counted, frozen=True, kw_only=True):
     """Endpoints of the topic have a quality of service that does not fit.
 
     Attributes:
-        last_policy_kind: The policy of the last one that does not fit.
+        last_policy_kind: The policy in which the last such endpoint does not fit.
     """
 
     last_policy_kind: QoSPolicyKind = QoSPolicyKind.INVALID
@@ -128,8 +128,8 @@ class QoSPublisherMatchedInfo(_Counted, frozen=True, kw_only=True):
     """Endpoints have come or gone.
 
     Attributes:
-        current_count: How many are there now.
-        current_count_change: How many more than at the last callback.
+        current_count: How many endpoints are there now.
+        current_count_change: How many more endpoints are there than at the last callback.
     """
 
     current_count: int = 0
@@ -140,9 +140,9 @@ class QoSLivelinessChangedInfo(msgspec.Struct, frozen=True, kw_only=True):
     """Publishers have come or gone.
 
     Attributes:
-        alive_count: How many are alive.
-        not_alive_count: Always 0: here a publisher is alive until it has gone.
-        alive_count_change: How many more are alive than at the last callback.
+        alive_count: How many publishers are alive.
+        not_alive_count: Always 0, because a publisher counts as alive until it has gone.
+        alive_count_change: How many more publishers are alive than at the last callback.
         not_alive_count_change: Always 0.
     """
 
@@ -157,26 +157,26 @@ QoSSubscriptionMatchedInfo = QoSPublisherMatchedInfo
 
 
 class Event(Protocol):
-    """Notices one kind of event. All methods but `noted` are called by one thread at a time."""
+    """Notices one kind of event. Only one thread at a time calls its methods, except `noted`."""
 
     def poll(self) -> object | None:
-        """Return what has happened since the last call; None if nothing has."""
+        """Return what has happened since the last call; None if nothing has happened."""
 
     def due_in(self) -> float | None:
-        """How long until the next event by time alone (s); None if there is none."""
+        """How long until time alone causes the next event (s); None if it never does."""
 
     def noted(self, *, is_message: bool) -> None:
-        """Note a message, or that the publisher asserts that it is alive. Called in any thread."""
+        """Note a message, or a sign that the publisher is alive. Any thread may call this."""
 
 
 class _Late(Event):
     """Notices that no message was noted for some time after the first one.
 
     Args:
-        limit: The time (ns); None never ends.
+        limit: The time (ns); None for no limit.
         info: The class of the facts.
-        repeats: Whether each further period without a message counts, too. If not, a publisher that
-            asserts that it is alive counts like one that sends a message.
+        repeats: Whether each further period without a message counts, too. If false, a sign that
+            the publisher is alive counts like a message.
     """
 
     def __init__(self, limit: int | None, info: type[_Counted], *, repeats: bool) -> None:
@@ -207,10 +207,10 @@ class _Late(Event):
 
 
 Found: TypeAlias = "Counter[Endpoint]"
-"""Endpoints of the other kind on the topic. Two that differ in nothing count twice."""
+"""The endpoints of the other kind on the topic. Two equal endpoints count twice."""
 
 Tell: TypeAlias = "Callable[[Found, Found, Found], object | None]"
-"""Makes the facts from the endpoints that are there now, that have come and that have gone."""
+"""Makes the facts of an event from three groups of endpoints: present now, new, and gone."""
 
 
 class _Seen(Event):
@@ -220,7 +220,7 @@ class _Seen(Event):
         connection: The graph.
         own: The endpoint with the callbacks.
         wanted: Whether another endpoint counts.
-        tell: Makes the facts; None if they are no event.
+        tell: Makes the facts of the event; None if there is no event.
     """
 
     def __init__(
@@ -249,14 +249,14 @@ class _Seen(Event):
         return None if now == before else self._tell(now, now - before, before - now)
 
     def due_in(self) -> None:
-        """Nothing happens by time alone; a change of the graph wakes the executor."""
+        """Return None. Time alone causes no event; a change of the graph wakes the executor."""
 
     def noted(self, *, is_message: bool) -> None:
-        """Messages do not matter."""
+        """Do nothing, because messages do not matter here."""
 
 
 class _Totals:
-    """Makes the facts about endpoints that have come, with their number so far."""
+    """Makes the facts about new endpoints, and counts these endpoints."""
 
     def __init__(self) -> None:
         self._total = 0
@@ -297,7 +297,7 @@ class EventHandler(Waitable):
 
     Args:
         callback_group: Decides when the callback may run.
-        callback: Takes the facts.
+        callback: Called with the facts of each event.
         event: Notices the event.
         connection: Wakes the executor when the graph has changed.
     """
@@ -317,7 +317,7 @@ class EventHandler(Waitable):
         connection.watch(self.wake)
 
     def noted(self, *, is_message: bool = True) -> None:
-        """Note a message, or that the publisher asserts that it is alive."""
+        """Note a message, or a sign that the publisher is alive."""
         self._event.noted(is_message=is_message)
         self.wake()  # the executor sleeps until the next event that was due
 
@@ -328,7 +328,7 @@ class EventHandler(Waitable):
         return self._info is not None
 
     def due_in(self) -> float | None:
-        """How long until an event happens by time alone (s)."""
+        """How long until time alone causes an event (s)."""
         return None if self._handle.is_destroyed else self._event.due_in()
 
     def take_data(self) -> object | None:
@@ -350,7 +350,7 @@ class _EventCallbacks:
     """The callbacks of the events of an endpoint.
 
     Args:
-        use_default_callbacks: Ignored: there are none.
+        use_default_callbacks: Ignored, because there are no default callbacks.
         **callbacks: The callbacks by the names of the events.
 
     Raises:

@@ -40,7 +40,7 @@ class UnknownROSArgsError(RuntimeError):
 
 
 class NotInitializedException(Exception):
-    """A context is needed that has been initialised."""
+    """The context has not been initialised, or was shut down."""
 
     def __init__(self, *args: object) -> None:
         super().__init__("rclpy.init() has not been called", *args)
@@ -64,7 +64,7 @@ class NameValidationException(Exception):
     """A name breaks the rules.
 
     Attributes:
-        name_type: What has the name, such as "topic name".
+        name_type: The kind of name, such as "topic name".
         name: The name.
         error_msg: What is wrong.
         invalid_index: The index of the first wrong character.
@@ -159,7 +159,7 @@ class InvalidParameterTypeException(ParameterException):
 
 
 class InvalidParameterValueException(ParameterException):
-    """A parameter was refused its value."""
+    """A value of a parameter was refused."""
 
     def __init__(self, parameter: str, value: object, reason: str, *args: object) -> None:
         text = f"Invalid parameter value ({value!r}) for parameter. Reason: {reason}"

@@ -1,9 +1,9 @@
 """Executors: run the callbacks of nodes, one at a time or in several threads.
 
-There is no wait set. Whatever arrives waits in a queue of its entity, and wakes the executor. An
-executor goes in rounds: first all tasks that can go on, then each entity that is ready, once: the
-waitables of all nodes, then for each node its timers, subscriptions, guard conditions, clients and
-services.
+There is no wait set. Everything that arrives waits in a queue of its entity, and wakes the
+executor. An executor works in rounds. A round first runs all tasks that can go on, and then each
+ready entity once: the waitables of all nodes, then the timers, subscriptions, guard conditions,
+clients and services of each node.
 
 Threads: `_wake` protects only its own flag and condition. Nodes, tasks and groups have locks of
 their own, and no callback runs while one of those is held. The waiting thread takes the data from
@@ -51,11 +51,11 @@ Work: TypeAlias = tuple[Task, object, object]
 """Something to run, and the entity and node that it belongs to, if any."""
 
 LONGEST_LOCK = 0.1 if sys.platform == "win32" else None
-"""How long to wait for a lock at a time (s); on Windows, a signal cannot interrupt that."""
+"""How long to wait for a lock at a time (s). On Windows, a signal cannot interrupt that wait."""
 
 
 class Spinnable(Protocol):
-    """What an executor knows of a node."""
+    """The part of a node that an executor uses."""
 
     @property
     def executor(self) -> Executor | None:
@@ -70,7 +70,7 @@ class Spinnable(Protocol):
 
     @property
     def entities(self) -> Sequence[Sequence[Entity]]:
-        """Everything else with callbacks, by kind, in the order of a round."""
+        """All other entities with callbacks, by kind, in the order of a round."""
 
 
 class TimeoutException(Exception):
@@ -86,7 +86,7 @@ class ExternalShutdownException(Exception):
 
 
 class ConditionReachedException(Exception):
-    """What was waited for has happened."""
+    """The condition that a wait was for has become true."""
 
 
 class TimeoutObject:
@@ -101,7 +101,7 @@ class TimeoutObject:
 
 
 async def await_or_execute(callback: Anything, *args: Anything) -> Anything:
-    """Call a function, and await what it returns if that is a coroutine."""
+    """Call a function. If it returns a coroutine, await that."""
     result = callback(*args)
     return await result if inspect.iscoroutine(result) else result
 
@@ -114,7 +114,8 @@ class Executor(Block):
     """The base of executors; a subclass defines `spin_once`.
 
     Args:
-        context: Ends every spin when it is shut down; None means the default one.
+        context: The context, which ends every spin when it is shut down. None means the default
+            context.
     """
 
     def __init__(self, *, context: Context | None = None) -> None:
@@ -143,14 +144,14 @@ class Executor(Block):
         return task
 
     def resume(self, task: Task) -> None:
-        """Run a task, or its next step, during `spin`. May be called in any thread."""
+        """Run a task, or its next step, during `spin`. Any thread may call this."""
         self._ready.append(task)
         self.wake()
 
     # nodes
 
     def add_node(self, node: Spinnable) -> bool:
-        """Run the callbacks of a node; return whether it was not here before."""
+        """Run the callbacks of a node. Return False if the executor has the node already."""
         with self._nodes_lock:
             if node in self._nodes:
                 return False
@@ -171,7 +172,7 @@ class Executor(Block):
             return list(self._nodes)
 
     def wake(self) -> None:
-        """Have the executor look for work. May be called in any thread."""
+        """Make the executor look for work. Any thread may call this."""
         with self._wake:
             self._is_woken = True
             self._wake.notify_all()
@@ -182,7 +183,7 @@ class Executor(Block):
         """Stop, and wait for callbacks that run.
 
         Args:
-            timeout_sec: How long to wait; None or a negative number mean for ever.
+            timeout_sec: How long to wait (s). None or a negative number means for ever.
 
         Returns:
             Whether all callbacks have ended.
@@ -211,7 +212,7 @@ class Executor(Block):
 
         Args:
             future: The future.
-            timeout_sec: How long; None or a negative number mean for ever.
+            timeout_sec: How long to run callbacks (s). None or a negative number means for ever.
         """
         future.add_done_callback(self._future_done)
         is_endless = timeout_sec is None or timeout_sec < 0
@@ -229,10 +230,10 @@ class Executor(Block):
         self.wake()
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait for one callback and run it; raises what a callback has raised.
+        """Wait for one callback and run it. An exception of a callback is raised here.
 
         Args:
-            timeout_sec: How long to wait; None or a negative number mean for ever.
+            timeout_sec: How long to wait (s). None or a negative number means for ever.
         """
         self._spin_once(timeout_sec)
 
@@ -258,12 +259,12 @@ class Executor(Block):
         nodes: list[Spinnable] | None = None,
         condition: Callable[[], bool] = _never,
     ) -> Work:
-        """Wait for something to run, and return it: a task, its entity and its node.
+        """Wait for a task to run, and return the task, its entity and its node.
 
         Call the task to run it.
 
         Raises:
-            TimeoutException: if there is nothing in time.
+            TimeoutException: if there is nothing to run in time.
             ShutdownException: if the executor is shut down.
             ExternalShutdownException: if the context is shut down.
             ConditionReachedException: if ``condition()`` is true.
@@ -293,12 +294,12 @@ class Executor(Block):
         nodes: list[Spinnable] | None = None,
         condition: Callable[[], bool] = _never,
     ) -> Generator[Work, None, None]:
-        """Yield what `wait_for_ready_callbacks` returns, again and again."""
+        """Yield the results of `wait_for_ready_callbacks`, again and again."""
         while True:
             yield self.wait_for_ready_callbacks(timeout_sec, nodes, condition)
 
     def _next_work(self, nodes: list[Spinnable] | None) -> Work | None:
-        """Return a task that can go on, or the next ready entity of this round or a new one."""
+        """Return a task that can go on, or the next ready entity of this or a new round."""
         work = self._next_task(nodes)
         if work is None and self._round:
             work = self._next_entity(nodes)
@@ -335,7 +336,7 @@ class Executor(Block):
         return None
 
     def _begin(self, node: Spinnable, entity: Entity) -> Work | None:
-        """Take from an entity if its group lets it run; None otherwise."""
+        """Take work from an entity if its callback group lets it run; otherwise return None."""
         group = entity.callback_group
         if not self.can_execute(entity) or not group.beginning_execution(entity):
             note_blocked(entity)
@@ -368,7 +369,7 @@ class Executor(Block):
         return isinstance(error, InvalidHandle) and not self._context.ok()
 
     def _sleep(self, end: float | None, nodes: list[Spinnable] | None) -> None:
-        """Wait until woken, until something is due, or until ``end`` (s, `time.monotonic`)."""
+        """Wait for a wake-up, for something that is due, or until ``end`` (s, monotonic)."""
         now = time.monotonic()
         left = None if end is None else end - now
         for _, entity in _in_order(self.get_nodes() if nodes is None else nodes):
@@ -411,7 +412,8 @@ class MultiThreadedExecutor(Executor):
     """Runs callbacks in a pool of threads.
 
     Args:
-        num_threads: How many threads; None means as many as the machine has cores, at least 2.
+        num_threads: The number of threads. None means the number of the machine's cores, at least
+            2.
         context: See `Executor`.
     """
 
@@ -432,7 +434,7 @@ class MultiThreadedExecutor(Executor):
         """Stop, and wait for callbacks that run.
 
         Args:
-            timeout_sec: How long to wait; None or a negative number mean for ever.
+            timeout_sec: How long to wait (s). None or a negative number means for ever.
             wait_for_threads: Whether to wait for the threads too.
         """
         if not super().shutdown(timeout_sec):
@@ -504,7 +506,10 @@ class _WorkTracker:
             self._changed.notify_all()
 
     def wait(self, timeout_sec: float | None) -> bool:
-        """Wait until none runs but the caller's own; return whether that is so."""
+        """Wait until no callback runs except the caller's.
+
+        Return whether that is reached in time.
+        """
         own = getattr(self._own, "count", 0)
         timeout = None if timeout_sec is None or timeout_sec < 0 else timeout_sec
         with self._changed:

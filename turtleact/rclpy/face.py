@@ -1,7 +1,7 @@
 """Decides whose rclpy a program gets: the genuine one, or turtleact's.
 
-They are never mixed. The genuine one is used if it works, together with one message. That is tried
-in another process, because an import that fails halfway cannot be undone.
+The two are never mixed. The genuine rclpy is used if it can be imported together with a message.
+Another process tries that import, because an import that fails halfway cannot be undone.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ ATTEMPT: Final = (
 
 
 def chosen_face(asked: str) -> tuple[Literal["turtleact", "ros"], str]:
-    """Return whose rclpy to use. For the genuine rclpy, the second value names its middleware.
+    """Return which rclpy to use. For the genuine rclpy, the second value names its middleware.
 
     Args:
-        asked: What the user asked for.
+        asked: The face that the user has asked for.
 
     Raises:
         UsageError: if ``asked`` is not a face, or the genuine rclpy is asked for and does not work.

@@ -7,7 +7,7 @@ under the name ``rclpy``. The finder serves
 - ``PKG.msg``, ``PKG.srv`` and ``PKG.action`` of every package with known interfaces;
 - small parts of ``ament_index_python`` and ``rosidl_runtime_py``.
 
-Packages of ROS that turtleact does not have raise `ImportError` with a line that says so.
+Importing a ROS package that turtleact does not have raises an `ImportError` that explains this.
 
 Source: Python's ``importlib`` documentation, "Importing a source file directly" and "Finders".
 """
@@ -32,7 +32,7 @@ OURS: Final = "turtleact.rclpy"
 KINDS: Final = ("msg", "srv", "action")
 
 SUFFIXES: Final = ("_msgs", "_interfaces", "_srvs", "_actions", "_msg", "_action", "_interface")
-"""How the names of packages with interfaces end."""
+"""The endings of the names of packages with interfaces."""
 
 ALIASES: Final = {
     **dict.fromkeys(
@@ -50,7 +50,7 @@ ALIASES: Final = {
     "qos_event": "event_handler",
     "handle": "impl.entity",
 }
-"""Modules of rclpy that are parts of another module here."""
+"""Modules of rclpy that are part of another module here."""
 
 BESIDE: Final = {
     "ament_index_python": "ament_index",
@@ -60,7 +60,7 @@ BESIDE: Final = {
     "rosidl_runtime_py.convert": "rosidl_runtime",
     "rosidl_runtime_py.set_message": "rosidl_runtime",
 }
-"""Other packages of ROS that are here in part, by the name of our module."""
+"""Other packages of ROS that turtleact has in part, by the name of our module."""
 
 MISSING: Final = {
     "tf2_ros": "tf2 is not part of turtleact",
@@ -73,7 +73,7 @@ MISSING: Final = {
     "rclpy.service_introspection": "its rclpy publishes no events of services",
     "rclpy.type_adapter": "turtleact has no type adapters",
 }
-"""What turtleact does not have, and what to say about it."""
+"""The modules that turtleact does not have, and what the error says about each."""
 
 
 class Finder(MetaPathFinder):
@@ -92,10 +92,10 @@ class Finder(MetaPathFinder):
         path: Sequence[str] | None,  # noqa: ARG002  # our modules are in no folder
         target: ModuleType | None = None,  # noqa: ARG002  # nothing is reloaded
     ) -> ModuleSpec | None:
-        """Return how to make a module, or None if somebody else serves it.
+        """Return how to make a module, or None if another finder serves it.
 
         Raises:
-            ImportError: for what turtleact does not have.
+            ImportError: if turtleact does not have the module.
         """
         if fullname in MISSING:
             raise ImportError(f"turtleact has no '{fullname}': {MISSING[fullname]}", name=fullname)
@@ -139,7 +139,7 @@ class _Alias(Loader):
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Do nothing but undo what the import system has changed: the module was executed."""
+        """Undo what the import system has changed. The module was executed before."""
         module.__spec__ = self._spec
 
 
@@ -154,7 +154,7 @@ class _Package(Loader):
 
 
 class _Interfaces(Loader):
-    """Makes ``PKG.msg`` and its siblings, which make a class when it is asked for.
+    """Makes ``PKG.msg`` and its siblings, which make a class on first use.
 
     Args:
         package: The package.
@@ -192,7 +192,7 @@ class _Interfaces(Loader):
 
 
 class _Missing(MetaPathFinder):
-    """Comes last: if a package has no interfaces anywhere, says where they were looked for.
+    """The last finder. For a package without interfaces, its error says where they were sought.
 
     Args:
         places: The folders.
@@ -207,7 +207,7 @@ class _Missing(MetaPathFinder):
         path: Sequence[str] | None,  # noqa: ARG002  # as above
         target: ModuleType | None = None,  # noqa: ARG002  # as above
     ) -> None:
-        """Raise `ModuleNotFoundError` for what looks like a package with interfaces."""
+        """Raise `ModuleNotFoundError` for a name that looks like a package with interfaces."""
         top, _, rest = fullname.partition(".")
         if rest in KINDS or (not rest and top.endswith(SUFFIXES)):
             said = "".join(f"\n  {place}" for place in self._places)
@@ -224,7 +224,7 @@ def _spec(name: str, loader: Loader, *, is_package: bool) -> ModuleSpec:
 
 
 def _is_users_own(package: str) -> bool:
-    """Whether a package of that name is the user's: one with modules, and not made by rosidl."""
+    """Whether a package of that name is the user's: it has modules that rosidl has not made."""
     found = PathFinder.find_spec(package)
     if found is None or found.origin is None:  # none, or a folder without __init__.py
         return False
@@ -233,10 +233,10 @@ def _is_users_own(package: str) -> bool:
 
 
 def install(places: Sequence[str] = ()) -> None:
-    """Let this process find the modules, ahead of any others of those names.
+    """Make this process find turtleact's modules before any others of the same names.
 
     Args:
-        places: Where interfaces were looked for, to say so if a package has none.
+        places: The places where interfaces were sought, for errors.
     """
     uninstall()
     sys.meta_path.insert(0, Finder())

@@ -17,7 +17,7 @@ __all__ = ["GuardCondition"]
 
 
 class GuardCondition(Entity):
-    """Calls a function once after `trigger`; made by `Node.create_guard_condition`."""
+    """Calls a function once after `trigger`. `Node.create_guard_condition` makes one."""
 
     def __init__(
         self,
@@ -31,7 +31,7 @@ class GuardCondition(Entity):
         super().__init__(callback_group, wake=wake)
 
     def trigger(self) -> None:
-        """Have the function called soon. May be called in any thread."""
+        """Make an executor call the function soon. Any thread may call this."""
         with self.handle:
             self._is_triggered = True
         self.wake()
@@ -41,7 +41,7 @@ class GuardCondition(Entity):
         return self._is_triggered and not self._handle.is_destroyed
 
     def take(self) -> Anything:
-        """Forget that it was triggered."""
+        """Forget that the condition was triggered."""
         if not self._is_triggered:
             return NOTHING
         self._is_triggered = False
@@ -55,5 +55,5 @@ class GuardCondition(Entity):
                 await result
 
     def describe(self) -> str:
-        """Describe this entity for a diagnostic message."""
+        """Return a description of this entity for a diagnostic message."""
         return "a guard condition"

@@ -46,7 +46,7 @@ def shutdown() -> None:
 
 
 def clear_config() -> None:
-    """Give all loggers the levels that they had at first."""
+    """Reset all loggers to their initial levels."""
     LOG.reset()
 
 
@@ -56,7 +56,7 @@ def set_logger_level(name: str, level: LoggingSeverity | int, detailed_error: bo
 
 
 def get_logger_level(name: str) -> LoggingSeverity:
-    """Return the level of a logger itself, UNSET if it inherits one."""
+    """Return the level of the logger itself; UNSET if it inherits its level."""
     return LoggingSeverity(LOG.level(name))
 
 
@@ -69,7 +69,7 @@ def get_logging_severity_from_string(log_severity: str) -> LoggingSeverity:
     """Return the severity of that name.
 
     Raises:
-        RuntimeError: if there is none.
+        RuntimeError: if there is no such severity.
     """
     try:
         return LoggingSeverity[log_severity.upper()]
@@ -78,7 +78,7 @@ def get_logging_severity_from_string(log_severity: str) -> LoggingSeverity:
 
 
 def get_logging_directory() -> Path:
-    """Return the folder for log files; turtleact writes none."""
+    """Return the folder for log files. turtleact writes no log files."""
     given = os.environ.get("ROS_LOG_DIR")
     if given:
         return Path(given)

@@ -11,7 +11,7 @@ __all__ = ["LoggingService"]
 
 
 class LoggingService:
-    """Offers the services; the node owns them.
+    """Offers the services. The node owns them.
 
     Args:
         node: The node.

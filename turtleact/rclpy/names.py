@@ -1,6 +1,6 @@
-"""The rules for names of topics, services, nodes, namespaces and parameters, as rclpy has them.
+"""Checks names of topics, services, nodes, namespaces and parameters by rclpy's rules.
 
-rclpy has a module for each of these functions; the import hook finds all of them here.
+rclpy has a module for each of these functions. The import hook finds all of them here.
 
 Source: rmw ``validate_*_name.c``; rcl ``expand_topic_name.c``.
 """
@@ -63,18 +63,18 @@ NODE_FAULTS = (
 )
 
 LONGEST = 255
-"""The most characters that a node's name may have."""
+"""The maximum number of characters in a node's name."""
 
 NOT_A_FAULT = "/"
 """The root namespace, which ends in a slash."""
 
 
 def validate_topic_name(name: str, *, is_service: bool = False) -> bool:
-    """Check a name that may be relative; return True.
+    """Check a name, which may be relative, and return True.
 
     Raises:
-        InvalidTopicNameException: if it breaks the rules.
-        InvalidServiceNameException: likewise, if ``is_service``.
+        InvalidTopicNameException: if the name of a topic breaks the rules.
+        InvalidServiceNameException: if the name of a service breaks the rules.
     """
     fault = _fault(name, RELATIVE_FAULTS)
     if fault is not None:
@@ -83,7 +83,7 @@ def validate_topic_name(name: str, *, is_service: bool = False) -> bool:
 
 
 def validate_full_topic_name(name: str, *, is_service: bool = False) -> bool:
-    """Check an absolute name; return True. Raises like `validate_topic_name`."""
+    """Check an absolute name, and return True. The errors are those of `validate_topic_name`."""
     fault = _fault(name, FULL_FAULTS)
     if fault is not None:
         raise _error(is_service)(name, f"{_noun(is_service)} {fault[0]}", fault[1])
@@ -91,7 +91,7 @@ def validate_full_topic_name(name: str, *, is_service: bool = False) -> bool:
 
 
 def validate_namespace(namespace: str) -> bool:
-    """Check a namespace; return True.
+    """Check a namespace, and return True.
 
     Raises:
         InvalidNamespaceException: if it breaks the rules.
@@ -103,7 +103,7 @@ def validate_namespace(namespace: str) -> bool:
 
 
 def validate_node_name(node_name: str) -> bool:
-    """Check the name of a node; return True.
+    """Check the name of a node, and return True.
 
     Raises:
         InvalidNodeNameException: if it breaks the rules.
@@ -117,10 +117,10 @@ def validate_node_name(node_name: str) -> bool:
 
 
 def validate_parameter_name(name: str) -> bool:
-    """Check the name of a parameter; return True.
+    """Check the name of a parameter, and return True.
 
     Raises:
-        InvalidParameterException: if it is empty.
+        InvalidParameterException: if the name is empty.
     """
     if not name:
         raise InvalidParameterException(name)
@@ -136,7 +136,7 @@ def expand_topic_name(topic_name: str, node_name: str, node_namespace: str) -> s
         node_namespace: Its namespace.
 
     Raises:
-        ValueError: if one of them breaks the rules.
+        ValueError: if one of the names breaks the rules.
     """
     if _fault(topic_name, RELATIVE_FAULTS) is not None:
         raise ValueError(f"topic name is invalid: '{topic_name}'")

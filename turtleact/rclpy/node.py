@@ -78,7 +78,7 @@ class Node(NodeParameters, NodeGraph, Block):
         context: The context; None means the default one.
         cli_args: More arguments, as on a command line, for this node only.
         namespace: The prefix of relative names.
-        use_global_arguments: Whether the program's arguments count.
+        use_global_arguments: Whether the program's arguments apply to this node.
         enable_rosout: Whether its log is published on ``/rosout``.
         rosout_qos_profile: The quality of service of ``/rosout``.
         start_parameter_services: Whether others may see and set its parameters.
@@ -90,7 +90,7 @@ class Node(NodeParameters, NodeGraph, Block):
     Raises:
         NotInitializedException: if the context is not ok.
         InvalidNodeNameException: if the name breaks the rules.
-        InvalidNamespaceException: if the namespace does.
+        InvalidNamespaceException: if the namespace breaks the rules.
     """
 
     PARAM_REL_TOL = 1e-6
@@ -239,13 +239,13 @@ class Node(NodeParameters, NodeGraph, Block):
     def entities(self) -> tuple[Sequence[Anything], ...]:
         """Everything with callbacks except waitables, by kind, in the order of a round.
 
-        The sequences are replaced, never changed, so any thread may go through them.
+        A change replaces a sequence instead of changing it, so any thread may iterate over it.
         """
         return self._timers, self._subscriptions, self._guards, self._clients, self._services
 
     @property
     def executor(self) -> Executor | None:
-        """The executor that runs its callbacks; None if there is none."""
+        """The executor that runs the node's callbacks; None if the node has no executor."""
         return None if self._executor_ref is None else self._executor_ref()
 
     @executor.setter
@@ -301,7 +301,7 @@ class Node(NodeParameters, NodeGraph, Block):
         return f"{self._namespace.rstrip('/')}/{self._name}"
 
     def get_clock(self) -> Clock:
-        """Return the node's clock, which tells ROS time."""
+        """Return the node's clock, which follows ROS time."""
         return self._clock
 
     def get_logger(self) -> RcutilsLogger:
@@ -356,7 +356,7 @@ class Node(NodeParameters, NodeGraph, Block):
         Args:
             msg_type: The class of the messages.
             topic: The name of the topic.
-            qos_profile: The quality of service, or the depth of a default one.
+            qos_profile: The quality of service, or the depth of a default profile.
             callback_group: The group of the callbacks of its events.
             event_callbacks: Callbacks of its events.
             qos_overriding_options: Which policies parameters may override.
@@ -411,7 +411,7 @@ class Node(NodeParameters, NodeGraph, Block):
             msg_type: The class of the messages.
             topic: The name of the topic.
             callback: Called with each message, and with a `MessageInfo` if it takes two arguments.
-            qos_profile: The quality of service, or the depth of a default one.
+            qos_profile: The quality of service, or the depth of a default profile.
             callback_group: Decides when the callback may run.
             event_callbacks: Callbacks of its events.
             qos_overriding_options: Which policies parameters may override.
@@ -544,7 +544,7 @@ class Node(NodeParameters, NodeGraph, Block):
             timer_period_sec: The time between two calls (s).
             callback: Called each time.
             callback_group: Decides when the callback may run.
-            clock: Tells the time; None means the node's clock.
+            clock: The clock to follow. None means the node's clock.
             autostart: Whether it runs at once.
 
         Raises:
@@ -579,7 +579,7 @@ class Node(NodeParameters, NodeGraph, Block):
 
         Args:
             frequency: Beats per second.
-            clock: Tells the time; None means the node's clock.
+            clock: The clock to follow. None means the node's clock.
 
         Raises:
             ValueError: if the frequency is not above zero.
@@ -642,7 +642,7 @@ class Node(NodeParameters, NodeGraph, Block):
         return self.destroy_timer(rate.timer)
 
     def _without(self, held: list[E], thing: E) -> tuple[list[E], bool]:
-        """Destroy an entity of the node; return the others, and whether it was one of them."""
+        """Destroy an entity of the node. Return the others, and whether the node had the entity."""
         if thing not in held:
             return held, False
         closing: Anything = thing

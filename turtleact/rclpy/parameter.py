@@ -42,7 +42,7 @@ class Parameter(Subscriptable):
 
     Args:
         name: Its name.
-        type_: Its type; left out, that of the value.
+        type_: The parameter's type. If left out, it is the type of the value.
         value: Its value.
 
     Raises:
@@ -69,7 +69,7 @@ class Parameter(Subscriptable):
             """Return the type of a value.
 
             Raises:
-                TypeError: if no parameter can have it.
+                TypeError: if no parameter can have this value.
             """
             if parameter_value is None:
                 return cls.NOT_SET
@@ -81,7 +81,7 @@ class Parameter(Subscriptable):
             raise TypeError(f"The given value is not one of the allowed types '{parameter_value}'.")
 
         def check(self, parameter_value: object) -> bool:
-            """Whether a value fits."""
+            """Whether a value is of this type."""
             if self is Parameter.Type.NOT_SET:
                 return parameter_value is None
             try:
@@ -113,17 +113,17 @@ class Parameter(Subscriptable):
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """The parameter's name."""
         return self._name
 
     @property
     def type_(self) -> Type:
-        """Its type."""
+        """The parameter's type."""
         return self._type
 
     @property
     def value(self) -> Anything:
-        """Its value."""
+        """The parameter's value."""
         return self._value
 
     def __repr__(self) -> str:
@@ -160,10 +160,10 @@ def _single(value: object) -> str | None:
 
 
 def _array_type(values: Sequence[object]) -> Parameter.Type:
-    """Return the type of a list; an empty one counts as bytes.
+    """Return the type of a list. An empty list counts as bytes.
 
     Raises:
-        TypeError: if its elements differ, or are of no such type.
+        TypeError: if the elements are of different types, or of a type that no parameter can have.
     """
     if all(isinstance(each, bytes) for each in values):
         return Parameter.Type.BYTE_ARRAY
@@ -174,7 +174,7 @@ def _array_type(values: Sequence[object]) -> Parameter.Type:
 
 
 def get_parameter_value(string_value: str) -> Anything:
-    """Return the ``rcl_interfaces.msg.ParameterValue`` that a text stands for, read as YAML."""
+    """Read a text as YAML, and return its value as a ``rcl_interfaces.msg.ParameterValue``."""
     value = parse_value(string_value)
     try:
         return Parameter("", value=value).get_parameter_value()
@@ -209,8 +209,8 @@ def parameter_dict_from_yaml_file(
     Args:
         parameter_file: The path of the file.
         use_wildcard: Whether parameters of ``/**`` count for the target nodes.
-        target_nodes: The full names of the nodes; None means all in the file.
-        namespace: What to put before each name, with its dot: ``"robot."``.
+        target_nodes: The full names of the nodes. None means all nodes in the file.
+        namespace: The prefix of each name, with its dot: ``"robot."``.
 
     Raises:
         RuntimeError: if the file has no parameters of these nodes.

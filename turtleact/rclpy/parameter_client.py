@@ -1,4 +1,4 @@
-"""Sees and sets the parameters of another node."""
+"""Reads and sets the parameters of another node."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class AsyncParameterClient:
         parameters: Sequence[Anything],
         callback: Callable[[Future], object] | None = None,
     ) -> Future:
-        """Set parameters one by one; they may be `Parameter` objects or messages."""
+        """Set parameters one by one. They may be `Parameter` objects or messages."""
         return self._call("SetParameters", callback, parameters=_messages(parameters))
 
     def set_parameters_atomically(
@@ -104,7 +104,7 @@ class AsyncParameterClient:
         parameters: Sequence[Anything],
         callback: Callable[[Future], object] | None = None,
     ) -> Future:
-        """Set all parameters or none; they may be `Parameter` objects or messages."""
+        """Set all parameters or none. They may be `Parameter` objects or messages."""
         return self._call("SetParametersAtomically", callback, parameters=_messages(parameters))
 
     def describe_parameters(
@@ -124,7 +124,7 @@ class AsyncParameterClient:
     ) -> Future:
         """Delete parameters.
 
-        Only those without a fixed type, or undeclared ones, can be deleted.
+        Only parameters that are undeclared or have no fixed type can be deleted.
         """
         return self.set_parameters([Parameter(name) for name in names], callback)
 

@@ -46,11 +46,11 @@ class ParameterEventHandler:
     """
 
     class Callbacks:
-        """The callbacks.
+        """The callbacks of a `ParameterEventHandler`.
 
         Attributes:
-            parameter_callbacks: Those for one parameter, by parameter and node.
-            event_callbacks: Those for all events.
+            parameter_callbacks: The callbacks for one parameter, by parameter and node.
+            event_callbacks: The callbacks for all events.
         """
 
         def __init__(self) -> None:
@@ -90,14 +90,14 @@ class ParameterEventHandler:
         )
 
     def destroy(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         self.node.destroy_subscription(self.parameter_event_subscription)
 
     @staticmethod
     def get_parameter_from_event(
         event: Anything, parameter_name: str, node_name: str
     ) -> Anything | None:
-        """Return a parameter of a node if it is in an event and new or changed; else None."""
+        """Return a node's parameter if an event says that it is new or changed; otherwise None."""
         if event.node != node_name:
             return None
         found = ParameterEventHandler.get_parameters_from_event(event)
@@ -123,7 +123,7 @@ class ParameterEventHandler:
         """Remove a callback.
 
         Raises:
-            RuntimeError: if it is not there.
+            RuntimeError: if the callback is not registered.
         """
         with self._callbacks.lock:
             handles = self._callbacks.parameter_callbacks.get(
@@ -148,7 +148,7 @@ class ParameterEventHandler:
         """Remove a callback.
 
         Raises:
-            RuntimeError: if it is not there.
+            RuntimeError: if the callback is not registered.
         """
         with self._callbacks.lock:
             if handle not in self._callbacks.event_callbacks:

@@ -1,4 +1,4 @@
-"""The six services through which others see and set the parameters of a node."""
+"""The six services with which others read and set the parameters of a node."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["ParameterService"]
 
 
 class ParameterService:
-    """Offers the services; the node owns them.
+    """Offers the services. The node owns them.
 
     Args:
         node: The node, which offers the services.

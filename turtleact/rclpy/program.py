@@ -1,7 +1,7 @@
 """Prepares this process for a program that imports rclpy, and ends it when the program has ended.
 
-`prepare` must be called before the program's first import. It imports little: a program that does
-not use rclpy pays next to nothing.
+`prepare` must be called before the program's first import. It imports little, so a program that
+does not use rclpy starts almost as fast as without it.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Options(msgspec.Struct, frozen=True):
     """How a program is run.
 
     Attributes:
-        face: Whose rclpy it gets; see `turtleact.rclpy.face`.
-        place: Which graph it joins.
+        face: Which rclpy the program gets; see `turtleact.rclpy.face`.
+        place: The graph that it joins.
         interfaces: A folder with more interfaces.
     """
 
@@ -53,10 +53,10 @@ def prepare(options: Options, *folders: Path) -> None:
 
     Args:
         options: How the program is run.
-        *folders: Where the program is, to search for more interfaces.
+        *folders: Folders of the program, which are searched for more interfaces.
 
     Raises:
-        UsageError: if the options make no sense.
+        UsageError: if the options do not fit together.
         InvalidInterface: if the folder with interfaces does not exist.
     """
     face, middleware = chosen_face(options.face)
@@ -75,9 +75,9 @@ def prepare(options: Options, *folders: Path) -> None:
 
 
 def offer_neighbours(*folders: Path) -> None:
-    """Make the interfaces of packages near these folders known; other places take precedence.
+    """Make the interfaces of packages near these folders known. Other places take precedence.
 
-    A folder above them that is called ``src``, or contains one, is searched as well.
+    A folder above them that is called ``src``, or contains a ``src``, is searched as well.
     """
     known = find_interfaces(Path())
     found: dict[str, Path] = {}
@@ -89,10 +89,13 @@ def offer_neighbours(*folders: Path) -> None:
 
 
 def end_threads() -> list[str]:
-    """Leave the graph, wait for the threads of a program that has ended, and name the stuck ones.
+    """Leave the graph, and wait for the threads of a program that has ended.
 
-    A callback that sleeps or computes for ever would keep the process alive: the interpreter waits
-    for its thread. If there are such threads, the process must be left without waiting for them.
+    Name the stuck threads.
+
+    A callback that sleeps or computes for ever would keep the process alive, because the
+    interpreter waits for its thread. If there are such threads, end the process without waiting for
+    them.
     """
     process = sys.modules.get("turtleact.rclpy.impl.process")
     if process is None:
@@ -110,7 +113,7 @@ def end_threads() -> list[str]:
 
 
 def leave(error: BaseException | None) -> NoReturn:
-    """End the process as Python does after an exception or without one, but wait for no thread."""
+    """End the process as Python does, with or without an exception, but wait for no thread."""
     if error is not None and not isinstance(error, SystemExit):
         sys.excepthook(type(error), error, error.__traceback__)
     for stream in (sys.stdout, sys.stderr):
@@ -125,7 +128,7 @@ def leave(error: BaseException | None) -> NoReturn:
 
 
 def _places(folders: Sequence[Path]) -> Iterator[Path]:
-    """Where to look for packages: in these folders, and above them where there is a ``src``."""
+    """The folders to search for packages: these, and those above them that have a ``src``."""
     for folder in folders:
         yield folder
         for above in list(folder.absolute().parents)[:PARENTS]:
@@ -134,7 +137,7 @@ def _places(folders: Sequence[Path]) -> Iterator[Path]:
 
 
 def _searched(options: Options, folders: Sequence[Path]) -> list[str]:
-    """Where interfaces were looked for, as an error shows it."""
+    """The places where interfaces were sought, as an error shows them."""
     given = [] if options.interfaces is None else [f"{options.interfaces} (--interfaces)"]
     sourced = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     near = [str(place.absolute()) for place in (Path(), *_places(folders))]

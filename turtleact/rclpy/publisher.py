@@ -19,9 +19,9 @@ __all__ = ["Publisher"]
 
 
 class Publisher(Subscriptable, Destroyable):
-    """Sends messages to a topic; made by `Node.create_publisher`.
+    """Sends messages to a topic. `Node.create_publisher` makes one.
 
-    A message is encoded in the thread that publishes it, so it may be changed afterwards.
+    A message is encoded in the thread that publishes it. You may change the message afterwards.
 
     Args:
         sender: The transport's end.
@@ -76,7 +76,7 @@ class Publisher(Subscriptable, Destroyable):
         """Send a message, or bytes that hold an encoded one.
 
         Raises:
-            TypeError: if it is of another class, or a value does not fit its type.
+            TypeError: if the message is of another class, or a value does not fit its type.
             InvalidHandle: if the publisher was destroyed.
         """
         data = msg if isinstance(msg, bytes) else encode(msg, self.msg_type)
@@ -91,13 +91,13 @@ class Publisher(Subscriptable, Destroyable):
             return self._count_subscriptions()
 
     def assert_liveliness(self) -> None:
-        """Assert that the publisher is alive; only its own events notice."""
+        """Assert that the publisher is alive. Only the publisher's own events notice this."""
         with self._handle:
             for each in self.event_handlers:
                 each.noted(is_message=False)
 
     def wait_for_all_acked(self, timeout: Duration | None = None) -> bool:  # noqa: ARG002  # as in rclpy
-        """Return True: reliable messages are handed to the network before this returns."""
+        """Return True once all reliable messages have been handed to the network."""
         with self._handle:
             return True
 

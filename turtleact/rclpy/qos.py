@@ -53,7 +53,7 @@ UNSPECIFIED = Duration()
 
 
 class InvalidQoSProfileException(Exception):
-    """A profile lacks something."""
+    """A profile lacks a required setting."""
 
     def __init__(self, *args: object) -> None:
         super().__init__("Invalid QoSProfile", *args)
@@ -75,7 +75,7 @@ class QoSPolicyKind(IntEnum):
 
 
 def qos_policy_name_from_kind(policy_kind: QoSPolicyKind | int) -> str:
-    """Return the name of a policy."""
+    """Return the name of a policy by its number."""
     return QoSPolicyKind(policy_kind).name
 
 
@@ -97,7 +97,7 @@ class QoSPolicyEnum(IntEnum):
         """The short name of the value.
 
         Raises:
-            AttributeError: if it has none.
+            AttributeError: if the value has no short name.
         """
         return self.name.lower()
 
@@ -132,7 +132,7 @@ class DurabilityPolicy(QoSPolicyEnum):
 
 
 class LivelinessPolicy(QoSPolicyEnum):
-    """Who asserts that a publisher is alive."""
+    """How a publisher shows that it is alive."""
 
     SYSTEM_DEFAULT = 0
     AUTOMATIC = 1
@@ -148,7 +148,7 @@ QoSLivelinessPolicy = LivelinessPolicy
 
 
 class _Policy(Generic[T]):
-    """An attribute of a profile that checks its type. A number becomes the policy it stands for.
+    """An attribute of a profile that checks its type. It converts a number to a policy.
 
     Args:
         kind: The type.
@@ -264,7 +264,7 @@ class QoSProfile:
         return f"{type(self).__name__}({', '.join(values)})"
 
     def get_c_qos_profile(self) -> QoSProfile:
-        """Return the profile itself: there is no other form of it."""
+        """Return the profile itself, because it has no other form."""
         return self
 
     def to_dict(self) -> dict[str, Anything]:
@@ -272,7 +272,7 @@ class QoSProfile:
         return {slot[1:]: getattr(self, slot) for slot in self.__slots__}
 
     def for_transport(self) -> QoS:
-        """Return those policies that turtleact's transports know."""
+        """Return the policies that turtleact's transports know."""
         is_latched = self.durability == DurabilityPolicy.TRANSIENT_LOCAL
         is_lossy = self.reliability == ReliabilityPolicy.BEST_EFFORT
         return QoS(
@@ -293,7 +293,7 @@ class QoSProfile:
 
     @property
     def kept(self) -> int | None:
-        """How many unread messages are kept; None if all are."""
+        """How many unread messages are kept; None if all are kept."""
         if self.history == HistoryPolicy.KEEP_ALL:
             return None
         return self.depth or SYSTEM_DEPTH
@@ -303,7 +303,7 @@ KEEP_ALL = 1000
 """How many messages of a latched topic are kept for late subscriptions with KEEP_ALL."""
 
 SYSTEM_DEPTH = 10
-"""The depth if a profile leaves it to the system."""
+"""The depth that is used if a profile leaves the depth to the system."""
 
 
 def _limit(duration: Duration) -> int | None:
@@ -313,10 +313,10 @@ def _limit(duration: Duration) -> int | None:
 
 
 def profile_of(given: QoSProfile | int) -> QoSProfile:
-    """Return a profile; a number is the depth of a default one.
+    """Return a profile. A number is the depth of a default profile.
 
     Raises:
-        TypeError: if it is neither.
+        TypeError: if ``given`` is neither a profile nor a number.
         ValueError: if the number is negative.
     """
     if isinstance(given, QoSProfile):
@@ -399,7 +399,7 @@ class QoSCompatibility(IntEnum):
 def qos_check_compatible(
     publisher_qos: QoSProfile, subscription_qos: QoSProfile
 ) -> tuple[QoSCompatibility, str]:
-    """Return whether a publisher and a subscription with these profiles fit, and why not.
+    """Return whether these profiles of a publisher and a subscription fit, and if not, why.
 
     turtleact and rmw_zenoh never keep two endpoints apart, whatever their profiles.
     """

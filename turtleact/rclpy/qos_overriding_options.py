@@ -34,8 +34,8 @@ class QoSOverridingOptions:
 
     Args:
         policy_kinds: The policies.
-        callback: Takes the overridden profile; its result may refuse it.
-        entity_id: Part of the parameters' names, to tell endpoints of a topic apart.
+        callback: Called with the overridden profile. Its result may refuse the profile.
+        entity_id: A part of the parameters' names, which tells endpoints of a topic apart.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Messages to bytes and back."""
+"""Converts messages to bytes and back."""
 
 from __future__ import annotations
 

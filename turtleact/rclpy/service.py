@@ -25,19 +25,19 @@ logger = RcutilsLogger("rclpy.service")
 
 
 class Service(Subscriptable, Entity):
-    """Answers requests; made by `Node.create_service`.
+    """Answers requests. `Node.create_service` makes one.
 
     Args:
         srv_type: The class of the service.
         srv_name: The name of the service, as it was given.
         full_name: Its full name.
         callback: Takes a request and an empty response, and returns a response.
-        callback_group: Decides when it may run.
+        callback_group: Decides when the callback may run.
         qos_profile: The quality of service.
         wake: Called when a request has come.
 
     Attributes:
-        handler: What the transport passes requests to.
+        handler: The object to which the transport passes requests.
     """
 
     def __init__(
@@ -103,12 +103,12 @@ class Service(Subscriptable, Entity):
         """Send a response.
 
         Raises:
-            TypeError: if it is of another class, or a value does not fit its type.
+            TypeError: if the message is of another class, or a value does not fit its type.
         """
         header(encode(response, self.srv_type.Response), "")
 
     def describe(self) -> str:
-        """Describe this entity for a diagnostic message."""
+        """Return a description of this entity for a diagnostic message."""
         return f"the service {self._full_name}"
 
     def _close(self) -> None:

@@ -1,8 +1,8 @@
 """Signals: SIGINT and SIGTERM shut every context down.
 
-A handler that Python calls may interrupt the program anywhere, also while it holds a lock. It
-therefore only tells a thread, which shuts the contexts down. Then it calls the handler that was
-there before: Python's own, for SIGINT, raises KeyboardInterrupt.
+Python may call a signal handler anywhere in the program, even while the program holds a lock. The
+handler therefore only tells a thread, which shuts the contexts down. Then it calls the earlier
+handler. For SIGINT, Python's own handler raises KeyboardInterrupt.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ SIGNALS = {
 
 
 class _Handlers:
-    """The handlers that are installed, and the thread that does their work."""
+    """The installed handlers, and the thread that does their work."""
 
     def __init__(self) -> None:
         self.installed = SignalHandlerOptions.NO
@@ -52,7 +52,10 @@ class _Handlers:
         self._thread: threading.Thread | None = None
 
     def install(self, options: SignalHandlerOptions) -> None:
-        """Install handlers. Only Python's main thread can; in others this does nothing."""
+        """Install handlers.
+
+        Only Python's main thread can do that. In other threads, this does nothing.
+        """
         if threading.current_thread() is not threading.main_thread():
             return
         if self._thread is None:
@@ -68,7 +71,7 @@ class _Handlers:
                 self.installed |= option
 
     def uninstall(self) -> None:
-        """Restore the handlers that were there before, unless somebody has replaced ours."""
+        """Restore the earlier handlers, unless somebody has replaced ours."""
         if threading.current_thread() is not threading.main_thread():
             return
         for option, number in SIGNALS.items():
@@ -93,7 +96,7 @@ HANDLERS = _Handlers()
 
 
 def install_signal_handlers(options: SignalHandlerOptions = SignalHandlerOptions.ALL) -> None:
-    """Install handlers of these signals; `rclpy.init` does so."""
+    """Install handlers of these signals. `rclpy.init` calls this."""
     HANDLERS.install(options)
 
 
@@ -103,5 +106,5 @@ def get_current_signal_handlers_options() -> SignalHandlerOptions:
 
 
 def uninstall_signal_handlers() -> None:
-    """Restore the handlers that were there before."""
+    """Restore the earlier signal handlers."""
     HANDLERS.uninstall()

@@ -26,21 +26,21 @@ logger = RcutilsLogger("rclpy.subscription")
 
 
 class MessageInfo(dict[str, Anything]):
-    """What is known about a message besides its content: when it was sent and received (ns)."""
+    """The facts about a message besides its content: when it was sent and received (ns)."""
 
 
 class Subscription(Subscriptable, Entity):
-    """Receives the messages of a topic; made by `Node.create_subscription`.
+    """Receives the messages of a topic. `Node.create_subscription` makes one.
 
-    Messages wait as bytes and are decoded in the thread of the callback. If there are more than the
-    profile's depth, the oldest are dropped.
+    Messages wait as bytes and are decoded in the thread of the callback. If more messages wait than
+    the profile's depth, the oldest are dropped.
 
     Args:
         msg_type: The class of the messages.
         topic: The name of the topic, as it was given.
         full_name: The full name of the topic.
-        callback: Takes each message, and perhaps a `MessageInfo`.
-        callback_group: Decides when it may run.
+        callback: Called with each message and, if it takes two arguments, a `MessageInfo`.
+        callback_group: Decides when the callback may run.
         qos_profile: The quality of service.
         raw: Whether the callback gets bytes.
         event_handlers: The waitables of its events.
@@ -49,7 +49,7 @@ class Subscription(Subscriptable, Entity):
     """
 
     class CallbackType(Enum):
-        """What a callback takes."""
+        """Which arguments a callback takes."""
 
         MessageOnly = 0
         WithMessageInfo = 1
@@ -97,7 +97,7 @@ class Subscription(Subscriptable, Entity):
             return self._full_name
 
     def deliver(self, data: bytes) -> None:
-        """Receive a message; the transport calls this in any thread."""
+        """Receive a message. The transport may call this in any thread."""
         self._waiting.append((data, time.time_ns()))
         for each in self.event_handlers:
             each.noted()
@@ -112,7 +112,7 @@ class Subscription(Subscriptable, Entity):
         return bool(self._waiting) and not self._handle.is_destroyed
 
     def take(self) -> Anything:
-        """Take a message and what is known about it."""
+        """Take a message, and the facts about it."""
         try:
             data, received = self._waiting.popleft()
         except IndexError:
@@ -136,7 +136,7 @@ class Subscription(Subscriptable, Entity):
             await result
 
     def describe(self) -> str:
-        """Describe this entity for a diagnostic message."""
+        """Return a description of this entity for a diagnostic message."""
         return f"the subscription of {self._full_name}"
 
     def get_publisher_count(self) -> int:
@@ -156,10 +156,10 @@ class Subscription(Subscriptable, Entity):
 
 
 def _callback_type(callback: Anything) -> Subscription.CallbackType:
-    """Return what a callback takes.
+    """Return which arguments a callback takes.
 
     Raises:
-        RuntimeError: if it takes neither one nor two arguments.
+        RuntimeError: if the callback takes neither one nor two arguments.
     """
     try:
         signature = inspect.signature(callback)

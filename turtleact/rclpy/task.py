@@ -1,7 +1,7 @@
 """Futures and tasks.
 
-A `Future` is what a client waits for; a `Task` is a callback or coroutine that an executor runs.
-A coroutine that awaits a future is parked there and costs nothing until the future is done.
+Clients wait for a `Future`. A `Task` is a callback or coroutine that an executor runs. A coroutine
+that awaits a future is parked at the future, and costs nothing until the future is done.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["Future", "Task"]
 
 
 class Runner(Protocol):
-    """What a future knows of an executor."""
+    """The part of an executor that a future uses."""
 
     def create_task(self, callback: Anything, *args: Anything) -> object:
         """Run a function or coroutine."""
@@ -43,7 +43,7 @@ class Future(Subscriptable):
     """The outcome of something that has not ended yet.
 
     Args:
-        executor: Runs the done callbacks; without one, they run at once.
+        executor: Runs the done callbacks. Without an executor, they run at once.
     """
 
     def __init__(self, *, executor: Runner | None = None) -> None:
@@ -95,14 +95,14 @@ class Future(Subscriptable):
         return self._done
 
     def result(self) -> Anything:
-        """Return the result, None if there is none yet; raises the exception if there is one."""
+        """Return the result, or None if there is none yet. If there is an exception, raise it."""
         if self._exception is not None:
             self._exception_fetched = True
             raise self._exception
         return self._result
 
     def exception(self) -> BaseException | None:
-        """Return the exception, None if there is none."""
+        """Return the exception, or None if there is none."""
         self._exception_fetched = True
         return self._exception
 
@@ -122,7 +122,7 @@ class Future(Subscriptable):
         self._tell()
 
     def add_done_callback(self, callback: Callable[[Anything], object]) -> None:
-        """Call ``callback(future)`` once it is done, or at once if it is."""
+        """Call ``callback(future)`` when the future is done, or at once if it is done already."""
         with self._lock:
             if self._is_pending:
                 self._callbacks.append(callback)
@@ -130,7 +130,7 @@ class Future(Subscriptable):
         self._run_callback(callback)
 
     def remove_done_callback(self, callback: Callable[[Anything], object]) -> bool:
-        """Remove a callback that has not been called; return whether it was there."""
+        """Remove a callback that has not been called. Return whether it was registered."""
         with self._lock:
             try:
                 self._callbacks.remove(callback)
@@ -139,7 +139,7 @@ class Future(Subscriptable):
             return True
 
     def park(self, task: Task) -> bool:
-        """Resume a task once this is done; returns False if it is done already."""
+        """Resume a task when the future is done. Return False if it is done already."""
         with self._lock:
             if self._is_pending:
                 self._parked.append(task)
@@ -147,7 +147,7 @@ class Future(Subscriptable):
             return False
 
     def set_executor(self, executor: Runner | None) -> None:
-        """Choose who runs the done callbacks."""
+        """Choose the executor that runs the done callbacks."""
         self._executor = None if executor is None else ref(executor)
 
     def _tell(self) -> None:
@@ -171,7 +171,7 @@ class Future(Subscriptable):
 
 
 class Task(Future):
-    """A function or coroutine that an executor runs; calling the task runs it, or its next step.
+    """A function or coroutine that an executor runs. Calling the task runs it, or its next step.
 
     Args:
         handler: A function, a coroutine function, or a coroutine.
@@ -180,8 +180,8 @@ class Task(Future):
         executor: Runs the task, and its done callbacks.
 
     Attributes:
-        awaited: The future that the last step awaits; None if it awaits something else.
-        origin: The entity and the node that it belongs to, if any.
+        awaited: The future that the last step awaits; None if the step awaits something else.
+        origin: The entity and the node that the task belongs to, if any.
     """
 
     def __init__(
@@ -212,7 +212,7 @@ class Task(Future):
         super().__del__()
 
     def __call__(self) -> None:
-        """Run the task, or its next step. Does nothing if it is done, cancelled or running."""
+        """Run the task, or its next step. If the task is done, cancelled or running, do nothing."""
         if not self._is_pending or self._executing or not self._task_lock.acquire(blocking=False):
             return
         before, RUNNING.task, self.awaited = RUNNING.task, self, None
@@ -250,7 +250,7 @@ class Task(Future):
         self._handler, self._args, self._kwargs = None, (), {}
 
     def resume(self) -> None:
-        """Have the executor run the next step."""
+        """Make the executor run the next step."""
         executor = None if self._executor is None else self._executor()
         if executor is not None:
             executor.resume(self)

@@ -1,4 +1,4 @@
-"""Points in time, each of a clock of a certain kind."""
+"""Points in time. Each belongs to one kind of clock."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class Time:
     Args:
         seconds: Seconds, as an int or float.
         nanoseconds: Nanoseconds to add.
-        clock_type: The kind of clock that it belongs to.
+        clock_type: The kind of clock that the time belongs to.
 
     Raises:
-        ValueError: if it is negative.
-        OverflowError: if it does not fit into 64 bits.
+        ValueError: if the time is negative.
+        OverflowError: if the time does not fit into 64 bits.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Time:
 
     @property
     def clock_type(self) -> ClockType:
-        """The kind of clock that it belongs to."""
+        """The kind of clock that the time belongs to."""
         return self._clock_type
 
     def seconds_nanoseconds(self) -> tuple[int, int]:
@@ -125,7 +125,7 @@ class Time:
         """Return the time in a ``builtin_interfaces.msg.Time``.
 
         Raises:
-            TypeError: if it is another message.
+            TypeError: if ``msg`` is of another type.
         """
         wanted: Anything = interface_class("builtin_interfaces/msg/Time")
         if not isinstance(msg, wanted):

@@ -24,7 +24,7 @@ USE_SIM_TIME_NAME = "use_sim_time"
 
 
 class Timed(Protocol):
-    """What a time source knows of a node."""
+    """The part of a node that a time source uses."""
 
     def has_parameter(self, name: str) -> bool:
         """Whether a parameter is declared."""
@@ -51,10 +51,10 @@ class Timed(Protocol):
 
 
 class TimeSource:
-    """Tells the clocks of a node what time it is, if the parameter ``use_sim_time`` is true.
+    """Sets the clocks of a node, if the parameter ``use_sim_time`` is true.
 
     Args:
-        node: The node; None if it is attached later.
+        node: The node. With None, attach a node later.
     """
 
     def __init__(self, *, node: Timed | None = None) -> None:
@@ -68,7 +68,7 @@ class TimeSource:
 
     @property
     def ros_time_is_active(self) -> bool:
-        """Whether a simulator tells the time."""
+        """Whether a simulator sets the time."""
         return self._ros_time_is_active
 
     @ros_time_is_active.setter
@@ -86,7 +86,7 @@ class TimeSource:
             self._clock_sub = None
 
     def attach_node(self, node: Timed) -> None:
-        """Follow the parameter of a node, which is declared if need be.
+        """Follow the parameter ``use_sim_time`` of a node. If necessary, declare it.
 
         Raises:
             RuntimeError: if the object is not a node.
@@ -121,10 +121,10 @@ class TimeSource:
         self._clock_sub = None
 
     def attach_clock(self, clock: Clock) -> None:
-        """Tell a clock the time.
+        """Set a clock to the source's time from now on.
 
         Raises:
-            ValueError: if it is not a clock of ROS time.
+            ValueError: if the clock is not a clock of ROS time.
         """
         if clock.clock_type is not ClockType.ROS_TIME or not isinstance(clock, ROSClock):
             raise ValueError("Only clocks with type ROS_TIME can be attached.")

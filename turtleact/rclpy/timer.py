@@ -1,7 +1,7 @@
 """Timers and rates.
 
-A timer that is late fires once and keeps its phase. Its clock may stand still: a timer of simulated
-time becomes due only when somebody sets that time.
+A timer that is late fires once and keeps its phase. The clock of a timer may stand still: a timer
+of simulated time becomes due only when somebody sets that time.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class TimerInfo:
     """When a timer's callback was due, and when it was called.
 
     Args:
-        expected_call_time: When it was due (ns).
-        actual_call_time: When it was called (ns).
+        expected_call_time: When the call was due (ns).
+        actual_call_time: When the call was made (ns).
         clock_type: The kind of clock.
     """
 
@@ -48,13 +48,13 @@ class TimerInfo:
 
 
 class Timer(Entity):
-    """Calls a function again and again; made by `Node.create_timer`.
+    """Calls a function again and again. `Node.create_timer` makes one.
 
     Args:
-        callback: Called each time; it may take a `TimerInfo`.
-        callback_group: Decides when it may run.
+        callback: The function to call. It may take a `TimerInfo`.
+        callback_group: Decides when the callback may run.
         timer_period_ns: The time between two calls (ns).
-        clock: Tells the time.
+        clock: The clock to follow.
         context: The context.
         autostart: Whether it runs at once.
 
@@ -132,7 +132,7 @@ class Timer(Entity):
             self._is_canceled = True
 
     def reset(self) -> None:
-        """Start a new period, also after `cancel`."""
+        """Start a new period. This also restarts a timer after `cancel`."""
         with self.handle:
             self._next_call = self._clock.now_ns() + self._period
             self._is_canceled = False
@@ -150,7 +150,7 @@ class Timer(Entity):
             return self._clock.now_ns() - self._last_call
 
     def time_until_next_call(self) -> int | None:
-        """Return how long until the next call (ns), negative if it is late; None if canceled."""
+        """Return how long until the next call (ns); negative if late, None if canceled."""
         with self.handle:
             return None if self._is_canceled else self._next_call - self._clock.now_ns()
 
@@ -163,7 +163,7 @@ class Timer(Entity):
         return self._next_call <= self._clock.now_ns()
 
     def due_in(self) -> float | None:
-        """How long until it is due (s); None if it is canceled or somebody else tells the time."""
+        """How long until the timer is due (s); None if canceled, or if its time is simulated."""
         if self._is_canceled or self._handle.is_destroyed or self._clock.is_told:
             return None
         return max(0.0, (self._next_call - self._clock.now_ns()) / 1e9)
@@ -190,7 +190,7 @@ class Timer(Entity):
             await result
 
     def describe(self) -> str:
-        """Describe this entity for a diagnostic message."""
+        """Return a description of this entity for a diagnostic message."""
         return f"the timer of {self._period / 1e9:g} s"
 
 
@@ -212,13 +212,13 @@ def _info_parameter(callback: Anything) -> str:
 
 
 class Rate:
-    """Lets a thread sleep until the next beat; made by `Node.create_rate`.
+    """Lets a thread sleep until the next beat. `Node.create_rate` makes one.
 
     Somebody else must spin the node meanwhile.
 
     Args:
         timer: Makes the beats.
-        context: Its shutdown ends every sleep.
+        context: The context. Its shutdown ends every sleep.
     """
 
     def __init__(self, timer: Timer, *, context: Context) -> None:
@@ -246,7 +246,7 @@ class Rate:
             self._beat.notify_all()
 
     def destroy(self) -> None:
-        """Destroy the rate and its timer; whoever sleeps wakes up."""
+        """Destroy the rate and its timer. Sleeping threads wake up."""
         with self._beat:
             self._is_destroyed = True
             self._beat.notify_all()
@@ -264,7 +264,7 @@ class Rate:
         """Sleep until the next beat.
 
         Raises:
-            ROSInterruptException: if the context is shut down, or the rate destroyed.
+            ROSInterruptException: if the context is shut down, or the rate is destroyed.
         """
         with self._beat:
             self._check()

@@ -56,11 +56,11 @@ _global = _Global()
 
 
 class InitContextManager:
-    """What `init` returns: a context manager that shuts the context down.
+    """The result of `init`: a context manager that shuts the context down.
 
     Args:
         context: The context.
-        is_default: Whether it is the default one.
+        is_default: Whether it is the default context.
     """
 
     def __init__(self, context: Context, *, is_default: bool) -> None:
@@ -86,14 +86,14 @@ def init(
     domain_id: int | None = None,
     signal_handler_options: SignalHandlerOptions | None = None,
 ) -> InitContextManager:
-    """Initialise a context; None means the default one.
+    """Initialise a context. None means the default context.
 
     Args:
-        args: The arguments of the program; None means ``sys.argv``.
+        args: The arguments of the program. None means ``sys.argv``.
         context: The context.
-        domain_id: The ROS domain; None means that of the environment.
-        signal_handler_options: Which signals shut contexts down; None means all, for the default
-            context.
+        domain_id: The ROS domain. None means the domain in the environment.
+        signal_handler_options: Which signals shut contexts down. For the default context, None
+            means all signals.
 
     Raises:
         RuntimeError: if the context was initialised before.
@@ -116,10 +116,10 @@ def get_global_executor() -> Executor:
 
 
 def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
-    """Shut down a context; None means the default one.
+    """Shut down a context. None means the default context.
 
     Raises:
-        RuntimeError: if it is not initialised, or was shut down before.
+        RuntimeError: if the context is not initialised, or was shut down before.
     """
     _drop_executor()
     _shutdown(context=context)
@@ -128,7 +128,7 @@ def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None 
 
 
 def try_shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
-    """Shut down a context unless it is shut down already; None means the default one."""
+    """Shut down a context, unless that has been done. None means the default context."""
     _drop_executor()
     _try_shutdown(context=context)
     if uninstall_handlers or (uninstall_handlers is None and context is None):
@@ -148,9 +148,9 @@ def create_node(node_name: str, **options: Anything) -> Node:
 
 
 class _Borrowed:
-    """A node in an executor for a while; then it goes back to where it was.
+    """A node that is in an executor for a while, and then goes back to its earlier executor.
 
-    rclpy leaves it without an executor, so that its callbacks never run again.
+    rclpy would leave the node without an executor, and its callbacks would never run again.
     """
 
     def __init__(self, node: Node, executor: Executor) -> None:
@@ -184,7 +184,7 @@ def spin_once(
     Args:
         node: The node.
         executor: The executor; None means the global one.
-        timeout_sec: How long to wait (s); None or a negative number mean for ever.
+        timeout_sec: How long to wait (s). None or a negative number means for ever.
     """
     with _Borrowed(node, get_global_executor() if executor is None else executor) as used:
         used.spin_once(timeout_sec=timeout_sec)
@@ -217,7 +217,7 @@ def spin_until_future_complete(
         node: The node.
         future: The future.
         executor: The executor; None means the global one.
-        timeout_sec: How long (s); None or a negative number mean for ever.
+        timeout_sec: How long to run callbacks (s). None or a negative number means for ever.
     """
     with _Borrowed(node, get_global_executor() if executor is None else executor) as used:
         used.spin_until_future_complete(future, timeout_sec)

@@ -1,4 +1,4 @@
-"""The service ``~/get_type_description``: what a type that a node uses consists of."""
+"""Serves ``~/get_type_description``, which describes the types that a node uses."""
 
 from __future__ import annotations
 

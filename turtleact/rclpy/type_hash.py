@@ -23,7 +23,7 @@ class TypeHash:
 
     @classmethod
     def from_text(cls, text: str) -> TypeHash:
-        """Parse a hash such as ``RIHS01_…``; any other text gives an empty hash."""
+        """Parse a hash such as ``RIHS01_…``. Any other text gives an empty hash."""
         version, _, digits = text.removeprefix("RIHS").partition("_")
         try:
             return cls(int(version), bytes.fromhex(digits))
@@ -42,7 +42,7 @@ class TypeHash:
 
     @property
     def value(self) -> bytes:
-        """The bytes."""
+        """The 32 bytes of the hash."""
         return self._value
 
     @value.setter

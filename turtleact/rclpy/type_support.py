@@ -23,7 +23,7 @@ def check_for_type_support(msg_or_srv_type: Anything) -> None:
     """Check that something is a class of an interface.
 
     Raises:
-        AttributeError: if it is not one.
+        AttributeError: if it is no such class.
         NoTypeSupportImportedException: if it is a class of ROS whose type support is not loaded.
     """
     if is_interface(msg_or_srv_type):
@@ -46,7 +46,7 @@ def _check(interface: Anything, parts: tuple[str, ...], noun: str) -> None:
 
 
 def check_is_valid_msg_type(msg_type: Anything) -> None:
-    """Check that something is a message class; raises RuntimeError if it is another interface."""
+    """Check that a class is a message class. Raises RuntimeError for a service or action."""
     _check(msg_type, (), "message")
     if hasattr(msg_type, "type_name"):
         raise RuntimeError(
@@ -55,10 +55,10 @@ def check_is_valid_msg_type(msg_type: Anything) -> None:
 
 
 def check_is_valid_srv_type(srv_type: Anything) -> None:
-    """Check that something is a service; raises RuntimeError if it is another interface."""
+    """Check that a class is a service. Raises RuntimeError for a message or action."""
     _check(srv_type, ("Request", "Response"), "service")
 
 
 def check_is_valid_action_type(action_type: Anything) -> None:
-    """Check that something is an action; raises RuntimeError if it is another interface."""
+    """Check that a class is an action. Raises RuntimeError for a message or service."""
     _check(action_type, ("Goal", "Result", "Feedback"), "action")

@@ -24,7 +24,7 @@ RMW = "rmw_zenoh_cpp"
 """The middleware with the protocol that turtleact speaks."""
 
 LONGEST = 2**63 // 1_000_000_000 // 2
-"""Longer timeouts count as none (s)."""
+"""Timeouts longer than this (s) count as no timeout."""
 
 
 class _Default:
@@ -42,7 +42,8 @@ def get_default_context(*, shutting_down: bool = False) -> Context:
     """Return the context that is used if none is given.
 
     Args:
-        shutting_down: Whether it is about to be shut down; the next call returns a new one.
+        shutting_down: Whether the context is about to be shut down. The next call then returns a
+            new context.
     """
     with DEFAULT.lock:
         context = DEFAULT.context
@@ -59,12 +60,12 @@ def ok(*, context: Context | None = None) -> bool:
 
 
 def shutdown(*, context: Context | None = None) -> None:
-    """Shut down a context, or the default one; raises as `Context.shutdown`."""
+    """Shut down a context, or the default one. The errors are those of `Context.shutdown`."""
     (get_default_context(shutting_down=True) if context is None else context).shutdown()
 
 
 def try_shutdown(*, context: Context | None = None) -> None:
-    """Shut down a context, or the default one, unless it is shut down already."""
+    """Shut down a context, or the default one, unless that has been done."""
     given = get_default_context() if context is None else context
     if context is None and given.handle is not None:  # it may also have been shut down by a signal
         get_default_context(shutting_down=True)
@@ -72,7 +73,7 @@ def try_shutdown(*, context: Context | None = None) -> None:
 
 
 def remove_ros_args(args: Sequence[str] | None = None) -> list[str]:
-    """Return the arguments, ``sys.argv`` if None, without those for ROS."""
+    """Return the arguments without those for ROS. None means ``sys.argv``."""
     return without_ros_arguments(list(sys.argv if args is None else args))
 
 

@@ -29,7 +29,7 @@ def wait_for_message(
         msg_type: The class of the message.
         node: The node.
         topic: The topic.
-        qos_profile: The quality of service, or the depth of a default one.
+        qos_profile: The quality of service, or the depth of a default profile.
         time_to_wait: How long to wait (s); -1 means for ever.
 
     Returns:

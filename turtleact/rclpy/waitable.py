@@ -11,7 +11,10 @@ __all__ = ["NumberOfEntities", "Waitable"]
 
 
 class NumberOfEntities:
-    """How many entities of each kind a waitable of rclpy waits for; executors here do not ask."""
+    """How many entities of each kind a waitable of rclpy waits for.
+
+    Executors here do not use it.
+    """
 
     def __init__(
         self,
@@ -38,7 +41,7 @@ class Waitable(Subscriptable, Entity):
     """
 
     def call_on_wake(self, wake: Callable[[], object]) -> None:
-        """Call a function when it may have become ready; the node does so."""
+        """Set the function to call when the waitable may have become ready. The node calls this."""
         self._wake = wake
 
     def is_ready(self, wait_set: object) -> bool:
@@ -46,11 +49,11 @@ class Waitable(Subscriptable, Entity):
         raise NotImplementedError("Must be implemented by subclass")
 
     def take_data(self) -> Anything:
-        """Take what `execute` gets."""
+        """Take the argument for `execute`."""
         raise NotImplementedError("Must be implemented by subclass")
 
     async def execute(self, taken_data: Anything) -> None:
-        """Handle what was taken."""
+        """Handle the result of `take_data`."""
         raise NotImplementedError("Must be implemented by subclass")
 
     def is_ready_now(self) -> bool:
@@ -58,10 +61,10 @@ class Waitable(Subscriptable, Entity):
         return not self._handle.is_destroyed and self.is_ready(None)
 
     def take(self) -> Anything:
-        """Take what `execute` gets."""
+        """Take the argument for `execute`."""
         taken = self.take_data()
         return NOTHING if taken is None else taken
 
     async def run(self, taken: Anything) -> None:
-        """Handle what was taken."""
+        """Handle the result of `take`."""
         await self.execute(taken)

@@ -1,4 +1,4 @@
-"""Recordings of topics and goals, in MCAP files as ROS 2 writes and reads them.
+"""Records topics and goals to MCAP files, in the form that ROS 2 writes and reads.
 
 Record with a node, and read without one::
 
@@ -8,7 +8,7 @@ Record with a node, and read without one::
     async for message in recording.read("run"):
         print(message.topic, message.stamp, message.value)
 
-Needs the extra ``bag``.
+This package needs the extra ``bag``.
 """
 
 from __future__ import annotations

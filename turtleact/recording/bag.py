@@ -1,7 +1,7 @@
-"""A bag as a reader sees it: a folder with ``metadata.yaml`` and files, or a single file.
+"""Reads a bag, which is a folder with ``metadata.yaml`` and files, or a single file.
 
-Files are opened when their messages are read. A folder without ``metadata.yaml``, as a killed
-recorder leaves it, is read by its files.
+Files are opened when their messages are read. A killed recorder leaves a folder without
+``metadata.yaml``. Then the files themselves are read.
 
 Source: rosbag2 ``docs/storage_plugin_development.md`` and ``sequential_reader.cpp``.
 """
@@ -48,9 +48,9 @@ class Recorded(msgspec.Struct, frozen=True):
     Attributes:
         topic: The name of its topic.
         stamp: When it was recorded (ns since 1970).
-        schema: Its type, and what the bag says about it.
+        schema: Its type, with the definition in the bag.
         data: Its bytes, as CDR.
-        value: The message; None if its type is not known here or the bytes do not fit it.
+        value: The message; None if its type is not known here or the bytes do not fit the type.
     """
 
     topic: str
@@ -61,12 +61,12 @@ class Recorded(msgspec.Struct, frozen=True):
 
     @property
     def type_name(self) -> str:
-        """Its type, ``pkg/kind/Name``."""
+        """The message's type, ``pkg/kind/Name``."""
         return self.schema.name
 
 
 class Bag:
-    """A bag that is read.
+    """A bag that is open for reading.
 
     Args:
         path: The folder, or a single file.
@@ -75,8 +75,8 @@ class Bag:
         BagError: if there is no bag.
 
     Attributes:
-        path: The same.
-        info: What is known without reading messages.
+        path: The folder or file.
+        info: What is known about the bag without reading messages.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -94,10 +94,10 @@ class Bag:
             self._open.popitem()[1].close()
 
     def messages(self, wanted: Range) -> Iterator[Raw]:
-        """The messages of a range, ordered by stamp within each file.
+        """Yield the messages of a range, ordered by stamp within each file.
 
         Raises:
-            BagError: at a damaged place.
+            BagError: if a place in the bag is damaged.
         """
         for file in self.info.files:
             is_outside = file.count and (
@@ -108,7 +108,7 @@ class Bag:
                 yield from self.storage(file.path).messages(wanted)
 
     def storage(self, name: str) -> BagStorage:
-        """One of its files, opened for reading."""
+        """Open one of the bag's files for reading."""
         path = self.path / name if self.path.is_dir() else self.path
         if path not in self._open:
             self._open[path] = _open(path)
@@ -142,7 +142,7 @@ class Bag:
         return self._from_files(files)
 
     def _checked(self, info: BagInfo) -> BagInfo:
-        """What ``metadata.yaml`` says, with the size of the files.
+        """Return what ``metadata.yaml`` says, with the size of the files.
 
         Raises:
             BagError: if a file is missing, or the bag is compressed as a whole.
@@ -211,7 +211,7 @@ class Reading:
         self._classes: dict[Channel, Callable[[bytes], Message | None]] = {}
 
     async def batches(self) -> AsyncGenerator[list[Recorded]]:
-        """The messages, several at once. Cancelling: safe."""
+        """Yield the messages in lists of several. Cancelling: safe."""
         import anyio.to_thread  # slow to import, and not needed to look at a bag
 
         while True:
@@ -235,7 +235,7 @@ class Reading:
 
 
 def reader_of(channel: Channel) -> Callable[[bytes], Message | None]:
-    """Return a function that decodes the messages of a topic, or gives None."""
+    """Return a function that decodes a message of a topic, or returns None if it cannot."""
     from turtleact.interfaces.cdr import decode  # slow to import
 
     cls = class_of(channel.schema, channel.type_hash) if channel.format == "cdr" else None
@@ -258,14 +258,14 @@ async def read(
 ) -> AsyncGenerator[Recorded]:
     """Read the messages of a bag, ordered by stamp.
 
-    The bag may have been recorded by turtleact, rosbag2 or rosbags, as MCAP or SQLite. Of a large
-    file, only what is asked for is read.
+    The bag may have been recorded by turtleact, rosbag2 or rosbags, as MCAP or SQLite. Only the
+    parts of a large file that are needed are read.
 
     Args:
         path: The folder of the bag, or a single file.
-        topics: The topics to read; left out, all.
+        topics: The topics to read. If left out, all are read.
         start: The earliest stamp (ns since 1970).
-        end: The latest stamp.
+        end: The latest stamp (ns since 1970).
 
     Raises:
         BagError: if there is no bag, or a place in it is damaged.
@@ -312,7 +312,7 @@ def _add_topics(storage: BagStorage, topics: dict[tuple[str, str], BagTopic]) ->
 
 
 def _described(about: str, path: Path) -> BagInfo:
-    """What a file says about its bag; nothing if it says nothing that can be read."""
+    """What a file says about its bag. The result is empty if nothing can be read."""
     indented = "".join(f"  {line}\n" for line in about.splitlines())
     try:
         return read_info(f"{ROOT}:\n{indented}", path)

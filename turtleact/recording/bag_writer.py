@@ -1,6 +1,6 @@
-"""A bag as it is written: files, split by size or duration, and ``metadata.yaml`` at the end.
+"""Writes a bag: files, split by size or duration, and ``metadata.yaml`` at the end.
 
-Everything here blocks. A thread does it; see `turtleact.recording.spool`.
+Everything here blocks, so a thread calls it; see `turtleact.recording.spool`.
 
 Source: rosbag2 ``sequential_writer.cpp``.
 """
@@ -32,15 +32,16 @@ from turtleact.recording.storage import Channel
 __all__ = ["BagWriter", "Split"]
 
 DISTRO: Final = "turtleact"
-"""What a bag says instead of a distribution of ROS."""
+"""The text that a bag has in place of a ROS distribution."""
 
 
 class Split(msgspec.Struct, frozen=True, kw_only=True):
-    """When to begin another file, and how to write it.
+    """When to begin another file, and how to compress files.
 
     Attributes:
-        max_size: A file with this many bytes is the last of its kind; 0 for no limit.
-        max_duration: Likewise for the time between its first and last message (ns).
+        max_size: A file that has this many bytes is followed by another; 0 for no limit.
+        max_duration: A file is followed by another after this time from its first message (ns); 0
+            for no limit.
         compression: How chunks are compressed.
     """
 
@@ -53,15 +54,15 @@ class BagWriter:
     """Writes a bag.
 
     Args:
-        path: The folder, which must not exist; a path that ends in ``.mcap`` names a single file.
+        path: The folder, which must not exist. A path that ends in ``.mcap`` names a single file.
         split: When to begin another file.
 
     Raises:
         BagError: if the folder or file exists, or cannot be created.
 
     Attributes:
-        path: The same.
-        lost: How many messages of each topic were given but are not in the bag.
+        path: The folder or file.
+        lost: How many messages of each topic were passed to `write` but are not in the bag.
     """
 
     def __init__(self, path: Path, split: Split) -> None:
@@ -89,12 +90,12 @@ class BagWriter:
             raise BagError(path, f"it cannot be created: {error.strerror}") from error
 
     def add(self, number: int, channel: Channel) -> None:
-        """Add a topic under a number of the caller's own."""
+        """Add a topic under a number that the caller chooses."""
         self._channels[number] = channel
         self._register(number)
 
     def write(self, number: int, stamp: int, sent: int, data: bytes) -> None:
-        """Write a message, soon.
+        """Add a message to the current chunk, which is written when it is full.
 
         Raises:
             OSError: if the disk is full or gone. Call `close` then.
@@ -113,10 +114,10 @@ class BagWriter:
             self._writer.flush()
 
     def flush(self) -> None:
-        """Put everything on disk that was given, so that a killed process would not lose it.
+        """Put all messages so far on disk, so that a killed process would not lose them.
 
         Raises:
-            OSError: as `write` does.
+            OSError: if the disk is full or gone. Call `close` then.
         """
         self._writer.flush()
 
@@ -124,10 +125,10 @@ class BagWriter:
         """Close the last file and describe the bag.
 
         Args:
-            lost: How many messages of each topic never came here.
+            lost: How many messages of each topic were lost before they came here.
 
         Raises:
-            OSError: if something could not be written. What can be read is in place.
+            OSError: if something could not be written. All that was written can be read.
         """
         error: OSError | None = None
         if self._is_open:
@@ -188,7 +189,7 @@ class BagWriter:
         )
 
     def _end(self, lost: dict[str, int] | None = None) -> None:
-        """Close the current file; without room for its index, the last messages give way."""
+        """Close the current file. If the disk has no room for the index, drop the last messages."""
         writer, self._is_open = self._writer, False
         try:
             with contextlib.suppress(OSError):  # the index says the same, and matters more
@@ -209,7 +210,7 @@ class BagWriter:
         writer.add_metadata("rosbag2", {"serialized_metadata": embedded(about)})
 
     def _describe(self, lost: dict[str, int]) -> None:
-        """Write ``metadata.yaml``, as a whole or not at all."""
+        """Write ``metadata.yaml``, completely or not at all."""
         start, duration = span(self._files)
         info = BagInfo(
             files=tuple(self._files),

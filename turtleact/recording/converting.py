@@ -1,4 +1,4 @@
-"""Writes bags anew: merged, cut by time or topic, split, compressed, or with an index again.
+"""Rewrites bags: merges, cuts by time or topic, splits, compresses, or restores the index.
 
 Source: rosbag2 ``bag_rewrite.cpp``.
 """
@@ -22,7 +22,7 @@ from turtleact.recording.storage import Channel, Range, Raw
 __all__ = ["Output", "convert"]
 
 CHECK = 1000
-"""After so many messages it is asked whether to go on."""
+"""After this many messages, ``goes_on`` is asked whether to go on."""
 
 
 class Output(msgspec.Struct, frozen=True, kw_only=True):
@@ -30,9 +30,9 @@ class Output(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         path: The folder to create, or a single file.
-        selection: What gets into it.
+        selection: Which messages to write to it.
         start: The earliest stamp (ns).
-        end: The latest stamp; None for no limit.
+        end: The latest stamp (ns); None for no limit.
         split: When to begin another file, and how to compress.
     """
 
@@ -51,7 +51,7 @@ def convert(
     Args:
         inputs: The bags to read.
         outputs: The bags to write.
-        goes_on: Asked now and then; if False, the bags are closed with what they have.
+        goes_on: Called now and then. If it returns False, the bags are closed with what they have.
 
     Returns:
         How many messages each output has.

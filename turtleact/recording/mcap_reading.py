@@ -1,6 +1,6 @@
 """Reads one MCAP file, with its index if it has one.
 
-A file that was not closed has no index. Then all of it is looked through, up to a record that is
+A file that was not closed has no index. Such a file is read from its start, up to a record that is
 cut off; damaged records are left out. Messages are read a chunk at a time.
 
 Source: the MCAP specification.
@@ -41,7 +41,7 @@ _DAMAGED: Final = (
     *(McapError, struct.error, ValueError, MemoryError, EOFError, OverflowError, OSError, KeyError),
     *(RuntimeError, ZstdError),  # of the packages that decompress
 )
-"""What reading a damaged record may raise."""
+"""The exceptions that reading a damaged record may raise."""
 
 
 class _Piece(NamedTuple):
@@ -51,7 +51,7 @@ class _Piece(NamedTuple):
         start: The time of its earliest message (ns).
         offset: Where its record begins.
         end: The time of its latest message (ns).
-        channels: The channels it has; None if they are not known.
+        channels: The channels with messages in it; None if they are not known.
     """
 
     start: int
@@ -61,13 +61,13 @@ class _Piece(NamedTuple):
 
 
 class McapFile:
-    """A file; see `turtleact.recording.storage.BagStorage`.
+    """An MCAP file, open for reading; see `turtleact.recording.storage.BagStorage`.
 
     Args:
         path: The file.
 
     Raises:
-        BagError: if it cannot be opened, or is no MCAP file.
+        BagError: if the file cannot be opened, or is no MCAP file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -94,10 +94,12 @@ class McapFile:
         self._file.close()
 
     def messages(self, wanted: Range) -> Iterator[Raw]:
-        """The messages of a range, ordered by stamp; those of one stamp as in the file.
+        """Yield the messages of a range, ordered by stamp.
+
+        Those of one stamp stay in the file's order.
 
         Raises:
-            BagError: at a damaged chunk.
+            BagError: if a chunk is damaged.
         """
         waiting: list[tuple[int, int, int, Raw]] = []
         for piece in self._chosen(wanted):
@@ -130,7 +132,7 @@ class McapFile:
         self._pieces.sort()
 
     def _summary(self) -> Summary | None:
-        """The index at the end of the file; None if there is none that can be read."""
+        """The index at the end of the file; None if no index can be read."""
         self._file.seek(-len(MAGIC), 2)
         self.is_closed = self._file.read() == MAGIC and self._file.tell() > 16
         if not self.is_closed:
@@ -143,7 +145,7 @@ class McapFile:
             return None
 
     def _takes(self, summary: Summary) -> bool:
-        """Take all that is needed from the index, or nothing if it is damaged."""
+        """Take what is needed from the index. Return False, and take nothing, if it is damaged."""
         try:
             self._take(summary)
         except _DAMAGED:
@@ -154,7 +156,7 @@ class McapFile:
         return self.is_closed
 
     def _take(self, summary: Summary) -> None:
-        """Take all that is needed from the index."""
+        """Take what is needed from the index."""
         for schema in summary.schemas.values():
             self._add_schema(schema)
         for channel in summary.channels.values():
@@ -179,7 +181,7 @@ class McapFile:
             self._note(Metadata.read(ReadDataStream(self._file)))
 
     def _scan(self) -> None:
-        """Look through the whole file, up to a record that is cut off; leave out damaged ones."""
+        """Read the whole file, up to a record that is cut off. Leave out damaged records."""
         size = self._file.seek(0, 2)
         place = len(MAGIC)
         while place + _HEAD.size <= size:
@@ -197,7 +199,7 @@ class McapFile:
         self.is_closed = False
 
     def _see(self, opcode: int, place: int, content: bytes) -> None:
-        """Take note of a record outside of chunks."""
+        """Remember what a record outside of chunks says."""
         if opcode == Opcode.CHUNK:
             found = self._records(Chunk.read(_stream(content)))
             if found:
@@ -225,7 +227,7 @@ class McapFile:
     # records
 
     def _read(self, piece: _Piece) -> Iterator[Raw]:
-        """The messages of a part of the file."""
+        """Yield the messages of a part of the file."""
         try:
             self._file.seek(piece.offset)
             opcode, length = _HEAD.unpack(self._file.read(_HEAD.size))
@@ -260,7 +262,7 @@ class McapFile:
         return found
 
     def _declare(self, opcode: int, content: bytes) -> None:
-        """Take note of a schema or channel; other records do not matter."""
+        """Remember a schema or channel. Other records are ignored."""
         if opcode == Opcode.SCHEMA:
             self._add_schema(SchemaRecord.read(_stream(content)))
         elif opcode == Opcode.CHANNEL:
@@ -283,7 +285,7 @@ class McapFile:
 
 
 def _is_complete(summary: Summary) -> bool:
-    """Whether the index leads to all messages; without chunks, it leads to none."""
+    """Whether the index lists all messages. In a file without chunks, it lists none."""
     statistics = summary.statistics
     if statistics is None:
         return False

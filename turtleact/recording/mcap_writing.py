@@ -4,10 +4,10 @@ Messages gather in a chunk. Only whole chunks are written. A process that is kil
 chunks behind, and perhaps a last one that is cut off. If a write fails, the file is cut back to the
 end of its last complete record, and can still be closed.
 
-The records are those of the ``mcap`` package. Its ``Writer`` takes 25 us for a message, which would
-cost a recorder in the process of a server more than the goals themselves. A message and its entry
-in the index are therefore packed here, which takes 2 us. ``Writer`` could not be closed after a
-failed write either.
+The records are those of the ``mcap`` package. Its ``Writer`` takes 25 us for a message. In the
+process of a server, a recorder would then take more time than the goals themselves. A message and
+its entry in the index are therefore packed here, which takes 2 us. Besides, ``Writer`` cannot be
+closed after a failed write.
 
 Source: the MCAP specification; rosbag2 ``mcap_storage.cpp`` for the profile and the metadata.
 """
@@ -45,7 +45,7 @@ from turtleact.recording.schemas import Schema
 __all__ = ["CHUNK", "MAGIC", "MESSAGE", "Compression", "McapWriter"]
 
 Compression: TypeAlias = Literal["none", "zstd_fast", "zstd_small"]
-"""How chunks are compressed; rosbag2 has presets of these names."""
+"""How chunks are compressed. rosbag2 has presets with these names."""
 
 CHUNK: Final = 768 * 1024
 """A chunk is written once it has this many bytes: as many as in rosbag2."""
@@ -53,26 +53,26 @@ CHUNK: Final = 768 * 1024
 LEVELS: Final[Mapping[Compression, int]] = {"zstd_fast": 1, "zstd_small": 19}
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-"""How a file begins and ends. (``mcap.writer`` has it too, but takes long to import.)"""
+"""The bytes with which a file begins and ends. ``mcap.writer`` has them too, but imports slowly."""
 
 HELD_BACK: Final = 64
 """How many of the last chunks can be given up to make room for the index."""
 
 MESSAGE: Final = struct.Struct("<BQHIQQ")
-"""Opcode, length, channel, sequence, log time and publish time; the data follow."""
+"""Opcode, length, channel, sequence, log time and publish time of a message. The data follow."""
 
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
 
 
 class _Written(msgspec.Struct):
-    """A chunk in the file: where it begins, and how many messages of each channel it has."""
+    """A chunk in the file: its place, and how many messages of each channel it has."""
 
     offset: int
     counts: Counter[int]
 
 
 class McapWriter:
-    """Writes a file; any method but `add` may raise OSError.
+    """Writes a file. Any method except `add` may raise OSError.
 
     Args:
         path: The file, which must not exist.
@@ -81,7 +81,7 @@ class McapWriter:
     Attributes:
         counts: How many messages each channel has.
         start: The time of the earliest message (ns); 0 before the first.
-        end: The time of the latest.
+        end: The time of the latest message (ns).
     """
 
     def __init__(self, path: Path, compression: Compression = "none") -> None:
@@ -163,7 +163,8 @@ class McapWriter:
         """Write the chunk, if it has messages.
 
         Raises:
-            OSError: if it cannot be written. The chunk's messages are lost; the file is as before.
+            OSError: if the chunk cannot be written. Its messages are lost, and the file does not
+                change.
         """
         if not self._entries:
             return
@@ -215,10 +216,10 @@ class McapWriter:
         """Write the index and close the file.
 
         The current chunk must have been written. If the disk has no room for the index, the last
-        chunks are given up for it; `counts` tells what is left.
+        chunks are removed; `counts` then has what is left.
 
         Raises:
-            OSError: if even that does not help. The file is readable, but not closed.
+            OSError: if there is still no room. The file is readable, but not closed.
         """
         try:
             while True:

@@ -1,7 +1,7 @@
-"""What ``metadata.yaml`` says about a bag, and how it is written. Pure.
+"""Reads and writes the text of ``metadata.yaml``, which describes a bag. Pure functions.
 
-The files have a type hash for each channel, but ``metadata.yaml`` has none: rosbags would compare
-it with its own hash, which differs for the types of actions.
+The files have a type hash for each channel, but ``metadata.yaml`` has none. rosbags would compare
+it with a hash of its own, which differs for the types of actions.
 
 Source: rosbag2 ``metadata_io.cpp``, ``yaml.hpp`` and ``qos.cpp``. Version 9 is written; older ones
 are read.
@@ -44,7 +44,7 @@ METADATA: Final = "metadata.yaml"
 ROOT: Final = "rosbag2_bagfile_information"
 
 FOREVER: Final = {"sec": 9223372036, "nsec": 854775807}
-"""How ROS 2 writes that a policy has no limit."""
+"""The value with which ROS 2 writes that a policy has no limit."""
 
 
 class BagError(TurtleactError):
@@ -78,9 +78,9 @@ class BagTopic(msgspec.Struct, frozen=True, kw_only=True):
         name: The fully qualified name.
         type_name: The type, ``pkg/kind/Name``.
         count: How many messages were recorded.
-        offers: What its publishers offered.
+        offers: The quality of service that its publishers offered.
         type_hash: The hash of the type, if the bag has it.
-        format: How messages are written; ``"cdr"`` for all that ROS 2 sends.
+        format: The encoding of the messages: ``"cdr"`` for everything that ROS 2 sends.
     """
 
     name: str
@@ -121,8 +121,8 @@ class BagInfo(msgspec.Struct, frozen=True, kw_only=True):
         distro: The distribution of ROS, or the program, that recorded it.
         custom: Texts that the recorder added.
         compression: How files or messages are compressed by rosbag2: ``"file"``, ``"message"`` or
-            empty. Chunks compressed inside of a file do not count.
-        is_closed: Whether every file was closed. A recorder that is killed leaves one open.
+            empty. Compression of chunks inside a file does not count.
+        is_closed: Whether every file was closed. A recorder that is killed leaves its file open.
     """
 
     files: tuple[BagFile, ...] = ()
@@ -152,7 +152,10 @@ def read_yaml(text: str) -> object:
 
 
 def span(files: Iterable[BagFile]) -> tuple[int, int]:
-    """The first stamp and the duration of files together; files without messages do not count."""
+    """The first stamp and the duration of all files together.
+
+    Files without messages are ignored.
+    """
     filled = [each for each in files if each.count]
     if not filled:
         return 0, 0
@@ -166,12 +169,12 @@ def write_info(info: BagInfo) -> str:
 
 
 def embedded(info: BagInfo) -> str:
-    """Return the text that a file holds about itself."""
+    """Return the text with which a file describes itself."""
     return _dump(_described(info))
 
 
 def read_info(text: str, path: Path) -> BagInfo:
-    """Read the text of ``metadata.yaml``; the size of the files is left out.
+    """Read the text of ``metadata.yaml``. The result lacks the size of the files.
 
     Raises:
         BagError: if it is not such a text.
@@ -185,13 +188,13 @@ def read_info(text: str, path: Path) -> BagInfo:
 
 
 def offers_text(offers: Iterable[Offer]) -> str:
-    """Return the text by which a channel tells what its publishers offered."""
+    """Return the text of a channel that says what its publishers offered."""
     said = [_offer(each) for each in offers]
     return _dump(said).strip() if said else ""
 
 
 def read_offers(given: object) -> tuple[Offer, ...]:
-    """Read offers, as a text or as the values in it; what is no offer is left out.
+    """Read offers from a text, or from the values in such a text. Anything else is left out.
 
     >>> read_offers("- {depth: 1, reliability: 2, durability: transient_local}")[0].qos
     QoS(depth=1, durability='transient_local', reliability='best_effort')
@@ -209,7 +212,7 @@ _LOADER: Final[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes equal parts in full, and lists below their key as yaml-cpp does."""
+    """Writes YAML like yaml-cpp: repeats equal parts in full, and puts lists below their key."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002  # any
         return True
@@ -258,7 +261,7 @@ def _described(info: BagInfo) -> dict[str, object]:
 
 
 def _info(said: dict[str, Any]) -> BagInfo:
-    """What the values of a ``metadata.yaml`` say; raises whatever they lead to."""
+    """Return what the values of a ``metadata.yaml`` say. Wrong values raise any exception."""
     start, duration = (
         int(said["starting_time"]["nanoseconds_since_epoch"]),
         int(said["duration"]["nanoseconds"]),

@@ -1,12 +1,13 @@
 """Plays a bag: publishes its messages again, and sends its goals again.
 
-Messages come as far apart as they were recorded, by the clock of the graph. Over a network they are
-sent as the bytes in the bag. Goals can be sent by a client instead of publishing the topics of
-their actions. They get new ids, because a server that still holds the old ones would refuse them.
+Messages come at the intervals at which they were recorded, by the clock of the graph. Over a
+network they are sent as the bytes in the bag. Instead of publishing the topics of an action, a
+client can send its goals again. Such goals get new ids, because a server that still holds the old
+goals would refuse their ids.
 
 In virtual time, many things happen at the same moment, and their order matters. A message that was
-recorded before others of its moment comes a little earlier here, otherwise a little later. That is
-how the same messages drive a simulation to the same poses, to the last bit.
+recorded before others of its moment is played a little earlier, and any other message a little
+later. The same messages therefore drive a simulation to the same poses, to the last bit.
 """
 
 from __future__ import annotations
@@ -43,13 +44,13 @@ from turtleact.transports.base import Endpoint, Publication, QoS
 __all__ = ["PlayOptions", "Played", "play"]
 
 NUDGE: Final = 1000
-"""How much earlier or later a message comes than others of its moment (ns)."""
+"""How much earlier or later a message is played than others of its moment (ns)."""
 
 PATIENCE: Final = 2.0
-"""How long to wait until the readers that are known can be reached (s)."""
+"""How long to wait until known readers can be reached (s)."""
 
 TURN: Final = 32
-"""After so many messages without a pause, other tasks run."""
+"""After this many messages without a pause, other tasks get a turn."""
 
 Sender = Literal["service", "client"]
 
@@ -68,11 +69,12 @@ class PlayOptions(TypedDict, total=False):
 
 
 class Played(msgspec.Struct):
-    """What has been played.
+    """The outcome of playing a bag.
 
     Attributes:
         messages: How many messages were published.
-        goals: How the goals that were sent have ended, by action and state or reason.
+        goals: How many of the goals that were sent ended in which way, by action and state or
+            reason.
         skipped: Why messages or goals of a topic could not be played, by topic.
     """
 
@@ -89,13 +91,14 @@ async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> 
     Args:
         node: A node on the graph.
         path: The folder of the bag, or a single file.
-        **options: ``rate`` is how much faster than recorded; "max" waits for nothing, not even for
-            a clock that stands still. ``loop`` starts over at the end. Messages before
-            ``start_offset`` seconds are left out, and so are those later than ``duration`` seconds
-            after that. ``topics`` are the names to play; without them, everything is played.
-            ``selection`` is a `Selection` instead of these. ``remap`` gives topics and actions
-            other names. ``send_goals`` sends the recorded goals and cancel requests as a client,
-            instead of publishing the topics of actions, and waits for their end.
+        **options: ``rate`` is the speed relative to the recording. With "max", playing waits for
+            nothing, not even for a clock that stands still. ``loop`` starts over at the end.
+            Playing starts ``start_offset`` seconds after the bag's beginning and covers
+            ``duration`` seconds. ``topics`` are the names to play; without them, everything is
+            played. ``selection`` is a `Selection`, which replaces ``topics``. ``remap`` gives
+            topics and actions other names. With ``send_goals``, a client sends the recorded goals
+            and cancel requests and waits for the goals' ends; the topics of actions are then not
+            published.
 
     Raises:
         BagError: if there is no bag, or a place in it is damaged.
@@ -155,7 +158,7 @@ class _Player:
         self._goals: _GoalSender | None = None
 
     def prepare(self, tasks: anyio.abc.TaskGroup) -> None:
-        """Open what is needed to play the bag."""
+        """Open the publishers and clients that the bag needs."""
         if self._sends_goals:
             self._goals = _GoalSender(self._node, tasks, self._remap, self.played)
         for channel in self._bag.channels():
@@ -173,7 +176,7 @@ class _Player:
             await self._goals.aclose()
 
     async def wait_for_readers(self) -> None:
-        """Wait until what is on the graph can be reached, for `PATIENCE` at most."""
+        """Wait until readers and servers can be reached, at most `PATIENCE` seconds."""
         transport = self._node.transport
         endpoints = transport.endpoints()
         read = {each.name for each in endpoints if each.kind == "subscription"}
@@ -187,11 +190,11 @@ class _Player:
 
     @property
     def is_idle(self) -> bool:
-        """Whether nothing in the bag can be played, as `run` has found out."""
+        """Whether `run` has found nothing in the bag that can be played."""
         return not (self._outlets or (self._goals is not None and self._goals.has_sent))
 
     async def run(self, rate: float | None) -> None:
-        """Play the bag once; without a rate, wait for nothing."""
+        """Play the bag once. Without a rate, wait for nothing."""
         clock = self._node.clock
         if self._goals is not None:
             self._goals.start_over()
@@ -209,7 +212,7 @@ class _Player:
                 await self._play(message)
 
     async def _messages(self) -> AsyncGenerator[tuple[Recorded, int]]:
-        """The messages to play, and by how much each comes earlier or later than its stamp (ns)."""
+        """Yield the messages to play, each with its shift from its stamp (ns)."""
         is_exact = not isinstance(self._node.clock, WallClock)
         # Messages that are not played tell what came first, where that matters.
         wants = None if is_exact else self._is_wanted
@@ -231,7 +234,7 @@ class _Player:
             yield pair
 
     def _ordered(self, moment: list[Recorded]) -> Iterable[tuple[Recorded, int]]:
-        """The messages of one moment that are played, before or after the others of it."""
+        """Yield the messages of one moment to play, each shifted before or after the others."""
         others = [place for place, each in enumerate(moment) if not self._is_wanted(each.topic)]
         first = others[0] if others else -1
         for place, each in enumerate(moment):
@@ -257,7 +260,7 @@ class _Player:
             await publication.drained()
 
     def _open(self, channel: Channel) -> None:
-        """Open the publisher of a topic, unless nothing is known about its type."""
+        """Open the publisher of a topic, unless its type is unknown."""
         cls = class_of(channel.schema, channel.type_hash)
         hash_of = channel.type_hash or ("" if cls is None else type_hash(cls))
         if channel.format != "cdr" or not hash_of:
@@ -293,12 +296,12 @@ class _GoalSender:
 
     Args:
         node: A node on the graph.
-        tasks: Where the goals are awaited.
+        tasks: The task group in which the goals are awaited.
         remap: Other names of actions.
-        played: Where to count how they end.
+        played: Where to count how the goals end.
 
     Attributes:
-        has_sent: Whether it has sent a goal since the bag was started.
+        has_sent: Whether a goal was sent since the bag was started.
     """
 
     def __init__(
@@ -344,7 +347,7 @@ class _GoalSender:
         self._canceled.clear()
 
     async def take(self, message: Recorded) -> None:
-        """Take a message of an action's topics; only events of requests matter."""
+        """Take a message of an action's topics. Only events of requests matter."""
         _, action, part = part_of(message.topic)
         if part not in ("send_goal", "cancel_goal"):
             return
@@ -408,7 +411,7 @@ class _GoalSender:
 
 
 async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncGenerator[list[Recorded]]:
-    """The same batches; virtual time stands still while a thread reads them."""
+    """Yield the same batches. Virtual time stands still while a thread reads them."""
     while True:
         with thread_work().counted():
             batch = await anext(batches, None)
@@ -427,6 +430,6 @@ def _selection(node: Node, options: PlayOptions) -> Selection:
 
 
 def _offered(offers: tuple[Offer, ...]) -> QoS:
-    """The quality of service to offer: what all publishers offered, or else the default."""
+    """The quality of service to offer: the one that all publishers offered, or else the default."""
     found = {each.qos for each in offers}
     return found.pop() if len(found) == 1 else QoS()

@@ -1,7 +1,7 @@
-"""The goals in a bag, put together from the five topics of their actions.
+"""Reads the goals in a bag: puts them together from the five topics of their actions.
 
-Requests and responses come from service events: those of the server, of the client, or of both. A
-response names no goal; the client's gid and the sequence number lead to its request. A bag without
+Requests and responses come from the service events of the server, of the client, or of both. A
+response names no goal: the client's gid and the sequence number lead to the request. A bag without
 service events has only states and feedback.
 """
 
@@ -31,15 +31,15 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
 
     Attributes:
         action: The name of the action.
-        type_name: The type of the action; empty if the bag does not tell.
+        type_name: The type of the action; empty if the bag does not have it.
         id: Its id, 16 bytes.
         goal: The goal message; None without service events.
-        accepted: Whether the server accepted it; None if the bag does not tell.
+        accepted: Whether the server accepted it; None if the bag does not show that.
         stamp: When it was accepted, or when it was first seen (ns since 1970).
         states: Each state with the time at which it was recorded (ns), in order.
         feedback_count: How many feedback messages were recorded.
         result: The result; None if it was not recorded.
-        is_begun_before: Whether it had been accepted before the recording began.
+        is_begun_before: Whether the goal was accepted before the recording began.
     """
 
     action: str
@@ -60,7 +60,7 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
 
     @property
     def ended(self) -> int:
-        """When the goal ended (ns); 0 if the bag has no end."""
+        """When the goal ended (ns); 0 if its end is not in the bag."""
         return self.states[-1][0] if self.status in ENDED else 0
 
     @property
@@ -70,7 +70,7 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
 
     @property
     def reason(self) -> str:
-        """What is known about why it did not succeed.
+        """Why the goal did not succeed, as far as the bag shows it.
 
         ROS 2 has no field for the reason of an abort, so the bag has none either.
         """
@@ -84,7 +84,7 @@ async def goals(path: str | Path, *, actions: Collection[str] | None = None) -> 
 
     Args:
         path: The folder of the bag, or a single file.
-        actions: The names of the actions; left out, all.
+        actions: The names of the actions. If left out, the goals of all actions are returned.
 
     Raises:
         BagError: if there is no bag, or a place in it is damaged.
@@ -121,7 +121,7 @@ class Gathering:
         return list(self._goals.values())
 
     def take(self, message: Recorded) -> None:
-        """Take a message; those of other topics, and those that cannot be read, do not matter."""
+        """Take a message. Messages that cannot be read or belong to other topics are ignored."""
         owner, action, part = part_of(message.topic)
         if owner != "action" or message.value is None:
             return
@@ -174,7 +174,7 @@ class Gathering:
 
 
 def _add_state(goal: RecordedGoal, stamp: int, number: int) -> None:
-    """Add a state, unless it is the one before, or comes after the end."""
+    """Add a state, unless it equals the one before or comes after the end."""
     try:
         status = GoalStatus(number)
     except ValueError:

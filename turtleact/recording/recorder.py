@@ -1,4 +1,4 @@
-"""Records topics of a graph: finds them, subscribes to them, and hands their messages to a spool.
+"""Records the topics of a graph: subscribes to them, and hands their messages to a spool.
 
 Over a network, messages are recorded as the bytes that arrive, without decoding them. An action is
 recorded through its two topics and the events of its services. A server publishes events only with
@@ -50,7 +50,7 @@ class RecordOptions(TypedDict, total=False):
 
 
 class RawFormat:
-    """The format of an endpoint whose messages stay bytes.
+    """The format of an endpoint that leaves messages as bytes.
 
     Args:
         type_hash: The hash of the type.
@@ -73,7 +73,10 @@ class RawFormat:
 
 
 class _Key(NamedTuple):
-    """A topic with one definition of its type; its publishers may use several."""
+    """A topic with one definition of its type.
+
+    Publishers of a topic may use several definitions.
+    """
 
     topic: str
     type_name: str
@@ -81,7 +84,7 @@ class _Key(NamedTuple):
 
 
 class Recording:
-    """A recording in progress; made by `record`.
+    """A recording in progress. `record` makes one.
 
     Attributes:
         path: The folder or file.
@@ -105,12 +108,12 @@ class Recording:
 
     @property
     def lost(self) -> int:
-        """How many messages were lost, because the disk was too slow or full."""
+        """How many messages were lost because the disk was too slow or full."""
         return sum(self.lost_by_topic.values())
 
     @property
     def lost_by_topic(self) -> dict[str, int]:
-        """How many messages of each topic were lost; topics without a loss are left out."""
+        """How many messages of each topic were lost. Topics without a loss are left out."""
         return self._spool.lost
 
     @property
@@ -148,7 +151,7 @@ class Recording:
     async def _look(self) -> None:
         """Subscribe to everything on the graph that is wanted and not yet recorded.
 
-        Other tasks run in between: to describe hundreds of types takes a while.
+        Other tasks run in between, because describing hundreds of types takes a while.
         """
         endpoints = self._node.transport.endpoints()
         offered = dict[_Key, list[Endpoint]]()
@@ -180,10 +183,10 @@ class Recording:
             each.close()
 
     def _events(self, endpoints: Iterable[Endpoint]) -> Iterable[_Key]:
-        """The topics of the events of chosen actions and services.
+        """Yield the event topics of the selected actions and services.
 
-        A publisher of events may show itself only once somebody reads them. So this subscribes to
-        the topics even if no publisher is seen.
+        A publisher of events may show itself only when somebody subscribes to them. The recorder
+        therefore subscribes to these topics even if it sees no publisher.
         """
         for each in endpoints:
             if each.kind != "service":
@@ -202,7 +205,7 @@ class Recording:
                 yield _Key(f"{each.name}{EVENT}", f"{each.type_name}_Event", "")
 
     def _record(self, key: _Key, publishers: list[Endpoint]) -> bool:
-        """Subscribe to a topic, unless that has been done; return whether it has been done now."""
+        """Subscribe to a topic, unless it is recorded already; return whether this call did it."""
         cls = _message_class(key.type_name)
         own_hash = "" if cls is None else type_hash(cls)
         key = key._replace(type_hash=key.type_hash or own_hash)
@@ -251,16 +254,16 @@ async def record(
 
     Args:
         node: A node on the graph.
-        path: The folder to create; a path that ends in ``.mcap`` names a single file instead.
-        **options: ``topics``, ``actions`` and ``services`` are the names to record; without them,
-            everything is recorded that is not hidden. ``selection`` is a `Selection` instead of
-            these. A file that has reached ``max_size`` (bytes) or ``max_duration`` (s) is followed
-            by another. ``compression`` is "none", "zstd_fast" or "zstd_small". At most ``capacity``
-            bytes wait to be written.
+        path: The folder to create. A path that ends in ``.mcap`` names a single file instead.
+        **options: ``topics``, ``actions`` and ``services`` are the names to record. Without them,
+            everything that is not hidden is recorded. ``selection`` is a `Selection`, which
+            replaces these three. A file that has reached ``max_size`` (bytes) or ``max_duration``
+            (s) is followed by another. ``compression`` is "none", "zstd_fast" or "zstd_small". At
+            most ``capacity`` bytes wait to be written.
 
     Raises:
-        BagError: if the folder or file exists or cannot be created; at the end of the block, if the
-            disk was full. What was recorded until then can be read.
+        BagError: if the folder or file exists or cannot be created. It is raised at the end of the
+            block if the disk was full; what was recorded until then can be read.
         InvalidName: if a name breaks ROS 2's rules.
         TypeError: if an option does not exist.
     """
@@ -332,7 +335,7 @@ def _message_class(type_name: str) -> type[Message] | None:
 
 
 def _request(publishers: list[Endpoint]) -> QoS:
-    """The quality of service that gets all messages: latched ones too if a publisher keeps some."""
+    """The quality of service to ask for. It includes latched messages if a publisher keeps some."""
     is_latched = any(each.qos.durability == "transient_local" for each in publishers)
     is_lossy = any(each.qos.reliability == "best_effort" for each in publishers)
     return QoS(

@@ -1,14 +1,15 @@
-"""The schema of a topic: the text of its type and of all types in it. Pure.
+"""Makes and reads the schema of a topic: the text of its type and of all types in it.
 
-Types are called ``pkg/Name`` in fields and in headings alike. Other spellings are refused by one
-reader or another. The root comes first, without a heading. Each other type follows once, below a
-line of 80 equals signs and ``MSG: pkg/Name``.
+Types are called ``pkg/Name`` in fields and in headings alike. Some readers refuse any other
+spelling. The root comes first, without a heading. Each other type follows once, below a line of 80
+equals signs and ``MSG: pkg/Name``.
 
-A message is read with the class of its name if that has the layout of the schema. Otherwise a class
-is made from the schema. It is not registered, so a file never changes what a program knows.
+A message is read with the known class of its name, if that class has the layout of the schema.
+Otherwise a class is made from the schema. The new class is not registered, so a file never changes
+what a program knows.
 
-Source: rosbag2 ``docs/message_definition_encoding.md``; what the readers accept was tried with
-rosbags, @foxglove/rosmsg and mcap-ros2-support.
+Source: rosbag2 ``docs/message_definition_encoding.md``; tests with rosbags, @foxglove/rosmsg and
+mcap-ros2-support for what readers accept.
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ __all__ = ["Schema", "class_of", "schema_of"]
 SEPARATOR: Final = "=" * 80
 
 SAME: Final = {"byte": "uint8", "char": "uint8"}
-"""Types that other writers replace by one with the same bytes."""
+"""Types that other writers replace by a type with the same bytes."""
 
 FILLER: Final = "structure_needs_at_least_one_member"
 """The field that ROS 2 gives to a message without fields."""
 
 UNDERSCORE: Final = "0x5f"
-"""Stands for ``_`` in names of types while they are parsed; the parser takes no such names."""
+"""Replaces ``_`` in names of types during parsing, because the parser refuses such names."""
 
 _PART = re.compile(r"^\s*(?:\w+/)*[A-Z][A-Za-z0-9]*_\w+", re.MULTILINE)
 _HEADING = re.compile(rf"^{SEPARATOR}\r?\nMSG: *(\S+)[^\n]*\n?", re.MULTILINE)
@@ -73,11 +74,11 @@ def schema_of(cls: type[Message]) -> Schema:
 
 
 def class_of(schema: Schema, known_hash: str = "") -> type[Message] | None:
-    """Return the class with which to read messages of a schema; None if they cannot be read.
+    """Return the class that reads the messages of a schema; None if they cannot be read.
 
     Args:
         schema: The schema.
-        known_hash: The type hash in the file; it decides if there is no text that can be read.
+        known_hash: The type hash in the file. It decides if no text can be read.
     """
     known = _known(schema.name)
     if schema.encoding == "ros2msg" and schema.text:
@@ -101,7 +102,7 @@ def _short(name: str) -> str:
 
 
 def _collect(cls: type[Message], found: dict[str, type[Message]]) -> None:
-    """Add a class and those of its fields, each once, in the order of their first use."""
+    """Add a class and the classes of its fields, each once, in the order of their first use."""
     if cls.type_name in found:
         return
     found[cls.type_name] = cls
@@ -111,7 +112,7 @@ def _collect(cls: type[Message], found: dict[str, type[Message]]) -> None:
 
 
 def _text(cls: type[Message]) -> str:
-    """The text of one type; a default that no text can hold is left out."""
+    """The text of one type. A default that no text can hold is left out."""
     said = definition(cls)
     spelled = [
         msgspec.structs.replace(
@@ -136,11 +137,11 @@ def _known(name: str) -> type[Message] | None:
 
 
 def _from_text(schema: Schema, known: type[Message] | None) -> type[Message]:
-    """The known class if it has the layout of the text, otherwise one made from the text.
+    """Return the known class if it has the layout of the text, otherwise make a class.
 
     Raises:
         InvalidInterface: if the text is malformed, or a type in it contains itself.
-        UnknownInterface: if a type in it is not defined anywhere.
+        UnknownInterface: if the text uses a type that is not defined anywhere.
     """
     root, *rest = _HEADING.split(schema.text)
     texts = {_short(name): text for name, text in zip(rest[::2], rest[1::2], strict=True)}
@@ -153,7 +154,7 @@ class _Making:
     """Makes the classes of one schema.
 
     Args:
-        root: The full name of the root; it tells of which kind the types behind it are.
+        root: The full name of the root. The kind in this name is also that of the other types.
         texts: The texts of the other types, by their short names.
     """
 
@@ -165,7 +166,7 @@ class _Making:
         self._making = set[str]()
 
     def make(self, name: str, text: str) -> type[Message]:
-        """The class with a full name and its text."""
+        """Make the class with this full name from its text."""
         package, _, own = name.split("/")
         # The parser reads a .msg, whatever the type belongs to.
         plain = _PART.sub(lambda found: found[0].replace("_", UNDERSCORE), text)
@@ -194,7 +195,7 @@ class _Making:
 
 
 def _layout(cls: type[Message]) -> tuple[object, ...]:
-    """The layout of a message: how its bytes are read, and under which names."""
+    """The layout of a message: the names of its fields, and how their bytes are read."""
     pairs = zip(fields(cls), nested_classes(cls), strict=True)
     return tuple(
         (

@@ -1,6 +1,6 @@
-"""Which topics, services and actions are recorded or played. Pure.
+"""Selects the topics, services and actions to record or play. Pure functions.
 
-An action consists of two topics and of the events of three services; a service, of its events.
+An action is recorded as two topics and the events of three services, and a service as its events.
 Users choose them by the name of the action or service.
 
 Source: rosbag2 ``record.py``, ``play.py`` and ``action_utils.cpp``.
@@ -18,10 +18,10 @@ from turtleact.errors import InvalidOption
 __all__ = ["EVENT", "REQUESTS", "Part", "Selection", "owner_of", "part_of"]
 
 EVENT: Final = "/_service_event"
-"""What the name of a service is followed by in the topic of its events."""
+"""The end of an event topic's name, behind the name of the service."""
 
 REQUESTS: Final = frozenset({0, 1})
-"""The kinds of events, sent and received, that have a request; the others have a response."""
+"""The kinds of events, sent and received, that have a request. Other events have a response."""
 
 Owner: TypeAlias = Literal["topic", "service", "action"]
 
@@ -34,9 +34,10 @@ class Part(NamedTuple):
     """What a topic belongs to.
 
     Attributes:
-        owner: The kind of what it belongs to.
+        owner: The kind of the owner: "action", "service" or "topic".
         name: The name of the action, service or topic.
-        part: For an action, which part the topic is: ``"feedback"``, ``"send_goal"`` and so on.
+        part: If the owner is an action, the part that the topic is: ``"feedback"``, ``"send_goal"``
+            and so on.
     """
 
     owner: Owner
@@ -45,7 +46,7 @@ class Part(NamedTuple):
 
 
 def part_of(topic: str) -> Part:
-    """Return what a topic belongs to.
+    """Return the action or service that a topic belongs to, and which part it is.
 
     >>> part_of("/patrol/_action/feedback")
     Part(owner='action', name='/patrol', part='feedback')
@@ -88,14 +89,14 @@ class Selection(msgspec.Struct, frozen=True, kw_only=True):
         services: Services by name.
         actions: Actions by name.
         types: Topics by type.
-        regex: Topics, services and actions whose name this expression finds.
+        regex: Topics, services and actions with a name that this expression matches somewhere.
         all_topics: Whether to take all topics, except hidden ones.
         all_services: Whether to take all services.
         all_actions: Whether to take all actions.
-        hidden: Whether hidden topics are among all topics.
+        hidden: Whether "all topics" includes hidden ones.
         exclude: Names of topics, services and actions to leave out.
         exclude_types: Types of topics to leave out.
-        exclude_regex: Leave out what this expression finds.
+        exclude_regex: Leave out the names that this expression matches somewhere.
 
     Raises:
         InvalidOption: if an expression is not valid.
@@ -150,4 +151,4 @@ class Selection(msgspec.Struct, frozen=True, kw_only=True):
 
 
 EVERYTHING: Final = Selection(all_topics=True, all_services=True, all_actions=True)
-"""All that is not hidden."""
+"""The selection of everything that is not hidden."""

@@ -1,9 +1,8 @@
 """Takes messages from any thread, and writes them to a bag in a thread of its own.
 
-What has come waits in a list, which the thread takes as a whole. If the thread falls behind, so
-that more than ``capacity`` bytes wait, further messages are dropped and counted. In virtual time
-nothing needs to be dropped: whoever brings a message waits until there is room, and time stands
-still.
+Messages wait in a list, which the thread takes as a whole. If the thread falls behind and more than
+``capacity`` bytes wait, further messages are dropped and counted. In virtual time no message needs
+to be dropped: `put` waits until there is room, and time stands still.
 
 A message may come as bytes or as an object. Objects are encoded in the thread. That is safe because
 nobody changes a message once it is published.
@@ -27,19 +26,19 @@ __all__ = ["CAPACITY", "Encode", "Spool"]
 logger = logging.getLogger("turtleact.recording")
 
 CAPACITY: Final = 100 * 1024 * 1024
-"""How many bytes may wait, as in rosbag2."""
+"""How many bytes may wait by default, as in rosbag2."""
 
 PAUSE: Final = 0.05
 """How long the thread waits for messages to gather (s)."""
 
 FLUSH: Final = 0.5
-"""Messages are on disk after this time at the latest (s), unless the thread falls behind."""
+"""Messages are on disk after at most this time (s), unless the thread falls behind."""
 
 OVERHEAD: Final = 200
-"""What an entry takes beside its data (bytes)."""
+"""The bytes that an entry takes besides its data."""
 
 YIELD: Final = 64
-"""After so many messages the thread lets the others run. Python itself waits for 5 ms."""
+"""After this many messages the thread lets other threads run. Python itself switches every 5 ms."""
 
 Entry: TypeAlias = tuple[int, int, object]
 Encode: TypeAlias = Callable[[object], bytes]
@@ -49,8 +48,9 @@ class Spool:
     """Writes messages to a bag.
 
     Args:
-        writer: The bag; it is closed at the end.
-        on_end: Called in the thread when the bag has been closed, also because the disk is full.
+        writer: The bag, which is closed at the end.
+        on_end: Called in the thread when the bag has been closed, for example because the disk is
+            full.
         capacity: How many bytes may wait.
         is_patient: Whether `put` waits until there is room.
 
@@ -96,7 +96,7 @@ class Spool:
         Args:
             channel: The topic.
             encode: Encodes messages that come as objects; None if all come as bytes.
-            is_there: Whether the bag lists the topic even if no message comes.
+            is_there: Whether the bag lists the topic even if it has no message.
         """
         with self._changed:
             self._channels.append(channel)
@@ -107,7 +107,7 @@ class Spool:
             return len(self._channels) - 1
 
     def put(self, number: int, stamp: int, message: object) -> None:
-        """Take a message; may be called in any thread.
+        """Take a message. Any thread may call this.
 
         Args:
             number: The number of its topic.
@@ -136,7 +136,7 @@ class Spool:
 
     @property
     def count(self) -> int:
-        """How many messages are in the bag or will be, as far as is known."""
+        """How many messages are in the bag or wait to be written."""
         with self._changed:
             gone = self._lost.total() - self._refused + self._writer.lost.total()
             return self._taken - gone
@@ -176,7 +176,7 @@ class Spool:
             self._end(entries)
 
     def _take(self) -> list[Entry]:
-        """Take all that waits, after a pause in which more may gather."""
+        """Take all entries that wait, after a pause in which more may gather."""
         with self._changed:
             if not self._is_closing and self._weight <= self._capacity:
                 self._changed.wait(PAUSE)
@@ -191,7 +191,7 @@ class Spool:
             self._added.add(number)
 
     def _write(self, entries: list[Entry]) -> None:
-        """Write entries, and take each from the list, so that the rest is known if this fails."""
+        """Write entries, and remove each from the list. If this fails, the list holds the rest."""
         entries.reverse()
         write, turn = self._writer.write, 0
         while entries:
@@ -236,7 +236,7 @@ class Spool:
             self._on_end()
 
     def _fail(self, error: Exception) -> None:
-        """Keep why writing has ended. Only a disk that is full or gone is expected."""
+        """Remember why writing has ended. Only a disk that is full or gone is expected."""
         self.error = self.error or error
         if not isinstance(error, OSError):
             logger.error("a bag cannot be written any more", exc_info=error)

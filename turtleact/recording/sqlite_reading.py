@@ -1,7 +1,7 @@
-"""Reads one SQLite file of rosbag2; turtleact writes none.
+"""Reads one SQLite file of rosbag2. turtleact never writes such files.
 
-Source: rosbag2 ``sqlite_storage.cpp``. Old files have no definitions of types; then the classes
-that are known by name are used.
+Source: rosbag2 ``sqlite_storage.cpp``. Old files have no definitions of types, so the known classes
+with the same names are used.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ __all__ = ["SqliteFile"]
 
 
 class SqliteFile:
-    """A file; see `turtleact.recording.storage.BagStorage`.
+    """An SQLite file, open for reading; see `turtleact.recording.storage.BagStorage`.
 
     Args:
         path: The file.
 
     Raises:
-        BagError: if it cannot be opened, or is no SQLite file of rosbag2.
+        BagError: if the file cannot be opened, or is no SQLite file of rosbag2.
     """
 
     def __init__(self, path: Path) -> None:
@@ -56,7 +56,7 @@ class SqliteFile:
         self._database.close()
 
     def messages(self, wanted: Range) -> Iterator[Raw]:
-        """The messages of a range, ordered by stamp.
+        """Yield the messages of a range, ordered by stamp.
 
         Raises:
             BagError: if the file is damaged.

@@ -1,4 +1,4 @@
-"""What the files of a bag have in common, whatever their format."""
+"""The interface of a bag's files, the same for every file format."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
     """A topic in a file.
 
     Attributes:
-        topic: Its name.
+        topic: The topic's name.
         schema: The schema of its messages.
-        offers: What its publishers offered.
+        offers: The quality of service that its publishers offered.
         type_hash: The hash of the type, if the file has it.
-        format: How messages are written.
+        format: The encoding of its messages.
     """
 
     topic: str
@@ -54,7 +54,7 @@ class Range(msgspec.Struct, frozen=True):
     Attributes:
         start: The earliest stamp (ns).
         end: The latest stamp (ns); None for no limit.
-        wants: Whether a topic is read; None for all.
+        wants: A function that says whether to read a topic; None for all topics.
     """
 
     start: int = 0
@@ -72,9 +72,9 @@ class BagStorage(Protocol):
     Attributes:
         path: The file.
         start: The time of the earliest message (ns); 0 if there is none.
-        end: The time of the latest.
+        end: The time of the latest message (ns).
         is_closed: Whether the recorder closed the file.
-        about: The text in it that describes the bag; empty if there is none.
+        about: The text in the file that describes the bag; empty if there is none.
     """
 
     path: Path
@@ -85,14 +85,14 @@ class BagStorage(Protocol):
 
     @property
     def channels(self) -> Mapping[int, Channel]:
-        """The topics by number."""
+        """The topics of the file, by number."""
 
     @property
     def counts(self) -> Mapping[int, int]:
         """How many messages each topic has."""
 
     def messages(self, wanted: Range) -> Iterator[Raw]:
-        """The messages of a range, ordered by stamp; raises BagError at a damaged place."""
+        """Yield the messages of a range, ordered by stamp. Raise BagError at a damaged place."""
 
     def close(self) -> None:
         """Close the file."""

@@ -75,11 +75,14 @@ class FeedbackTopic(Source):
         return self._publication.is_congested
 
     async def drained(self) -> None:
-        """Wait until it is not congested. Cancelling: safe."""
+        """Wait until the topic is not congested. Cancelling: safe."""
         await self._publication.drained()
 
     def emit(self, goal: Goal, feedback: object) -> bool:
-        """Encode and send a body's feedback; False if somebody in this process wants a copy."""
+        """Encode and send a body's feedback.
+
+        Return False if somebody in this process wants a copy.
+        """
         publication = self._publication
         if goal.is_streamed or goal.on_feedback or goal.ended or publication.has_near_readers:
             return False
@@ -105,7 +108,7 @@ class FeedbackTopic(Source):
                 self._tell_of_loss(goal)
 
     def _tell_of_loss(self, goal: Goal) -> None:
-        """Tell the observers of dropped feedback; it may be that of an older goal."""
+        """Tell the observers that feedback was dropped. It may be that of an older goal."""
         lost, self._dropped = self._publication.dropped - self._dropped, self._publication.dropped
         self._server.observers.noted(goal, FeedbackLost(lost))
 
@@ -143,7 +146,7 @@ class StatusTopic(GoalObserver):
         return (GoalStatusArray(statuses),)
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
-        """Build the same message as bytes."""
+        """Build the status message as bytes."""
         changed, entries = self._changed, self._entries
         for goal in self._server.held() if changed is None else changed:
             goal_id = goal.id or self._server.name_goal(goal)

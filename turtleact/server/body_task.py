@@ -1,10 +1,10 @@
-"""The task that runs one goal's body: its steps, its cancellation, and its position.
+"""Runs one goal's body in a task: steps it, cancels it, and knows its position.
 
-A body always runs in its own task, however its client waits. The server owns the task: it cancels
-the task and waits for its end.
+A body always runs in its own task, no matter how its client waits. The server owns the task: it
+cancels the task and waits for its end.
 
-A step is what a body does between two awaits. A long step keeps everything else in the event loop
-from running, so it is reported.
+A step is the part of a body between two awaits. During a long step nothing else in the event loop
+can run, so long steps are reported.
 
 Source: asyncio's debug mode, for the report of slow callbacks.
 """
@@ -29,7 +29,7 @@ class Runner(Protocol):
     """What a body task needs from the server; see `turtleact.server.execution`."""
 
     def run(self, goal: Goal, task: BodyTask) -> Coroutine[object, object, None]:
-        """Run the goal's body to its end; raises only what stops the program."""
+        """Run the goal's body to its end. This raises only exceptions that stop the program."""
 
     def end_unstarted(self, goal: Goal) -> None:
         """End a goal that was cancelled before its body took the first step."""
@@ -47,7 +47,7 @@ class BodyTask(Coroutine[object, object, None]):
         tasks: The task functions of the event loop.
 
     Attributes:
-        body: The coroutine or generator that the user's function returned; None before.
+        body: The coroutine or generator that the user's function returned; None before the call.
     """
 
     __slots__ = ("_goal", "_is_cancel_due", "_runner", "_running", "_task", "_tasks", "body")
@@ -64,8 +64,8 @@ class BodyTask(Coroutine[object, object, None]):
     def start(self, name: str, context: Context | None) -> None:
         """Start the task in ``context``, or in a copy of the current context.
 
-        An eager task takes its first step in here. That step may end the goal. It may also cancel
-        the goal while `_task` is not set yet; then this cancels the task afterwards.
+        An eager task takes its first step inside this call. That step may end the goal. If the step
+        cancels the goal while `_task` is not set yet, this method cancels the task afterwards.
         """
         self._task = self._tasks.spawn(self, name, context, is_eager=True)
         if self._is_cancel_due and not self._goal.is_decided:
@@ -92,7 +92,7 @@ class BodyTask(Coroutine[object, object, None]):
 
     @property
     def position(self) -> str:
-        """The file, line and function where the body waits; empty after its end."""
+        """The file, line and function where the body waits; empty once the body has ended."""
         for attribute in ("cr_frame", "ag_frame"):
             frame = getattr(self.body, attribute, None)
             if frame is not None:

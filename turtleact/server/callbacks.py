@@ -1,4 +1,4 @@
-"""The user's callbacks: they decide whether to accept a goal, and whether to cancel one.
+"""Calls the user's callbacks, which decide whether to accept a goal and whether to cancel one.
 
 A callback is a function or a coroutine function. If it fails, the answer is no and the failure is
 logged.
@@ -28,7 +28,7 @@ class Callbacks:
     Args:
         server: The action's name.
         options: The server's options, with ``goal_callback`` and ``cancel_callback``.
-        tasks: Tells whether the caller itself was cancelled.
+        tasks: The task functions, which tell whether the caller itself was cancelled.
 
     Attributes:
         ask_about_goals: Whether there is a ``goal_callback``.
@@ -71,7 +71,7 @@ class Callbacks:
         raise GoalRejected(f"the goal_callback answered {answer!r}, not a GoalResponse")
 
     async def may_cancel(self, handle: object) -> bool:
-        """Ask the ``cancel_callback`` about a goal, given by its `turtleact.ServerGoalHandle`."""
+        """Ask the ``cancel_callback`` about the goal of a `turtleact.ServerGoalHandle`."""
         if self._cancel_callback is None:
             return True
         try:
@@ -83,13 +83,13 @@ class Callbacks:
         return answer is CancelResponse.ACCEPT
 
     def close(self) -> None:
-        """Cancel the callbacks that have not returned yet; later ones are cancelled at once."""
+        """Cancel the callbacks that have not returned yet. Later calls are cancelled at once."""
         self._is_closed = True
         for scope in tuple(self._open):
             scope.cancel()
 
     async def _answer(self, given: object) -> object:
-        """Return a function's answer, or await a coroutine function's."""
+        """Return the answer of a function, or await that of a coroutine function."""
         if not isawaitable(given):
             return given
         with anyio.CancelScope() as scope:

@@ -1,11 +1,11 @@
-"""An action server's goals in a journal: recording them, and going on with them after a restart.
+"""Records an action server's goals in a journal, and goes on with them after a restart.
 
-The journal decides when others hear of something. A goal is accepted when it is on disk, feedback
-is published when it has been written, and an end is announced when it is on disk. All of these pass
-through the journal in order.
+With a journal, others hear of a change only when the journal has it. A goal is accepted when it is
+on disk, feedback is published when it has been written, and an end is announced when it is on disk.
+All of these pass through the journal in order.
 
-Sources: Temporal's activity heartbeats, whose details a retry gets back; DBOS for workflow ids that
-make a call idempotent.
+Sources: Temporal's activity heartbeats, which give their details to a retry; DBOS for workflow ids
+that make a call idempotent.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class DurableGoals:
         journal: The journal.
         action_type: The action.
         name: The fully qualified name of the action.
-        on_restart: What becomes of goals that an earlier process has left unfinished.
-        result_timeout: How long results can be asked for (s); None for ever.
+        on_restart: What to do with goals that an earlier process has left unfinished.
+        result_timeout: How long results are kept (s); None for ever.
 
     Attributes:
         resumes: Whether unfinished goals go on after a restart.
@@ -75,15 +75,15 @@ class DurableGoals:
     # accepting
 
     async def accept(self, goal: Goal, status: GoalStatus) -> GoalRecord | None:
-        """Put a new goal on disk; if its id is known, return the record of that goal instead.
+        """Put a new goal on disk. If its id is known, return the record of the known goal instead.
 
         The status on disk is EXECUTING if the goal starts at once, and ACCEPTED if it may have to
         wait.
 
-        Cancelling: takes effect only after this.
+        Cancelling: takes effect only after this call.
 
         Raises:
-            GoalRejected: if the journal cannot take it.
+            GoalRejected: if the journal cannot write the goal.
         """
         sender = goal.sender if isinstance(goal.sender, bytes) else b""
         record = GoalRecord(
@@ -164,9 +164,9 @@ class DurableGoals:
     # after a restart
 
     def load(self) -> list[GoalRecord]:
-        """Return what the journal holds of this action; one name may have several types.
+        """Return the journal's records of this action. One name may have several types.
 
-        A built-in action and the user's own one of the same name never take each other's goals.
+        A built-in action and a user's action of the same name never take each other's goals.
         """
         found = self._journal.load(self._name)
         return [record for record in found if record.is_built_in == self.is_built_in]
@@ -177,7 +177,7 @@ class DurableGoals:
         return names == (self._name, self._action_type.type_name)
 
     def ended(self, record: GoalRecord, now: int) -> Goal:
-        """Make the goal of a record that has ended; ``now`` is the graph's time (ns)."""
+        """Make the goal of a record that has ended. ``now`` is the graph's time (ns)."""
         # The graph's clock may be virtual and start anew, so the wall clock tells how long ago the
         # goal ended. That clock may have been set back.
         ago = max(0, time.time_ns() - record.ended)
@@ -190,7 +190,7 @@ class DurableGoals:
         return goal
 
     def unfinished(self, record: GoalRecord) -> Goal:
-        """Make the goal of a record that has not ended, as it was when its server went away."""
+        """Make the goal of an unfinished record, as it was when its server went away."""
         goal = self._goal(record)
         feedback = self._decode(self._feedback, record, record.feedback)
         partial_result = self._decode(self._results, record, record.partial_result)
@@ -200,7 +200,7 @@ class DurableGoals:
         return goal
 
     def why_not_resumed(self, record: GoalRecord) -> str:
-        """Say why an unfinished goal cannot go on; empty if it can."""
+        """Return why an unfinished goal cannot go on; empty if it can."""
         limit, crashes = self._journal.max_starts, self._crashes(record)
         if record.status is GoalStatus.CANCELING:
             return "it was being canceled"
@@ -231,7 +231,7 @@ class DurableGoals:
         return Goal(request, record.stamp, id=record.id, sender=record.sender or None)
 
     def _decode(self, format: WireFormat, record: GoalRecord, data: bytes) -> Message | None:
-        """Decode a recorded message; None if there is none, or if its type has changed."""
+        """Decode a recorded message; None if there is no message, or if its type has changed."""
         if not data or record.type_hash != self._type_hash:
             return None
         try:

@@ -1,4 +1,4 @@
-"""The endpoints of an action on the graph: three services and two topics, open to any node.
+"""Opens an action's endpoints on the graph: three services and two topics, for any node.
 
 Clients in the same process do not need them. They serve everybody else: nodes that send
 ``SendGoal`` requests, cancel other nodes' goals, ask for results, or read feedback and status.
@@ -62,10 +62,10 @@ if TYPE_CHECKING:
 __all__ = ["ActionEndpoints"]
 
 NAMELESS = "a goal id must not be all zeros"
-"""Why a goal with the id zero is rejected."""
+"""The reason for rejecting a goal with the id zero."""
 
 OURS = GoalNote().write()
-"""An empty note, attached to every answer: it shows that the server is one of turtleact's."""
+"""An empty note. Each answer has a note, which shows that the server belongs to turtleact."""
 
 LATE_REQUEST = 0.5
 """How long a closing server waits for other processes to ask for their results (s)."""
@@ -78,7 +78,7 @@ class ActionEndpoints:
         server: The server.
         names: The names of the endpoints.
         transport: The transport to open them on.
-        endpoint: Makes their descriptions.
+        endpoint: A function that describes each endpoint.
         tasks: The task functions of the event loop.
         introspection: Which events of the three services are published.
     """
@@ -144,7 +144,7 @@ class ActionEndpoints:
         return events
 
     def stop_taking_goals(self) -> None:
-        """Stop accepting goals. Existing goals can still be cancelled and awaited."""
+        """Stop accepting goals. Clients can still cancel existing goals and wait for them."""
         if self._services:
             self._services[-1].close()
 
@@ -169,12 +169,12 @@ class ActionEndpoints:
 
 
 class _ActionService:
-    """One of the three services. Its classes are built on the first request, as this takes time.
+    """One of the three services. Building its classes takes time, so the first request does it.
 
     Requests from other processes are not checked again, because decoding has checked them.
 
     Attributes:
-        server: The action server it belongs to.
+        server: The action server that the service belongs to.
         name: The name of the service.
         is_open: Whether it accepts requests.
         answered: Fires whenever a request has been answered.
@@ -197,7 +197,10 @@ class _ActionService:
         raise NotImplementedError
 
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
-        """Answer a request. ``caller`` is the client's gid; empty in the same process."""
+        """Answer a request.
+
+        ``caller`` is the client's gid, or empty for a client in this process.
+        """
         raise NotImplementedError
 
     # called by transports and service clients
@@ -247,10 +250,11 @@ class _SendGoal(_ActionService):
     """Accepts or rejects goals.
 
     Attributes:
-        goal_server: The server, for clients in the same process; see `turtleact.goal_server`. It is
-            missing if an observer watches the requests: then these clients send messages, too.
-        expect_readers: Called with the first goal from another process, whose client reads
-            feedback.
+        goal_server: The server, for clients in the same process; see `turtleact.goal_server`. If an
+            observer watches the requests, this attribute is missing, and these clients send
+            messages, too.
+        expect_readers: Called with the first goal from another process, because the goal's client
+            reads feedback.
     """
 
     goal_server: LocalActionServer
@@ -308,7 +312,7 @@ class _SendGoal(_ActionService):
 
 
 class _CancelGoal(_ActionService):
-    """Cancels goals. Servers of several types under one name share this service."""
+    """Cancels goals. Servers that have one name and several types share this service."""
 
     def __init__(
         self, server: LocalActionServer, names: ActionNames, transport: Transport, tasks: Tasks
@@ -336,8 +340,8 @@ class _GetResult(_ActionService):
     """Waits for goals to end.
 
     A client of turtleact sends the goal and asks for its result at the same time. The second
-    request may therefore arrive while the server still decides about the goal; it then waits for
-    the decision.
+    request may therefore arrive while the server still decides about the goal. The request then
+    waits for the decision.
     """
 
     def __init__(self, server: LocalActionServer, names: ActionNames, tasks: Tasks) -> None:
@@ -347,7 +351,7 @@ class _GetResult(_ActionService):
 
     @contextmanager
     def expecting(self, goal_id: bytes | None) -> Iterator[None]:
-        """A block in which the server decides about a goal."""
+        """Mark a block in which the server decides about a goal."""
         self._expected.append(goal_id)
         try:
             yield
@@ -364,7 +368,7 @@ class _GetResult(_ActionService):
         caller: bytes,  # noqa: ARG002
         respond: Respond,
     ) -> bool:
-        """Answer when the goal has ended; an unknown goal needs a task."""
+        """Answer when the goal has ended. For an unknown goal, return False: it needs a task."""
         goal = self.server.find(request.goal_id.uuid)
         if goal is None:
             return False
@@ -409,13 +413,13 @@ class _GetResult(_ActionService):
 def _unlisted(
     endpoint: MakeEndpoint, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
 ) -> Endpoint:
-    """Describe an endpoint that actions of ROS 2 do not have; lists leave it out."""
+    """Describe an endpoint that actions of ROS 2 do not have. Lists leave it out."""
     described = endpoint(kind, name, type_name, qos)
     return msgspec.structs.replace(described, on_demand=True, is_unlisted=True)
 
 
 def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
-    """Join the answers of servers that share a cancel service; only one of them knows each goal."""
+    """Join the answers of servers that share a cancel service. Each goal is known to one server."""
     codes = [each.return_code for each in answers]
     known = [code for code in codes if code != CancelCode.UNKNOWN_GOAL_ID]
     return CancelGoal.Response(

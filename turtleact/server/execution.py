@@ -1,8 +1,8 @@
 """Runs goals: starts the body, publishes its feedback, and ends the goal when the body ends.
 
-Generators are never iterated with ``async for``. If a cancellation arrived while the generator is
-suspended at a ``yield``, the generator would only see GeneratorExit, and a timeout or task group
-around that ``yield`` would break. Here one task steps the generator. Whatever arrives between two
+Generators are never iterated with ``async for``. With it, a generator that is suspended at a
+``yield`` during a cancellation would only see GeneratorExit, and a timeout or task group around
+that ``yield`` would break. Here one task steps the generator. A cancellation or error between two
 steps is raised at the ``yield``. The task closes the generator on every path.
 
 Source: PEP 525; PEP 789 for the hazards of generators.
@@ -43,14 +43,14 @@ BURST = 16
 
 
 class Served(NamedTuple):
-    """What a server offers.
+    """What a server offers: its action, the action's name and its body.
 
     Attributes:
         name: The fully qualified name of the action.
         action_type: The action.
         body: The body to run.
         make_handle: Makes the handle for bodies and callbacks.
-        home: The event loop in which all of this must be used.
+        home: The event loop in which the server must be used.
         node: The fully qualified name of the node.
     """
 
@@ -76,7 +76,7 @@ class FeedbackOutlet(Protocol):
         """Send a checked copy of feedback."""
 
     async def drained(self) -> None:
-        """Wait until it is not congested. Cancelling: safe."""
+        """Wait until the topic is not congested. Cancelling: safe."""
 
 
 class Execution:
@@ -84,17 +84,17 @@ class Execution:
 
     Args:
         served: The action, its name and its body.
-        table: The goals held.
+        table: The goals that the server holds.
         tasks: The task functions of the event loop.
-        now: Returns the current time (ns since the epoch).
-        release: Called when a goal ends. May return a callable that starts the next goal. None if
-            goals never wait for one another.
+        now: A function that returns the current time (ns since the epoch).
+        release: Called when a goal ends. It may return a callable that starts the next goal. None
+            if goals never wait for one another.
         options: The server's options, for pausing.
 
     Attributes:
-        served: As given.
+        served: The argument ``served``.
         check_result: Checks and copies a result.
-        observers: Hear of each change of a goal and, if they want it, of feedback.
+        observers: The objects that hear of each change of a goal and, if they want it, of feedback.
         outlet: The feedback topic; None while nobody reads it.
         bodies: The tasks of the running bodies, with their goals.
         durable: The goals in the server's journal, if it has one.
@@ -148,7 +148,7 @@ class Execution:
         task.start(self.served.name, context)
 
     async def run(self, goal: Goal, task: BodyTask) -> None:
-        """Run a body and end its goal when the body ends."""
+        """Run a body, and end its goal when the body ends."""
         CURRENT_GOAL.set(goal)  # only in this task's context
         goal.runner = self
         body = self.served.body
@@ -177,7 +177,7 @@ class Execution:
             self._forget(task)
 
     async def _drive(self, goal: Goal, steps: Steps) -> object:
-        """Run a generator to its end; return its result, or None if it yielded none."""
+        """Run a generator to its end. Return its result, or None if it yielded no result."""
         # Everything that happens between two steps belongs to the body: a feedback message that
         # does not fit, a cancellation during a pause, an error while publishing. It is thrown in at
         # the `yield`, where the body can handle it. If the body does not, the exception comes
@@ -216,10 +216,10 @@ class Execution:
         return result
 
     def _publish_or_emit(self, goal: Goal, feedback: object) -> bool:
-        """Publish feedback; return whether a callback or observer has cancelled the goal.
+        """Publish feedback. Return whether a callback or observer has cancelled the goal.
 
-        Without a journal this does the work of `publish`, because a call more for each message
-        would be noticed.
+        Without a journal, this repeats the work of `publish`, because another call for each message
+        would be too slow.
         """
         if self.durable is not None:
             self.publish(goal, feedback)
@@ -235,7 +235,7 @@ class Execution:
         return goal.status is not status or goal.reason is not reason
 
     async def _yield_turn(self, goal: Goal) -> None:
-        """Let other tasks run, and wait for the sender's stream if it is far behind."""
+        """Let other tasks run. If the sender's stream is far behind, wait for it."""
         await self._tasks.checkpoint()
         if self.durable is not None:
             await self.durable.written()
@@ -259,7 +259,8 @@ class Execution:
         """Copy feedback and pass it to every reader.
 
         Raises:
-            InvalidMessage: if it is not this action's Feedback, or a value does not fit its type.
+            InvalidMessage: if the message is not this action's Feedback, or a value does not fit
+                its type.
             InvalidTransition: if the goal is neither EXECUTING nor CANCELING.
         """
         message = self._check_feedback(feedback)
@@ -274,7 +275,8 @@ class Execution:
         """Set the result to report if the goal is canceled or aborted.
 
         Raises:
-            InvalidMessage: if it is not this action's Result, or a value does not fit its type.
+            InvalidMessage: if the message is not this action's Result, or a value does not fit its
+                type.
             InvalidTransition: if the goal has ended.
         """
         if goal.is_decided:
@@ -284,7 +286,7 @@ class Execution:
             self.durable.partial_result(goal)
 
     def _announce_written(self, goal: Goal, message: Message) -> None:
-        """Pass on feedback that is in the journal, unless the server was stopped meanwhile."""
+        """Pass on feedback that is now in the journal, unless the server was stopped meanwhile."""
         if not goal.ended:
             self._announce(goal, message)
 
@@ -329,7 +331,7 @@ class Execution:
     # changing and ending
 
     def name_goal(self, goal: Goal) -> bytes:
-        """Return the goal's id, giving it one if needed; the goal can then be found by it."""
+        """Return the goal's id. A goal without an id gets one, and can then be found by it."""
         return goal.id or self._table.name(goal, new_goal_id(), self._now())
 
     def move(self, goal: Goal, event: GoalEvent) -> None:
@@ -363,10 +365,12 @@ class Execution:
                 self._forget(task)
 
     def end(self, goal: Goal, event: GoalEvent, result: object, reason: str = "") -> None:
-        """Decide how a goal ends, and announce the end; with a journal, once the end is on disk.
+        """Decide how a goal ends, and announce the end.
 
-        Does nothing if its end is decided already, for example because its body was given up. While
-        the server is suspended, only a success and a client's cancel count.
+        With a journal, announce it once it is on disk.
+
+        If the goal's end is decided already, for example because its body was given up, this does
+        nothing. While the server is suspended, only a success and a client's cancel count.
         """
         if goal.is_decided:
             return
@@ -400,7 +404,7 @@ class Execution:
         self._call_back(goal)
 
     def _announce_end(self, goal: Goal, event: GoalEvent, reason: str) -> None:
-        """End a goal for everybody who reads it."""
+        """End a goal, and tell its readers and waiters."""
         if goal.ended:  # the server was stopped before the journal had written the end
             return
         goal.reason = reason
@@ -454,14 +458,14 @@ class Execution:
             self.end(goal, GoalEvent.ABORT, None, summary(error))
 
     def _end_canceled(self, goal: Goal) -> None:
-        """End a cancelled goal: CANCELED if a client asked for it, else ABORTED."""
+        """End a goal that was cancelled: CANCELED if a client asked for that, otherwise ABORTED."""
         if goal.status is GoalStatus.CANCELING:
             self.end(goal, GoalEvent.CANCELED, None)
         else:
             self.end(goal, GoalEvent.ABORT, None, goal.reason or CUT_OFF)
 
     def _end_with(self, goal: Goal, event: GoalEvent, result: object, reason: str) -> None:
-        """End a goal with the body's own result, if that fits its type."""
+        """End a goal with the body's own result, if the result fits its type."""
         if result is not None:
             try:
                 result = self.check_result(result)
@@ -477,11 +481,11 @@ class Execution:
             await self._ended.wait()
 
     async def wait_for_bodies(self, grace: float, reason: str) -> None:
-        """Wait, shielded, until all bodies have ended; give up those that take too long.
+        """Wait until all bodies have ended, shielded from cancellation. Give up slow bodies.
 
         A body that ignores its cancellation for ``grace`` seconds (event loop time) is given up:
-        its goal ends ABORTED, and the log says where the body stands. asyncio can abandon such a
-        task; trio cannot, so on trio this keeps waiting.
+        its goal ends ABORTED, and the log says where the body stands. asyncio can abandon the task
+        of such a body. trio cannot, so on trio this keeps waiting.
 
         Args:
             grace: How long bodies may clean up (s).
@@ -510,7 +514,7 @@ class Execution:
 
 
 async def _finish(steps: Steps) -> None:
-    """Let a generator run on after its result. The result stands, whatever happens."""
+    """Let a generator run on after its result. The result stands, whatever happens then."""
     try:
         extra = await steps.asend(None)
         logger.warning("a body yielded %s after its result; it is closed", type(extra).__name__)
@@ -529,7 +533,7 @@ async def _finish(steps: Steps) -> None:
 def _stop_in(error: BaseException) -> BaseException | None:
     """The `SystemExit` or `KeyboardInterrupt` that ends the program, alone or in a group.
 
-    asyncio's task groups raise such an exception as it is; trio's nurseries wrap it.
+    asyncio's task groups raise such an exception unchanged. trio's nurseries wrap it.
     """
     if isinstance(error, BaseExceptionGroup):
         return next(filter(None, map(_stop_in, error.exceptions)), None)

@@ -1,4 +1,4 @@
-"""A goal as its body and the server's callbacks see it.
+"""The goal handle of a server, for bodies and callbacks.
 
 Source: rclpy ``action/server.py`` for names and behaviour.
 """
@@ -21,7 +21,7 @@ F = TypeVar("F", bound=Message)
 
 
 class GoalHandle(Generic[G, R, F]):
-    """A body's view of its goal; `turtleact.ServerGoalHandle` adds the node."""
+    """A body's view of its goal. `turtleact.ServerGoalHandle` adds the node."""
 
     __slots__ = ("_execution", "_goal")
 
@@ -51,7 +51,7 @@ class GoalHandle(Generic[G, R, F]):
 
     @property
     def reason(self) -> str:
-        """Why the goal was aborted, or is about to be; otherwise empty."""
+        """Why the goal was aborted, or why it is about to be; otherwise empty."""
         return self._goal.reason
 
     @property
@@ -66,7 +66,7 @@ class GoalHandle(Generic[G, R, F]):
 
     @property
     def resumed(self) -> Resumed[R, F] | None:
-        """What an earlier process has left of this goal; None if it began in this one.
+        """What an earlier process has left of this goal; None if the goal began in this process.
 
         Only a server with a journal resumes goals; see ``on_restart`` of
         `turtleact.Node.action_server`.
@@ -92,8 +92,8 @@ class GoalHandle(Generic[G, R, F]):
         The body itself must not call this.
 
         Args:
-            timeout: How long the body may take (s, event loop time). If it takes longer, the goal
-                goes on.
+            timeout: How long the body may take to stand still (s, event loop time). If it takes
+                longer, the goal goes on.
 
         Raises:
             PauseRefused: if the goal cannot be paused, or its body takes too long.
@@ -111,14 +111,14 @@ class GoalHandle(Generic[G, R, F]):
         await self._execution.pauses.resume(self._goal)
 
     async def checkpoint(self) -> None:
-        """Let other tasks run, and stand still here while the goal is paused.
+        """Let other tasks run. While the goal is paused, wait here.
 
-        A coroutine body that is declared with ``pausable=True`` awaits this regularly.
+        If you declare a coroutine body with ``pausable=True``, it must await this regularly.
         """
         await self._execution.pauses.checkpoint(self._goal)
 
     def publish_feedback(self, feedback: F) -> None:
-        """Send a copy of ``feedback``; you may change the message and send it again.
+        """Send a copy of ``feedback``. You may change the message and send it again.
 
         Raises:
             InvalidMessage: if it is not this action's Feedback, or a value does not fit its type.

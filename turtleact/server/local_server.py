@@ -1,4 +1,4 @@
-"""An action's server in this process: accepting goals, canceling them, and closing.
+"""An action's server in this process: accepts and cancels goals, and closes.
 
 `turtleact.goal` has the rules for a goal's states, `turtleact.slot` decides which goals may run,
 and `execution` runs bodies. Clients in the same process use this object and its `Goal` objects.
@@ -52,10 +52,10 @@ _AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that starts without being
 IN_A_ROW = 64
 """After this many goals in a row from this process, other tasks get a turn.
 
-The transport gives them turns between goals from other processes."""
+Between goals from other processes, the transport lets other tasks run."""
 
 SHUTDOWN = "shutdown"
-"""The reason for goals that end because their server closes, unless it gives another."""
+"""The default reason for goals that end because their server closes."""
 
 
 class SlotRequest:
@@ -77,11 +77,11 @@ class SlotRequest:
 
     @property
     def label(self) -> str:
-        """The goal's name in messages; gives it an id."""
+        """The goal's name in messages. A goal without an id gets one."""
         return f"goal {self._server.name_goal(self.goal).hex()} of {self.action}"
 
     def start(self) -> None:
-        """Start the goal when its turn has come, unless it has ended meanwhile."""
+        """Start the goal when its turn has come, unless the goal has ended meanwhile."""
         if self.goal.body is self:
             self.goal.body = None
             self._server.execution.move(self.goal, GoalEvent.EXECUTE)
@@ -97,26 +97,26 @@ class SlotRequest:
 
 
 class LocalActionServer:
-    """Accepts and cancels the goals of one action; implements `turtleact.goal_server.GoalServer`.
+    """The `turtleact.goal_server.GoalServer` of one action: accepts and cancels its goals.
 
     Args:
         served: The action, its name and its body.
         options: The user's options.
         tasks: The task functions of the event loop.
         now: Returns the current time (ns since the epoch).
-        slot: The slot that goals run in; None if they never wait for one another.
+        slot: The slot in which goals run; None if goals never wait for one another.
 
     Attributes:
         served: As given.
         name: The fully qualified name of the action.
         is_open: Whether it accepts goals.
         execution: Runs the bodies.
-        observers: Hear of each change of the goals.
-        slot: The slot that goals run in; None if they need none, or after the server has closed.
+        observers: The objects that hear of each change of the goals.
+        slot: The slot in which goals run; None if they need none, and after the server has closed.
         grace: How long a body may clean up (s, event loop time).
         durable: The goals in the server's journal; None if it has none.
         pauses: Pauses and resumes the goals.
-        slot_name: The name of the slot that it shares with other servers; empty if it has none.
+        slot_name: The name of the slot that the server shares with others; empty if it shares none.
         closing_reason: The reason for goals that end because the server closes.
 
     Raises:
@@ -194,9 +194,9 @@ class LocalActionServer:
         return goal
 
     async def run_goal(self, order: GoalOrder) -> Goal:
-        """Accept a goal and wait for its end; raises like `send_goal`.
+        """Accept a goal, and wait for its end. The errors are those of `send_goal`.
 
-        Cancelling: cancels the goal and waits for its end, at most ``order.cancel_timeout`` s.
+        Cancelling: cancels the goal and waits at most ``order.cancel_timeout`` s for its end.
         """
         goal = await self.take(order, is_streamed=False)
         if not goal.ended:
@@ -208,7 +208,10 @@ class LocalActionServer:
         return goal
 
     async def take(self, order: GoalOrder, *, is_streamed: bool) -> Goal:
-        """Accept a goal after asking the callback if needed; ``is_streamed`` keeps its feedback."""
+        """Accept a goal, after asking the callback if there is one.
+
+        ``is_streamed`` keeps feedback.
+        """
         if self.durable is None:
             self._until_turn -= 1
             if self._until_turn > 0:
@@ -227,7 +230,7 @@ class LocalActionServer:
     def take_nowait(self, order: GoalOrder, *, is_streamed: bool) -> Goal | None:
         """Accept a goal without waiting, or return None if accepting it may take time.
 
-        With a ``goal_callback`` or a journal, it may.
+        With a ``goal_callback`` or a journal, accepting may take time.
         """
         if self._callbacks.ask_about_goals or self.durable is not None:
             return None
@@ -240,7 +243,7 @@ class LocalActionServer:
     async def _take_durably(
         self, order: GoalOrder, durable: DurableGoals, *, is_streamed: bool
     ) -> Goal:
-        """Accept a goal once it is on disk, or join the goal that has its id already.
+        """Accept a goal once it is on disk, or join the goal that already has its id.
 
         Cancelling: takes effect at the next wait, when the goal is held.
         """
@@ -261,7 +264,7 @@ class LocalActionServer:
     async def _accept_durably(
         self, order: GoalOrder, durable: DurableGoals, *, is_streamed: bool
     ) -> Goal:
-        """Put a goal on disk and admit it; join the goal if the file has its id already."""
+        """Put a goal on disk and admit it. If the file already has its id, join that goal."""
         request = await self._prepare(order)
         goal = self._new_goal(order, request, is_streamed=is_streamed)
         status = _EXECUTING if self.slot is None else _ACCEPTED
@@ -277,7 +280,7 @@ class LocalActionServer:
             raise
 
     def _join(self, goal: Goal, request: object, *, is_streamed: bool) -> Goal:
-        """Return a goal that was sent before, if it was sent with the same request."""
+        """Return a known goal if it was sent with the same request; otherwise raise an error."""
         if self.durable is None or not self.durable.is_same(goal, request):
             raise GoalRejected(f"the id {goal.hex} belongs to another goal")
         goal.is_streamed = goal.is_streamed or is_streamed
@@ -295,7 +298,7 @@ class LocalActionServer:
         return goal
 
     async def _prepare(self, order: GoalOrder) -> object:
-        """Let other tasks run and ask the ``goal_callback``; return the request to admit.
+        """Let other tasks run, ask the ``goal_callback``, and return the request to admit.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
@@ -325,7 +328,7 @@ class LocalActionServer:
             raise GoalRejected(f"the server of '{self.name}' is shutting down")
 
     def _new_goal(self, order: GoalOrder, request: object, *, is_streamed: bool = False) -> Goal:
-        """Make a goal that starts at once. If it has to wait, its state is set back later.
+        """Make a goal that starts at once. If the goal has to wait, its state is set back later.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
@@ -419,7 +422,7 @@ class LocalActionServer:
         return self._table.find(goal_id, self._now())
 
     async def attach(self, goal_id: bytes) -> Goal | None:
-        """Return the goal with that id, if it is held, and keep its feedback from now on."""
+        """Return the goal with that id, or None. From now on, the goal's feedback is kept."""
         await self.wait_until_restored()
         goal = self.find(goal_id)
         if goal is not None:
@@ -430,11 +433,11 @@ class LocalActionServer:
         return goal
 
     def held_ids(self) -> Collection[bytes]:
-        """The ids of all goals held; goals without an id are left out."""
+        """The ids of all goals that the server holds. Goals without an id are left out."""
         return self._table.ids(self._now())
 
     def held(self) -> list[Goal]:
-        """All goals held: the active ones and those whose result is kept."""
+        """All goals that the server holds: active goals, and ended goals with a kept result."""
         return self._table.held(self._now())
 
     async def wait_for_end(self, goal: Goal) -> None:
@@ -466,7 +469,7 @@ class LocalActionServer:
     # canceling
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
-        """Answer a cancel request: by id, by stamp (ns), by both, or for every goal."""
+        """Answer a cancel request. The id and the stamp (ns) select the goals."""
         wanted = goal_id if goal_id and any(goal_id) else None
         named = self.find(wanted) if wanted else None
         by_id = wanted is not None and not stamp
@@ -505,7 +508,7 @@ class LocalActionServer:
                 self._cancels[goal] = asking
 
     async def _ask_and_cancel(self, goal: Goal) -> bool:
-        """Cancel a goal if the user agrees; False if not, or if it has ended."""
+        """Cancel a goal if the user agrees. Return False if not, or if the goal has ended."""
         has_ended = not goal.status.is_active  # perhaps while the user was asked about another goal
         if (
             has_ended
@@ -523,7 +526,7 @@ class LocalActionServer:
             self._cancels.pop(goal, None)
 
     def _cancel(self, goal: Goal) -> bool:
-        """Cancel a goal; False if it has already ended, or is about to."""
+        """Cancel a goal. Return False if the goal has ended or is about to end."""
         if goal.is_decided or not goal.status.is_active:
             return False
         if goal.status is not GoalStatus.CANCELING:
@@ -533,7 +536,7 @@ class LocalActionServer:
         return True
 
     def evict(self, goal: Goal, reason: str) -> None:
-        """Cancel a goal because the server decided so, unless it is already being cancelled."""
+        """Cancel a goal because the server decided so, unless its cancellation is under way."""
         is_wanted = goal.status.is_active and goal.status is not GoalStatus.CANCELING
         if is_wanted and not goal.reason and not goal.is_decided:
             if not self.execution.is_suspended:  # a paused goal is still paused after a restart
@@ -545,7 +548,7 @@ class LocalActionServer:
     # pausing
 
     async def pause(self, goal: Goal, timeout: float) -> None:
-        """Pause a goal and return when its body stands still; see `Pauses.pause`."""
+        """Pause a goal, and return when its body stands still; see `Pauses.pause`."""
         await self.pauses.pause(goal, timeout)
 
     async def resume(self, goal: Goal) -> None:
@@ -553,7 +556,7 @@ class LocalActionServer:
         await self.pauses.resume(goal)
 
     def client_lost(self, sender: object) -> None:
-        """Handle the loss of a client: with ``on_client_lost="cancel"`` its goals are canceled."""
+        """Handle the loss of a client. With ``on_client_lost="cancel"``, its goals are canceled."""
         if self._cancels_lost:
             if sender in self._preparing:
                 self._lost.add(sender)
@@ -564,12 +567,12 @@ class LocalActionServer:
     # after a restart
 
     async def wait_until_restored(self) -> None:
-        """Wait until the goals of an earlier process are held again. Cancelling: safe."""
+        """Wait until the server holds the goals of an earlier process again. Cancelling: safe."""
         if self.durable is not None:
             await self.durable.restored.wait()
 
     def restore(self, record: GoalRecord) -> None:
-        """Hold a goal of an earlier process again, and go on with it if it has not ended."""
+        """Hold a goal of an earlier process again. If the goal has not ended, go on with it."""
         durable = self.durable
         if durable is None or not self.is_open or self.find(record.id) is not None:
             return
@@ -610,7 +613,7 @@ class LocalActionServer:
     # closing
 
     async def _suspend(self, durable: DurableGoals) -> None:
-        """Stop the bodies; their goals go on after a restart."""
+        """Stop the bodies. Their goals go on after a restart."""
         self.execution.is_suspended = True
         self.slot = None
         for goal in self._table.active:
@@ -628,13 +631,14 @@ class LocalActionServer:
         await self.execution.wait_until_idle()
 
     async def aclose(self) -> None:
-        """Stop accepting goals, cancel running ones, drop waiting ones, and wait for them all.
+        """Stop accepting goals, cancel running goals, drop waiting ones, and wait for all ends.
 
-        They end ABORTED with the `closing_reason`, and every waiter gets its answer. A body that
-        ignores its cancellation for `grace` seconds is given up; see `Execution`.
+        The goals end ABORTED with the `closing_reason`, and everybody who waits for a goal gets an
+        answer. A body that ignores its cancellation for `grace` seconds is given up; see
+        `Execution`.
 
         With a journal and ``on_restart="resume"``, goals do not end but go on after a restart.
-        Whoever waits for one gets `ServerUnavailable`.
+        Everybody who waits for such a goal gets `ServerUnavailable`.
         """
         self.is_open = False
         self._callbacks.close()
@@ -655,8 +659,8 @@ def restore_all(servers: list[LocalActionServer]) -> None:
 
     Servers may share a slot. Therefore the goals of all servers are restored in one order: first
     the goals that ran, then those that waited for their turn. If several servers have the name of a
-    goal's action, the one with the goal's type takes the goal. If none has that type, any of them
-    aborts the goal, because its type has changed.
+    goal's action, the server with the goal's type takes the goal. If no server has that type, the
+    goal is aborted, because its type has changed.
     """
     durable = [(server, server.durable) for server in servers if server.durable is not None]
     found: dict[bytes, tuple[GoalRecord, LocalActionServer]] = {}

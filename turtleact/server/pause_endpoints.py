@@ -1,6 +1,6 @@
-"""The endpoints by which other processes pause goals; see `turtleact.goal_pausing`.
+"""Opens the endpoints with which other processes pause goals; see `turtleact.goal_pausing`.
 
-All of them are declared only when another process has an endpoint of the same name.
+These endpoints are declared only when another process has an endpoint of the same name.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class PauseEndpoints(Source, GoalObserver):
     Args:
         server: The server.
         transport: The transport to open them on.
-        endpoint: Makes their descriptions.
+        endpoint: A function that describes each endpoint.
         tasks: The task functions of the event loop.
     """
 
@@ -78,7 +78,7 @@ class PauseEndpoints(Source, GoalObserver):
             self._publication.refresh()
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Watch for pauses while somebody reads; every observer costs time for each goal."""
+        """Observe pauses only while somebody reads, because observers cost time for each goal."""
         self._server.observers.remove(self)
         if has_readers:
             self._server.observers.add(self)
@@ -89,7 +89,7 @@ class PauseEndpoints(Source, GoalObserver):
         return (PausedGoals(goal_ids=ids),)
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
-        """Build the same message as bytes."""
+        """Build the message of paused goals as bytes."""
         return [encode(message) for message in self.current()]
 
     def _serve(self, service: Any, name: str, handle: Callable[[Any], Any]) -> None:  # noqa: ANN401

@@ -1,14 +1,14 @@
-"""Pausing goals: their bodies stand still until they are resumed.
+"""Pauses goals: the body of a paused goal stands still until the goal is resumed.
 
-A generator stands still at a ``yield``, where it is not stepped any more. A coroutine body stands
-still at ``await handle.checkpoint()``, if it is declared with ``pausable=True``. Then ``on_pause``,
-if there is one, brings the robot to rest. A body that can do neither runs on, and ``on_pause``
-alone pauses its goal.
+A generator stands still at a ``yield``, because the server does not step it further. A coroutine
+body stands still at ``await handle.checkpoint()``, if it is declared with ``pausable=True``. Then
+``on_pause``, if there is one, brings the robot to rest. A body that is neither kind runs on, and
+``on_pause`` alone pauses its goal.
 
 ROS 2 has no state for this: a paused goal is EXECUTING. It keeps its place in its slot. A cancel, a
 preemption and the end of the server reach it at once.
 
-Source: VDA 5050 ``startPause`` and ``stopPause`` for what users expect of it.
+Source: VDA 5050 ``startPause`` and ``stopPause`` for the expectations of users.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ logger = logging.getLogger("turtleact.server")
 Callback = Callable[[Any], Awaitable[object]]
 
 CLEANING = 5.0
-"""How long goals may take to go on after a pause that has failed (s, event loop time)."""
+"""After a pause that has failed, goals have this long to go on (s, event loop time)."""
 
 
 class Hold:
@@ -44,7 +44,7 @@ class Hold:
     Attributes:
         is_standing: Whether the body stands still.
         is_before_start: Whether the body has not begun.
-        changed: Fires when one of these two changes, and when the request is withdrawn.
+        changed: Fires when one of the two values above changes, and when the request is withdrawn.
     """
 
     __slots__ = ("changed", "is_before_start", "is_standing")
@@ -56,7 +56,7 @@ class Hold:
 
 
 class Keeper(Protocol):
-    """What pausing needs of `turtleact.server.execution.Execution`."""
+    """The part of `turtleact.server.execution.Execution` that pausing needs."""
 
     durable: DurableGoals | None
     observers: Observers
@@ -71,12 +71,12 @@ class Pauses:
     Args:
         body: The body.
         options: The server's options, with ``pausable``, ``on_pause`` and ``on_resume``.
-        keeper: Makes handles, and has the journal and the observers.
+        keeper: The execution, which makes handles and has the journal and the observers.
         tasks: The task functions of the event loop.
         now: Returns the current time (ns since the epoch).
 
     Attributes:
-        paused: The goals that are paused, and since when (ns).
+        paused: The paused goals, each with the time of its pause (ns).
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Pauses:
         self.paused: dict[Goal, int] = {}
 
     async def pause(self, goal: Goal, timeout: float) -> None:
-        """Pause a goal and those that its body has sent; return when all of them stand still.
+        """Pause a goal and the goals that its body has sent. Return when all of them stand still.
 
         Pausing a paused goal does nothing. Cancelling: withdraws the request.
 
@@ -118,7 +118,7 @@ class Pauses:
             await self._pause(goal, timeout)
 
     async def resume(self, goal: Goal) -> None:
-        """Let a paused goal, and those that its body has sent, go on.
+        """Let a paused goal, and the goals that its body has sent, go on.
 
         Resuming a goal that is not paused does nothing.
 
@@ -137,9 +137,9 @@ class Pauses:
             await pauses.resume(child)
 
     async def stand(self, goal: Goal) -> None:
-        """Stand still here if the goal is to be paused. Cancelling: safe.
+        """If a pause of the goal was requested, wait here until the goal goes on. Cancelling: safe.
 
-        If the goal is canceled meanwhile, this raises the cancellation.
+        If the goal is canceled during the wait, this raises the cancellation.
         """
         hold = goal.hold
         if not isinstance(hold, Hold):
@@ -179,14 +179,14 @@ class Pauses:
             hold.changed.fire()
 
     def end(self, goal: Goal) -> None:
-        """Forget that a goal is paused, because it is being canceled or ends."""
+        """Forget that a goal is paused, because the goal is being canceled or ends."""
         if goal.hold is not None:
             self.let_go(goal)
         if goal.is_paused:
             self._set(goal, is_paused=False)
 
     def hold(self, goal: Goal) -> None:
-        """Let a goal begin paused, because it waits for its turn or was restored."""
+        """Make a goal begin paused. The goal waits for its turn or was restored."""
         goal.hold = Hold(self._tasks.signal(), is_before_start=True)
         self._set(goal, is_paused=True)
 
@@ -230,8 +230,8 @@ class Pauses:
     def enter(self, goal: Goal, parent: Goal) -> None:
         """Make a new goal a child of its parent, the goal whose body sent it.
 
-        If the parent is paused, or is being paused, the goal begins paused. Both are resumed
-        together.
+        If the parent is paused or being paused, the goal begins paused. Parent and child are
+        resumed together.
         """
         goal.enter_parent(parent, self)
         if parent.is_paused or parent.hold is not None:
@@ -241,7 +241,7 @@ class Pauses:
                 parent.hold.changed.fire()
 
     def leave(self, goal: Goal) -> None:
-        """Forget that an ending goal is paused; children that were paused with it go on."""
+        """Forget that an ending goal is paused. Children that were paused with it go on."""
         self.end(goal)
         if left := _paused_children(goal):
             self._orphans = [each for each in self._orphans if not each.has_ended]
@@ -249,7 +249,7 @@ class Pauses:
             self._orphans.append(Background(freeing, f"children of goal {goal.hex}", self._tasks))
 
     async def aclose(self, grace: float) -> None:
-        """Stop letting children go on, and wait for that, at most ``grace`` s (loop time)."""
+        """Stop the tasks that let children go on; wait at most ``grace`` s (loop time) for them."""
         for each in self._orphans:
             await each.aclose(grace)
 
@@ -265,7 +265,7 @@ class Pauses:
                 await pauses.resume(child)
 
     async def pause_unless_ended(self, goal: Goal, timeout: float) -> bool:
-        """Pause a goal like `pause`; return False if the goal is ending anyway.
+        """Pause a goal like `pause`. Return False if the goal is ending anyway.
 
         Raises:
             PauseRefused: if the goal cannot be paused in time. It then goes on.
@@ -281,7 +281,7 @@ class Pauses:
     async def _bring_to_rest(self, goal: Goal) -> None:
         """Call ``on_pause``.
 
-        If that is cancelled, start the robot again, as it may rest already.
+        If the callback is cancelled, start the robot again, because it may have stopped already.
         """
         try:
             await self._call(self._on_pause, goal, "on_pause")
@@ -335,7 +335,7 @@ class Pauses:
 
 
 def _children(goal: Goal) -> list[tuple[Goal, Pauses]]:
-    """The children of a goal as they are now: some may end while the caller waits for another."""
+    """The current children of a goal. Some may end while the caller waits for another child."""
     return list((goal.children or {}).items())
 
 

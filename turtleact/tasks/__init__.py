@@ -1,13 +1,13 @@
 """Tasks and wake-ups on asyncio (uvloop too) and trio.
 
-These few tools exist because anyio's own cost too much to use once per goal or message. Nothing
+These few tools exist because anyio's tools are too slow to use once per goal or message. Nothing
 here knows what a goal is.
 
 - `Tasks.spawn` runs a coroutine in a task outside any task group. The caller owns the task, cancels
   it and waits for its end.
 - Firing a `Signal` wakes every task that waits for it. A signal does not remember earlier fires.
-- `asyncio.Task.cancel` breaks into anyio's shields, unlike a cancel scope of trio. Ask
-  `Tasks.is_shielded` first where that matters.
+- `asyncio.Task.cancel` breaks into anyio's shields, unlike a cancel scope of trio. Where shields
+matter, ask `Tasks.is_shielded` first.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Coroutines that run beside their owner, and a bounded wait for things to end."""
+"""Runs coroutines beside their owner, and waits a limited time for an end."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def current_tasks() -> Tasks:
 
 
 class Background:
-    """A coroutine that runs until its owner closes it; a failure is logged.
+    """A coroutine that runs until its owner closes it. If it fails, that is logged.
 
     Args:
         running: The coroutine.
         name: Its name in the log.
-        tasks: The task functions to use; left out, those of the running event loop.
+        tasks: The task functions to use. If left out, they are those of the running event loop.
 
     Attributes:
         has_ended: Whether the coroutine has ended.
@@ -56,7 +56,7 @@ class Background:
         self._task.cancel()
 
     async def aclose(self, timeout: float | None = None) -> None:
-        """Cancel the coroutine and wait for its end, at most ``timeout`` seconds (loop time)."""
+        """Cancel the coroutine and wait at most ``timeout`` seconds (loop time) for its end."""
         self._task.cancel()
         with anyio.move_on_after(timeout, shield=True):
             while not self.has_ended:
@@ -101,12 +101,13 @@ async def run_in_daemon(call: Callable[[], T], name: str) -> T:
 
 
 async def wait_while(is_busy: Callable[[], object], changed: Signal, patience: float) -> None:
-    """Wait, shielded, until something has ended, at most ``patience`` seconds (loop time).
+    """Wait at most ``patience`` seconds (loop time) for an end, shielded from cancellation.
 
-    If it has already ended, this costs next to nothing, because thousands may be closed together.
+    If the end has come already, this costs next to nothing, because thousands of objects may be
+    closed together.
 
     Args:
-        is_busy: Whether it is still running.
+        is_busy: A function that returns whether the end has yet to come.
         changed: Fires when ``is_busy`` may have changed.
         patience: The longest wait (s).
     """

@@ -1,4 +1,4 @@
-"""The functions of an event loop, alike for asyncio and trio; and the loop of an object."""
+"""The task functions of an event loop, the same for asyncio and trio, and the home of an object."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from turtleact.goal import Cancelable
 __all__ = ["GRACE", "Home", "Signal", "Tasks", "is_cancellation"]
 
 GRACE = 5.0
-"""How long to wait for a cancelled task before giving it up, unless the user says otherwise (s)."""
+"""How long to wait for a cancelled task by default, before it is left running (s)."""
 
 
 class Signal(Protocol):
@@ -32,7 +32,7 @@ class Signal(Protocol):
 
     @property
     def waiters(self) -> int:
-        """How many wait now."""
+        """How many tasks wait now."""
 
 
 class Tasks(Protocol):
@@ -40,7 +40,7 @@ class Tasks(Protocol):
 
     Attributes:
         cancelled: The exception that cancels a task.
-        can_let_go: Whether the loop can end while a task ignores its cancellation; trio's cannot.
+        can_let_go: Whether the loop can end while a task ignores its cancellation. trio cannot.
     """
 
     cancelled: type[BaseException]
@@ -57,15 +57,15 @@ class Tasks(Protocol):
         """Run a coroutine in a new task.
 
         The caller owns the task: it cancels the task and waits for its end. The coroutine handles
-        its own exceptions. Its first step runs soon. With ``is_eager``, on asyncio from Python 3.12
-        on, the first step has run before this returns.
+        its own exceptions. Its first step runs soon. With ``is_eager``, the first step runs before
+        this returns, on asyncio from Python 3.12 on.
         """
 
     def is_shielded(self, task: Cancelable) -> bool:
-        """Whether cancelling a task would break into a shielded scope; trio never does."""
+        """Whether cancelling a task would break into a shielded scope. On trio it never does."""
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Schedule a callback that may spawn tasks; asyncio never runs it within this call."""
+        """Schedule a callback that may spawn tasks. asyncio never runs it within this call."""
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
         """Schedule a callback from any thread; does nothing once the loop is closed."""
@@ -77,28 +77,28 @@ class Tasks(Protocol):
         """Let other tasks run once."""
 
     def is_canceled(self) -> bool:
-        """Whether somebody has cancelled the running task; True if the loop cannot tell."""
+        """Whether somebody has cancelled the running task. True if the loop cannot tell."""
 
     def stop_program(self, error: BaseException) -> None:
         """End the program because a task raised `SystemExit` or `KeyboardInterrupt`."""
 
     def stoppable(self) -> AbstractContextManager[None]:
-        """Return a context manager whose block `stop_program` ends; only trio needs it."""
+        """Return a context manager for a block that `stop_program` ends. Only trio needs it."""
 
 
 def is_cancellation(error: BaseException, tasks: Tasks) -> bool:
-    """Whether an exception is a cancellation, or a group that contains nothing else."""
+    """Whether an exception is a cancellation, or a group of nothing but cancellations."""
     if isinstance(error, BaseExceptionGroup):
         return error.split(tasks.cancelled)[1] is None
     return isinstance(error, tasks.cancelled)
 
 
 class Home:
-    """The running event loop; the owner of this home must be used only there.
+    """The running event loop, the only one in which the owner of this home may be used.
 
-    Without a check, use from another thread or event loop fails much later, with a text that
-    explains nothing: "aclose(): asynchronous generator is already running". Nodes, servers and
-    clients create a `Home` and check it first in every public method::
+    Without a check, use from another thread or event loop fails much later, with an unhelpful text:
+    "aclose(): asynchronous generator is already running". Nodes, servers and clients create a
+    `Home` and check it first in every public method::
 
         def __init__(self, name: str) -> None:
             self._home = Home(f"node '{name}'")
@@ -110,7 +110,7 @@ class Home:
     callbacks, which may run anywhere.
 
     Args:
-        owner: How messages name the owner, for example ``"node '/lab'"``.
+        owner: The owner's name in error messages, for example ``"node '/lab'"``.
     """
 
     __slots__ = ("_current", "_loop", "_owner", "_thread")
@@ -122,19 +122,22 @@ class Home:
         self._thread = get_ident()
 
     def of(self, owner: str) -> Home:
-        """The same home for another object, which was made there; no event loop need run now."""
+        """Return the same home for another object that was made there.
+
+        No event loop need run now.
+        """
         home = copy.copy(self)
         home._owner = owner
         return home
 
     def check(self) -> None:
-        """Raise unless the home's event loop is running this call, or stands between two runs.
+        """Check that the home's event loop is running this call, or stands between two runs.
 
         A notebook run as plain Python calls functions between ``runner.run(…)`` and
         ``runner.run(…)``. The loop does not run then, so nothing can interfere.
 
         Raises:
-            TurtleactError: if another event loop runs here, or this is another thread.
+            TurtleactError: if another event loop runs this call, or another thread does.
         """
         try:
             if self._current() is self._loop:
@@ -152,7 +155,7 @@ class Home:
 
 
 def _loop_getter() -> Callable[[], object]:
-    """Return a function that gives the running loop, always the same object, or RuntimeError."""
+    """Return a function that returns the running loop, or raises RuntimeError."""
     if anyio.get_cancelled_exc_class() is asyncio.CancelledError:
         return asyncio.get_running_loop
     import trio  # already imported, since its loop runs

@@ -2,9 +2,9 @@
 
 The method depends on the loop:
 
-- A loop made by `new_event_loop` asks its selector to wait when it has nothing else to do. The
-  selector notices that moment and wakes every task that waits for idleness.
-- Other asyncio loops keep their callbacks in a private queue, which is read.
+- A loop made by `new_event_loop` asks its selector to wait when it has nothing else to do. At that
+moment, the selector wakes every task that waits for idleness.
+- Other asyncio loops keep their callbacks in a private queue, which this module reads.
 - A loop without that queue (uvloop) needs `anyio.wait_all_tasks_blocked`, which polls every 0.1 s.
   That is slow, so a warning is logged once per run.
 - trio has a function for it.
@@ -39,20 +39,21 @@ __all__ = [
 logger = logging.getLogger("turtleact")
 
 CALLBACK_TURNS = 3
-"""How many turns to give callbacks outside any task, on a loop that hides its callbacks.
+"""How many turns callbacks outside any task get on a loop that hides its callbacks.
 
-A finished task wakes its parent with such a callback; until it runs, all tasks seem to wait."""
+A finished task wakes its parent with such a callback. Until the callback runs, all tasks seem to
+wait."""
 
 
 def new_event_loop() -> asyncio.AbstractEventLoop:
-    """Make an asyncio event loop that knows when it is idle; pass this as ``loop_factory``."""
+    """Make an asyncio event loop that knows when it is idle. Pass this as ``loop_factory``."""
     return WatchedEventLoop()
 
 
 async def wait_until_idle() -> None:
     """Wait until no other task can run by itself.
 
-    Any number of tasks may call this; they all continue together. Tasks that wait for the network,
+    Any number of tasks may call this. They all continue together. Tasks that wait for the network,
     a thread or wall time count as idle. Cancelling: safe, nothing is lost.
     """
     await idleness()()
@@ -96,7 +97,7 @@ class IdleSelector(selectors.DefaultSelector):
         return self.wait_for_events(timeout)
 
     def wait_for_events(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Block until an event arrives; the loop is idle and nobody waits for that."""
+        """Block until an event arrives, because the loop is idle and no task waits for that."""
         return super().select(timeout)
 
     def _wake(self) -> None:
@@ -128,11 +129,11 @@ def ready_callbacks(loop: asyncio.AbstractEventLoop) -> Sized | None:
 
 
 class ThreadWork:
-    """Counts what a thread of turtleact does for the loop; virtual time stands still meanwhile.
+    """Counts the work of a thread for the loop. Virtual time stands still during such work.
 
-    Such work must be sure to end soon. A `turtleact.clock.VirtualClock` asks this object. The event
-    loops of `turtleact.testing` stand still while a token of anyio's thread limiter is borrowed, so
-    this borrows one.
+    Such work must be sure to end soon. A `turtleact.clock.VirtualClock` asks this object whether
+    there is any. The event loops of `turtleact.testing` stand still while a token of anyio's thread
+    limiter is borrowed, so this object borrows one.
     """
 
     def __init__(self) -> None:
@@ -150,7 +151,7 @@ class ThreadWork:
                 self._is_borrowing = True
 
     def end(self, count: int = 1) -> None:
-        """Count that many fewer."""
+        """Count ``count`` pieces of work fewer."""
         self._count -= count
         if self._count:
             return
@@ -162,7 +163,7 @@ class ThreadWork:
 
     @contextmanager
     def counted(self) -> Iterator[None]:
-        """A block that counts as one piece of work, such as a wait for a thread."""
+        """Count a block, such as a wait for a thread, as one piece of work."""
         self.begin()
         try:
             yield
@@ -171,11 +172,11 @@ class ThreadWork:
 
     @property
     def is_under_way(self) -> bool:
-        """Whether there is any."""
+        """Whether a thread is working for the loop."""
         return self._count > 0
 
     async def wait_for_end(self) -> None:
-        """Wait until there is none. Only one task can wait. Cancelling: safe."""
+        """Wait until no work is under way. Only one task can wait. Cancelling: safe."""
         while self._count:
             done = anyio.Event()
             self._done = done.set
@@ -195,7 +196,7 @@ class _Turns:
     """Watches a loop that turtleact did not make.
 
     Each watcher sleeps for one turn of the loop at a time, so it always has one callback in the
-    queue. If a watcher finds only callbacks of other watchers in its turn, the loop is idle.
+    queue. If a watcher finds only callbacks of other watchers in the queue, the loop is idle.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:

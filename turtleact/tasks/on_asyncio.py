@@ -1,4 +1,4 @@
-"""Tasks on asyncio (uvloop too), and signals made of futures.
+"""Runs tasks on asyncio (uvloop too), and makes signals of futures.
 
 Source: asyncio ``Task(eager_start=...)``, Python 3.12.
 """
@@ -18,7 +18,7 @@ from turtleact.goal import Cancelable
 __all__ = ["AsyncioSignal", "AsyncioTasks", "is_in_shielded_scope"]
 
 DEEPEST = 32
-"""How many tasks may start inside one another's first step.
+"""How many tasks may start inside each other's first steps.
 
 A body that starts eagerly may send a goal whose body starts eagerly, and so on. Each level takes
 about six of the 1,000 frames on Python's stack. Deeper bodies start on the loop's next turn."""
@@ -27,9 +27,9 @@ about six of the 1,000 frames on Python's stack. Deeper bodies start on the loop
 def is_in_shielded_scope(task: object) -> bool:
     """Whether an asyncio task is inside a shielded anyio scope.
 
-    `asyncio.Task.cancel` ignores anyio's shields and would break into one. anyio keeps the scopes
-    that a task has entered in a private table and has no public way to ask. If the table is
-    missing, the answer is no and the cancellation is delivered at once.
+    `asyncio.Task.cancel` ignores anyio's shields and would break into a shielded scope. anyio keeps
+    the scopes of each task in a private table, and has no public way to ask for them. If the table
+    is missing, this returns False, and the cancellation is delivered at once.
     """
     backend = sys.modules.get("anyio._backends._asyncio")
     states = getattr(backend, "_task_states", {})
@@ -57,7 +57,10 @@ class AsyncioTasks:
         *,
         is_eager: bool = False,
     ) -> Cancelable:
-        """Run a coroutine in a new task; with ``is_eager``, eagerly from Python 3.12 on."""
+        """Run a coroutine in a new task.
+
+        With ``is_eager``, it starts eagerly from Python 3.12 on.
+        """
         if sys.version_info >= (3, 12) and is_eager and self._depth < DEEPEST:
             # An eager task runs its first step inside this call. That step may spawn another task,
             # and so on, which is why the depth is limited.
@@ -77,7 +80,7 @@ class AsyncioTasks:
         return is_in_shielded_scope(task)
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Schedule a callback for the loop's next turn, since it may run a body's first step."""
+        """Schedule a callback for the loop's next turn, because it may run a body's first step."""
         self._loop.call_soon(callback)
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
@@ -101,20 +104,20 @@ class AsyncioTasks:
     def stop_program(self, error: BaseException) -> None:
         """Raise the error in a callback of the loop, which ends `asyncio.run`.
 
-        Raised in an eager task itself, it would reach the code that started the task.
+        If an eager task itself raised the error, the code that started the task would get it.
         """
         self._loop.call_soon(_throw, error)
 
     def stoppable(self) -> AbstractContextManager[None]:
-        """Return a block that does nothing, because a callback can end the program on asyncio."""
+        """Return a context manager that does nothing. On asyncio a callback ends the program."""
         return nullcontext()
 
 
 class _Begun(Coroutine[object, object, None]):
     """A coroutine whose first step runs even if its task is cancelled before that step.
 
-    asyncio throws the cancellation into a coroutine that has not begun. The coroutine then runs no
-    ``finally`` and reports its end to nobody. This wrapper runs the first step anyway, so that the
+    asyncio throws the cancellation into a coroutine that has not begun. That coroutine would run no
+    ``finally`` and report its end to nobody. This wrapper runs the first step anyway, so that the
     cancellation arrives at the first await, as on trio.
     """
 

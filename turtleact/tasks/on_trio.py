@@ -1,4 +1,4 @@
-"""Tasks on trio (its system tasks), and signals made of parking lots."""
+"""Runs tasks on trio as system tasks, and makes signals of parking lots."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ __all__ = ["TrioSignal", "TrioTask", "TrioTasks"]
 class TrioTasks:
     """System tasks of trio, each in its own cancel scope.
 
-    They outlive the task that starts them, as a goal outlives its client, and their owner waits for
-    them. trio never ends a program before its last task, even if that task ignores cancellation.
+    System tasks outlive the task that starts them, as a goal outlives its client. Their owner waits
+    for them. trio never ends a program before its last task has ended, even if that task ignores
+    cancellation.
     """
 
     can_let_go = False
@@ -46,7 +47,7 @@ class TrioTasks:
         *,
         is_eager: bool = False,  # noqa: ARG002  # for asyncio
     ) -> TrioTask:
-        """Run a coroutine in a new task; its first step runs soon."""
+        """Run a coroutine in a new task. Its first step runs soon."""
         task = TrioTask(self._trio.CancelScope())
         self._trio.lowlevel.spawn_system_task(
             task.run, body, name=name, context=copy_context() if context is None else context
@@ -58,7 +59,7 @@ class TrioTasks:
         return False
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call the callback now, since trio starts spawned tasks later anyway."""
+        """Call the callback now, because trio starts spawned tasks later anyway."""
         callback()
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
@@ -84,7 +85,8 @@ class TrioTasks:
     def stop_program(self, error: BaseException) -> None:
         """Cancel the `stoppable` blocks, each of which then raises ``error``.
 
-        A system task must not raise it, because trio treats that as an internal error.
+        A system task must not raise the error itself, because trio treats that as an internal
+        error.
         """
         self._stop.error = error
         for block in self._stop.blocks:
@@ -92,7 +94,7 @@ class TrioTasks:
 
     @contextmanager
     def stoppable(self) -> Iterator[None]:
-        """Make a block that `stop_program` cancels and that then raises the program's error."""
+        """Return a block that `stop_program` cancels. The block then raises the program's error."""
         stop = self._stop
         scope = self._trio.CancelScope()
         stop.blocks.append(scope)
@@ -111,7 +113,7 @@ class TrioTasks:
 
 
 class _Stop:
-    """The error that ends the program, and the blocks to cancel; one per event loop."""
+    """The error that ends the program, and the blocks to cancel. Each event loop has one."""
 
     def __init__(self) -> None:
         self.error: BaseException | None = None
@@ -135,7 +137,7 @@ class TrioTask:
             await body
 
     def cancel(self) -> None:
-        """Cancel the coroutine at its next await, and at every one after it."""
+        """Cancel the coroutine at its next await, and at every later await."""
         self._scope.cancel()
 
 

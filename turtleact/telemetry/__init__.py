@@ -1,6 +1,6 @@
-"""What goals do, for tracing systems, metrics and logs: OpenTelemetry, Prometheus, ``logging``.
+"""Reports what goals do to tracing, metrics and logs: OpenTelemetry, Prometheus, ``logging``.
 
-Everything here watches through the observers of servers and clients (`turtleact.observers`). A
+Everything here watches goals as an observer of servers and clients (`turtleact.observers`). A
 program that does not import this module pays nothing for it. `instrument` needs the extra ``otel``;
 `GoalMetrics`, `GoalFilter` and `JsonFormatter` need nothing.
 

@@ -1,9 +1,9 @@
-"""OpenTelemetry's SDK for a program: spans and measurements go to a collector, by OTLP over HTTP.
+"""Sets up OpenTelemetry's SDK to send spans and measurements to a collector by OTLP over HTTP.
 
-OpenTelemetry's own environment variables say where to, how often, and how much: among others
+OpenTelemetry's own environment variables set the address, the interval and the amount: among others
 ``OTEL_EXPORTER_OTLP_ENDPOINT``, ``OTEL_SERVICE_NAME``, ``OTEL_RESOURCE_ATTRIBUTES``,
 ``OTEL_TRACES_SAMPLER``, ``OTEL_BSP_MAX_QUEUE_SIZE`` and ``OTEL_METRIC_EXPORT_INTERVAL``.
-``OTEL_TRACES_EXPORTER=none`` and ``OTEL_METRICS_EXPORTER=none`` leave one of the two out.
+``OTEL_TRACES_EXPORTER=none`` and ``OTEL_METRICS_EXPORTER=none`` switch traces or metrics off.
 
 Threads of the SDK send everything. A collector that is slow or down delays no goal: spans that do
 not fit into the queue are dropped, and the SDK logs that.
@@ -37,20 +37,21 @@ __all__ = ["FLUSH_WITHIN", "exporting"]
 logger = logging.getLogger("turtleact.telemetry")
 
 FLUSH_WITHIN: Final = 3.0
-"""How long the last spans and measurements may take at the end (s, event loop time)."""
+"""How long sending the last spans and measurements may take at the end (s, event loop time)."""
 
 EXPORTERS: Final = ("otlp", "none")
 
 
 @asynccontextmanager
 async def exporting(service: str) -> AsyncIterator[None]:
-    """Export what the process traces and measures, for the length of a block.
+    """Export the traces and measurements of the process for the length of a block.
 
-    This sets the process's global providers, which can be done once. At the end of the block, what
-    has not been sent yet is sent. That takes at most `FLUSH_WITHIN` seconds; then it is given up.
+    This sets the process's global providers, which is possible only once. At the end of the block,
+    everything not yet sent is sent. If this takes longer than `FLUSH_WITHIN` seconds, the rest is
+    lost.
 
     Args:
-        service: The name of the service, unless ``OTEL_SERVICE_NAME`` gives another one.
+        service: The name of the service, unless ``OTEL_SERVICE_NAME`` sets another name.
 
     Raises:
         TurtleactError: if an environment variable has a value that is not supported.
@@ -83,10 +84,10 @@ async def exporting(service: str) -> AsyncIterator[None]:
 
 
 def _is_wanted(variable: str) -> bool:
-    """Whether an environment variable asks for the exporter that there is.
+    """Whether an environment variable asks for OTLP, the only exporter here.
 
     Raises:
-        TurtleactError: if it asks for another one.
+        TurtleactError: if the variable asks for another exporter.
     """
     name = os.environ.get(variable) or "otlp"
     if name not in EXPORTERS:

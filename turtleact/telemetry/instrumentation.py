@@ -1,6 +1,6 @@
-"""`instrument`: traces and metrics of a node's goals, by OpenTelemetry's API alone.
+"""Traces and measures a node's goals with `instrument`, using only OpenTelemetry's API.
 
-The program chooses what happens to them: it sets up an SDK with exporters, or uses
+The program decides where traces and metrics go: it sets up an SDK with exporters, or uses
 ``opentelemetry-instrument``. Without an SDK, the API's calls do nothing.
 """
 
@@ -36,12 +36,12 @@ def instrument(
 
     Args:
         node: The node.
-        tracer_provider: Where spans go; left out, the program's global provider.
-        meter_provider: Where measurements go; left out, the program's global provider.
+        tracer_provider: Where spans go. If left out, it is the program's global provider.
+        meter_provider: Where measurements go. If left out, it is the program's global provider.
 
     Raises:
-        TurtleactError: if OpenTelemetry's API is not installed, if the node is closed, or if this
-            is called in another event loop.
+        TurtleactError: if OpenTelemetry's API is not installed, the node is closed, or the caller
+            runs in another event loop.
     """
     try:
         from turtleact.telemetry.instruments import Instruments
@@ -69,7 +69,7 @@ def instrument(
 
 
 class _Instrumentation:
-    """What `instrument` runs beside a node; closed with the node."""
+    """The task that `instrument` runs beside a node. It is closed with the node."""
 
     def __init__(self, watching: Coroutine[object, object, None]) -> None:
         self._watching = Background(watching, "measuring the event loop")
@@ -80,7 +80,7 @@ class _Instrumentation:
 
 
 class _Nothing:
-    """Takes the place of a transport's object, because an `_Instrumentation` has none."""
+    """A stand-in for the transport's object that an `_Instrumentation` does not have."""
 
     def close(self) -> None:
         """Do nothing."""

@@ -1,4 +1,4 @@
-"""Measurements as instruments of OpenTelemetry; `turtleact.telemetry.measuring` makes them."""
+"""Passes the measurements of `turtleact.telemetry.measuring` on to OpenTelemetry's instruments."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Instruments:
     """Passes measurements on to a meter.
 
     Args:
-        provider: Gives the meter; None for the program's global provider.
+        provider: Provides the meter; None for the program's global provider.
 
     Attributes:
         are_off: Whether the program wants no metrics.

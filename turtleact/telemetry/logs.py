@@ -1,13 +1,13 @@
-"""Log records that say which goal they belong to, as text and as JSON.
+"""Adds the goal of a log record to the record, and formats records as text or JSON.
 
 >>> import logging
 >>> handler = logging.StreamHandler()
 >>> handler.addFilter(GoalFilter())
 >>> handler.setFormatter(JsonFormatter())
 
-Each record of a body then carries the id of its goal, the action and the node, whichever module
-logs it. Logging calls in threads carry them, too, if the thread has the body's context, as those of
-`asyncio.to_thread` and `anyio.to_thread` do.
+Each record of a body then carries the goal id, the action and the node, whichever module logs it.
+Records from a thread carry them, too, if the thread has the body's context. Threads of
+`asyncio.to_thread` and `anyio.to_thread` have it.
 """
 
 from __future__ import annotations
@@ -28,14 +28,15 @@ __all__ = ["GoalFilter", "JsonFormatter", "TextFormatter"]
 FIELDS: Final = ("goal_id", "action", "node")
 
 PLAIN: Final = frozenset({*logging.makeLogRecord({}).__dict__, "message", "asctime", "taskName"})
-"""What every record has; the rest was given by the user as ``extra``."""
+"""The attributes of every record. The user passes any others as ``extra``."""
 
 
 class GoalFilter(logging.Filter):
-    """Adds ``goal_id``, ``action`` and ``node`` to records; lets every record pass.
+    """Adds ``goal_id``, ``action`` and ``node`` to records, and lets every record pass.
 
-    Outside of bodies, the three are empty. A value that the record has already is kept. Add the
-    filter to a handler, because a logger's filters do not see the records of its children.
+    Outside of bodies, the three are empty. If the record has one of these values already, that
+    value is kept. Add the filter to a handler, because a logger's filters do not see the records of
+    its children.
     """
 
     def filter(self, record: logging.LogRecord) -> bool:
@@ -51,7 +52,10 @@ class GoalFilter(logging.Filter):
 
 
 class TextFormatter(logging.Formatter):
-    """One line with time, level, logger and message; a body's records also name their goal."""
+    """Writes one line with time, level, logger and message.
+
+    A body's records also name their goal.
+    """
 
     def __init__(self) -> None:
         super().__init__("%(asctime)s %(levelname)s %(name)s: %(message)s")
@@ -64,7 +68,7 @@ class TextFormatter(logging.Formatter):
 
 
 class JsonFormatter(logging.Formatter):
-    """One JSON object on a line.
+    """Writes each record as a JSON object on one line.
 
     Members: ``time`` (UTC, ISO 8601), ``level``, ``logger``, ``message``; in a body ``goal_id``,
     ``action`` and ``node``; in a span of OpenTelemetry ``trace_id`` and ``span_id``; with a
@@ -99,7 +103,7 @@ def _current_span() -> dict[str, str]:
 
 
 def _written(members: dict[str, Any]) -> str:
-    """Write JSON; a value that JSON has no form for becomes its text."""
+    """Write JSON. A value that JSON cannot hold is written as its text."""
     try:
         return msgspec.json.encode(members, enc_hook=str).decode()
     except (UnicodeEncodeError, ValueError, TypeError, RecursionError):

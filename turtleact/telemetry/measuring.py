@@ -1,8 +1,8 @@
-"""Turns what observers hear into measurements: goals by status, durations, waits, and losses.
+"""Turns the news of observers into measurements: goals by status, durations, waits, and losses.
 
 A `Measurements` takes the numbers: `turtleact.telemetry.prometheus` keeps them, and
-`turtleact.telemetry.instruments` passes them on to OpenTelemetry. Times are the graph's. No
-measurement carries a goal id, because each id would begin a new time series.
+`turtleact.telemetry.instruments` passes them on to OpenTelemetry. Times are those of the graph's
+clock. No measurement carries a goal id, because each id would begin a new time series.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ AnyClient = ActionClient[Any, Any, Any]
 
 
 class Measurements(Protocol):
-    """Takes measurements. The methods must not raise, and must not block."""
+    """Takes measurements. The methods must not raise exceptions, and must not block."""
 
     def ended(self, action: str, status: str, seconds: float | None) -> None:
-        """Called when a goal has ended: how long after its acceptance; None for a rejected goal."""
+        """Called when a goal has ended, with its age in seconds (None for a rejected goal)."""
 
     def waited(self, action: str, seconds: float) -> None:
-        """Called when a body begins: how long its goal has waited since its acceptance."""
+        """Called when a body begins, with the time since its goal's acceptance."""
 
     def active_changed(self, action: str, state: str, change: int) -> None:
-        """Called when goals enter or leave a state that is not final: how many more there are."""
+        """Called when goals enter or leave a state that is not final, with the change in number."""
 
     def feedback_lost(self, action: str, count: int) -> None:
-        """Called when feedback messages have not reached a client: how many."""
+        """Called with the number of feedback messages that have not reached a client."""
 
     def lagged(self, seconds: float) -> None:
         """Called with how late the event loop was."""
@@ -59,7 +59,7 @@ def watch(
     on_server: Callable[[AnyServer], object],
     on_client: Callable[[AnyClient], object],
 ) -> None:
-    """Call a function with each action server and client of a node, now open or opened later."""
+    """Call a function with each action server and client of a node, open now or opened later."""
 
     def told(thing: object) -> None:
         if isinstance(thing, ActionServer):
@@ -88,7 +88,7 @@ async def watch_loop(measurements: Measurements) -> None:
 
 
 class _ServerMeter(GoalObserver):
-    """Measures the goals of one server, including those that run already."""
+    """Measures the goals of one server, including goals that are already running."""
 
     def __init__(self, server: AnyServer, measurements: Measurements) -> None:
         self._action = server.name
@@ -125,7 +125,7 @@ class _ServerMeter(GoalObserver):
 
 
 class _ClientMeter(GoalObserver):
-    """Measures what only a client knows."""
+    """Measures the feedback that does not reach a client, which only the client knows."""
 
     def __init__(self, action: str, measurements: Measurements) -> None:
         self._action = action

@@ -1,4 +1,4 @@
-"""Measurements of goals, kept in memory and written as Prometheus reads them.
+"""Keeps measurements of goals in memory, and writes them in Prometheus's format.
 
 ================================  =========  ======================  ==============================
 metric                            kind       labels                  what it counts
@@ -35,8 +35,8 @@ class _Metric(NamedTuple):
     """A metric.
 
     Attributes:
-        name: Its name.
-        kind: Its kind in Prometheus.
+        name: The metric's name.
+        kind: The metric's kind in Prometheus.
         about: What the metric measures.
         labels: The names of its labels.
     """
@@ -47,12 +47,12 @@ class _Metric(NamedTuple):
     labels: tuple[str, ...] = ()
 
     def head(self) -> Iterator[str]:
-        """The lines before the samples."""
+        """The lines of the metric before its samples."""
         yield f"# HELP {self.name} {self.about}"
         yield f"# TYPE {self.name} {self.kind}"
 
     def written(self, values: Labels, **more: str) -> str:
-        """The labels of a sample. Names of actions and states need no escaping."""
+        """The labels of a sample as text. Names of actions and states need no escaping."""
         labels = {**dict(zip(self.labels, values, strict=True)), **more}
         return "{" + ",".join(f'{name}="{each}"' for name, each in labels.items()) + "}"
 
@@ -85,7 +85,7 @@ LAG: Final = _Metric("turtleact_loop_lag_seconds", "histogram", "How late the ev
 
 
 class GoalMetrics:
-    """Counts the goals of nodes. Needs no other package.
+    """Counts the goals of nodes. This needs no other package.
 
     >>> metrics = GoalMetrics()
     >>> for line in metrics.text().splitlines()[:2]:
@@ -171,10 +171,11 @@ class Totals:
 
 
 class _Histogram:
-    """How many values are at most as large as each bound.
+    """A histogram: counts values between bounds, and adds them up.
 
     Attributes:
-        counts: How many values fell between a bound and the one before; the last are above all.
+        counts: How many values fell between each bound and the one before. The last number is of
+            those above all bounds.
         sum: The sum of all values.
     """
 

@@ -1,4 +1,4 @@
-"""A goal as spans: one at its client, from the request to the end, one at its server.
+"""Makes two spans for each goal: one at its client, from the request to the end, one at its server.
 
 ========================  ==========  ==========================================================
 span                      kind        parent
@@ -8,8 +8,8 @@ span                      kind        parent
 ========================  ==========  ==========================================================
 
 The server's span is current in the body, so goals that the body sends are its children. A request
-to another process carries the client's span in its note (`turtleact.goal_wire.GoalNote`). A goal
-from a client that sends no note begins a trace.
+to another process carries the ids of the client's span in a note (`turtleact.goal_wire.GoalNote`).
+If a client sends no note, its goal begins a new trace.
 
 If the client is in this process and its span is not sampled, the server makes no span either.
 
@@ -53,7 +53,7 @@ from turtleact.transports.base import REQUEST_NOTE
 __all__ = ["Tracing"]
 
 LONGEST_STATE: Final = 512
-"""A longer ``tracestate`` is left out (characters); the least that W3C asks tracers to pass on."""
+"""A ``tracestate`` longer than this (characters) is left out. W3C asks for at least this limit."""
 
 PROPAGATOR: Final = TraceContextTextMapPropagator()
 
@@ -65,7 +65,7 @@ class Tracing:
 
     Args:
         node: The node.
-        provider: Where spans go; None for the program's global provider.
+        provider: The provider that gets the spans; None for the program's global provider.
 
     Attributes:
         is_off: Whether the program wants no traces.
@@ -106,7 +106,7 @@ class Tracing:
 
 
 class _Record:
-    """A span and what is still to be written to it.
+    """A span, and the values that are written to it later.
 
     Attributes:
         span: The span.
@@ -122,7 +122,7 @@ class _Record:
         self._last = 0
 
     def feedback(self) -> None:
-        """Count a feedback message; the first and the last one become events."""
+        """Count a feedback message. The first and the last message become events of the span."""
         self._count += 1
         self._last = time_ns()
         if self._count == 1:
@@ -149,7 +149,7 @@ class _Record:
 
 
 class _Spans(GoalObserver):
-    """Writes what happens to the goals of one server or client to their spans.
+    """Writes the news of the goals of one server or client to the goals' spans.
 
     Args:
         observers: The observers of the server or client.
@@ -161,9 +161,9 @@ class _Spans(GoalObserver):
         self._recording: _Recording | None = None
 
     def begin(self, span: Span, goal_id: bytes) -> _Record:
-        """Write what happens to a goal to this span from now on.
+        """Write the news of a goal to this span from now on.
 
-        If the client has sent that goal before, its first span goes on.
+        If the client has sent the same goal before, the goal's first span goes on.
         """
         if self._recording is None:  # it costs each message something, so there is none before
             self._recording = _Recording(self.records)
@@ -215,7 +215,7 @@ class _Spans(GoalObserver):
 
 
 class _Recording(GoalObserver):
-    """Counts the feedback of goals with spans, and makes their spans those of their bodies."""
+    """Counts the feedback of goals with spans, and makes a goal's span current in its body."""
 
     def __init__(self, records: dict[bytes | None, _Record]) -> None:
         self._records = records
@@ -227,7 +227,7 @@ class _Recording(GoalObserver):
             record.feedback()
 
     def enter_body(self, goal: Goal) -> None:
-        """Make the goal's span the current one of its body."""
+        """Make the goal's span the current span of its body."""
         record = self._records.get(goal.id)
         if record is not None:
             contexts.attach(trace.set_span_in_context(record.span))
@@ -290,7 +290,7 @@ class _ServerSpans(_Spans):
 
 
 class _ClientSpans(GoalObserver):
-    """Begins the spans of one client's goals, and ends those of goals that are not accepted.
+    """Begins the spans of one client's goals, and ends the spans of goals that are not accepted.
 
     Args:
         client: The client.
@@ -318,7 +318,7 @@ class _ClientSpans(GoalObserver):
         self._service = action_names(client.name).send_goal, type_name
 
     def enter_call(self, order: GoalOrder) -> None:
-        """Begin a goal's span, and make it the current one while the goal is sent."""
+        """Begin a goal's span, and make it the current span while the goal is sent."""
         context = _current()
         is_near = self._transport.local(*self._service) is not None
         kind = SpanKind.INTERNAL if is_near else SpanKind.CLIENT
@@ -337,7 +337,10 @@ class _ClientSpans(GoalObserver):
             self._sending[order] = self._spans.begin(span, order.goal_id)
 
     def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
-        """End the goal's span if the goal was not accepted; otherwise it ends with the goal."""
+        """End the goal's span if the goal was not accepted.
+
+        Otherwise the span ends with the goal.
+        """
         record = self._sending.pop(order, None)
         if record is None or record.is_accepted:
             return
@@ -359,7 +362,7 @@ class _ClientSpans(GoalObserver):
 
 
 def _current() -> Context:
-    """The current context; without a current span, that of the request being handled."""
+    """The current context. Without a current span, it is that of the request being handled."""
     context, note = contexts.get_current(), REQUEST_NOTE.get()
     if not note or trace.get_current_span(context).get_span_context().is_valid:
         return context
@@ -367,7 +370,7 @@ def _current() -> Context:
 
 
 def _context_in(note: GoalNote) -> Context:
-    """The context that a note carries; it has no span if the note has none."""
+    """The context that a note carries. If the note has no span, the context has none."""
     if not note.traceparent:
         return Context()
     carrier = {"traceparent": note.traceparent}

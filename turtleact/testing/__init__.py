@@ -1,4 +1,4 @@
-"""Tools for testing actions: virtual time, a goal run in one call, and an unreliable transport.
+"""Tools for testing actions: virtual time, a call that runs a goal, and an unreliable transport.
 
 This package knows nodes, clocks and transports, but no world and no particular action.
 ``turtleact.testing.plugin`` is the pytest plug-in, and the only module that imports pytest.

@@ -1,11 +1,12 @@
 """A bad link: a transport that delays, loses and repeats messages, and can be cut.
 
-It wraps any transport and affects only topics. Inside one process, clients call an action or
-service as an object. Such calls do not pass through a transport, so they are never late or lost.
-Messages that a body publishes or reads on topics may be.
+The faulty transport wraps any other transport and affects only topics. Inside one process, clients
+call an action or service as an object. Such calls do not pass through a transport, so they are
+never late or lost. Messages that a body publishes or reads on topics may be late or lost.
 
-The faults are random, with a seed. Each subscription has its own random numbers, made from the seed
-and the names of its node and topic. Another subscription therefore changes nothing for the others.
+The faults are random and depend on a seed. Each subscription has its own random numbers, made from
+the seed and the names of its node and topic. A new subscription therefore changes nothing for the
+others.
 """
 
 from __future__ import annotations
@@ -46,11 +47,11 @@ class Faults(msgspec.Struct, frozen=True):
     """What happened to the messages, counted once for each subscription.
 
     Attributes:
-        delivered: How many arrived.
-        repeated: How many of these arrived twice.
-        dropped: How many were lost by chance.
-        cut: How many were lost because the link was cut.
-        on_their_way: How many have yet to arrive.
+        delivered: How many messages arrived.
+        repeated: How many of the arrived messages came twice.
+        dropped: How many messages were lost by chance.
+        cut: How many messages were lost because the link was cut.
+        on_their_way: How many messages have yet to arrive.
     """
 
     delivered: int = 0
@@ -64,27 +65,29 @@ class FaultyTransport:
     """A transport that delivers messages late, twice or not at all.
 
     Faults happen once, on the way to a subscription opened on this transport. Nodes on the wrapped
-    transport see the same graph without faults. The order is kept, as in every transport: a late
-    message holds up those behind it. Messages may be lost whatever the quality of service.
+    transport see the same graph without faults. As in every transport, messages keep their order: a
+    late message holds up the messages behind it. Messages may be lost whatever the quality of
+    service.
 
-    Close it, or use it as an async context manager. Messages on their way are then lost.
+    Close the transport, or use it as an async context manager. Messages that are on their way when
+    it closes are lost.
 
     Args:
         transport: The transport to wrap.
-        seed: Decides which messages are affected.
-        delay: How late messages are (s of the transport's clock): a number for all of them, or a
+        seed: Determines which messages are affected.
+        delay: How late messages are (s of the transport's clock): one number for all messages, or a
             pair of limits between which each delay is drawn.
         drop: The share of messages that are lost, from 0 to 1.
-        repeat: The share of the others that arrive twice, from 0 to 1.
+        repeat: The share of the messages not lost that arrive twice, from 0 to 1.
 
     Attributes:
     Attributes:
         clock: The time of the wrapped transport.
-        round_trip: That of the wrapped transport.
-        discovery_ends: That of the wrapped transport.
-        delay: The shortest and the longest delay (s); may be changed at any time.
-        drop: The share that is lost; may be changed at any time.
-        repeat: The share that arrives twice; may be changed at any time.
+        round_trip: The round-trip time of the wrapped transport.
+        discovery_ends: When the discovery of the wrapped transport ends.
+        delay: The shortest and the longest delay (s). You may change it at any time.
+        drop: The share of messages that are lost. You may change it at any time.
+        repeat: The share of messages that arrive twice. You may change it at any time.
         is_cut: Whether nothing gets through.
 
     Raises:
@@ -120,16 +123,16 @@ class FaultyTransport:
         self._names: Counter[str] = Counter()
 
     def cut(self) -> None:
-        """Deliver nothing from now on; messages on their way are lost when they would arrive."""
+        """Deliver nothing from now on. Messages on their way are lost when they would arrive."""
         self.is_cut = True
 
     def mend(self) -> None:
-        """Deliver messages again; those that were lost stay lost."""
+        """Deliver messages again. Messages lost meanwhile stay lost."""
         self.is_cut = False
 
     @contextmanager
     def cut_off(self) -> Iterator[None]:
-        """Cut the link for the length of a block."""
+        """Cut the link at the start of a block, and mend it at the end."""
         self.cut()
         try:
             yield
@@ -168,7 +171,7 @@ class FaultyTransport:
         return self._transport.serve(endpoint, format, handler)
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
-        """Show a client of a service on the graph; its calls are not affected by faults."""
+        """Show a client of a service on the graph. Faults do not affect its calls."""
         return self._transport.join(endpoint, format, target)
 
     def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
@@ -176,7 +179,7 @@ class FaultyTransport:
         return self._transport.all_local(name, type_name)
 
     def local(self, name: str, type_name: str) -> object | None:
-        """The oldest handler that serves a service, whether the link is cut or not."""
+        """The handler that has served a service for longest, whether the link is cut or not."""
         return self._transport.local(name, type_name)
 
     def enter(self, node: str) -> Closeable:
@@ -228,7 +231,7 @@ class FaultyTransport:
 
 
 class _Link:
-    """The link to one subscription."""
+    """The faulty link to one subscription."""
 
     inner: Closeable
 

@@ -23,7 +23,7 @@ class GoalRun(NamedTuple, Generic[R, F]):
 
     Attributes:
         feedbacks: All feedback, in order.
-        outcome: How it ended: status, result, reason.
+        outcome: How the goal ended: status, result, reason.
     """
 
     feedbacks: list[F]
@@ -39,17 +39,17 @@ async def run_goal(action: ActionDeclaration[..., object], goal: Message) -> Goa
 
 
 async def run_goal(action: Any, goal: Message) -> GoalRun[Any, Any]:
-    """Send a goal and wait for its end; if it does not succeed, this still returns.
+    """Send a goal and wait for its end. A goal that does not succeed raises no error.
 
     Cancelling: cancels the goal and waits for its end.
 
     Args:
-        action: An open server, or an action declared with `turtleact.action`. The latter is served
-            on a node of its own, alone on its graph.
+        action: An open server, or an action declared with `turtleact.action`. A declared action is
+            served on a node of its own, alone on its graph.
         goal: The goal message.
 
     Returns:
-        All its feedback, and its outcome.
+        All feedback of the goal, and its outcome.
 
     Raises:
         InvalidGoal: if a value does not fit its type.

@@ -1,10 +1,10 @@
 """Virtual time for pytest: every async test runs on asyncio and, if installed, on trio.
 
-This is a fixture with the name that anyio's own plug-in looks for. To use it for a folder, write
-``from turtleact.testing.plugin import anyio_backend`` in its ``conftest.py``; for a module, write
-it there. The suite's top ``conftest.py`` may instead have
-``pytest_plugins = ["turtleact.testing.plugin"]``. A folder or module can then still define another
-fixture with this name.
+This module has a fixture, ``anyio_backend``, with the name that anyio's own plug-in looks for. To
+use it for a folder, write ``from turtleact.testing.plugin import anyio_backend`` in its
+``conftest.py``. To use it for one test module, write the same line there. The suite's top
+``conftest.py`` may instead have ``pytest_plugins = ["turtleact.testing.plugin"]``. In that case, a
+folder or module can still define another fixture with this name.
 """
 
 from __future__ import annotations
@@ -21,5 +21,5 @@ __all__ = ["anyio_backend"]
 
 @pytest.fixture(params=[name for name in ("asyncio", "trio") if find_spec(name)])
 def anyio_backend(request: pytest.FixtureRequest) -> tuple[str, dict[str, Any]]:
-    """The backend of an async test, in virtual time; each test begins at 0."""
+    """The backend of an async test, in virtual time. Each test begins at time 0."""
     return virtual_backend(request.param)

@@ -1,17 +1,17 @@
 """Virtual time for whole programs: an event loop that jumps to its next timer instead of waiting.
 
 `anyio.sleep`, `asyncio.timeout`, ``loop.time()`` and the clocks of nodes opened there all share one
-time. It begins at 0 and stands still while any task can run. When all tasks wait, it jumps, with
+time. It begins at 0 and stands still while any task can run. When all tasks wait, time jumps, with
 two exceptions:
 
 - The loop may have given work to a thread (``asyncio.to_thread``, ``run_in_executor``, or
   ``anyio.to_thread.run_sync`` with its default limiter). Time then stands still until the thread is
   done, because it is sure to end.
 - A socket, a pipe or a child process may be open. Time then jumps only after ``patience`` real
-  seconds without any news, because nobody can know whether there will be any.
+seconds without any news from it, because nobody can know whether news will come.
 
-Consequently, a thread that itself waits for virtual time waits for ever, and a thread that the loop
-did not start holds nothing up.
+Consequently, a thread that itself waits for virtual time waits for ever. A thread that the loop did
+not start does not hold time up.
 
 Source: trio's ``MockClock`` for the idea; asyncio's ``BaseEventLoop._run_once``, which asks its
 selector to wait until the next timer.
@@ -59,7 +59,7 @@ def run(
         *args: Its arguments.
         backend: The event loop.
         patience: How long sockets, pipes and child processes must be silent before time jumps (real
-            s, 0 or more). With `math.inf`, time stands still while there are any.
+            s, 0 or more). With `math.inf`, time stands still as long as one of these is open.
 
     Returns:
         The result of ``async_fn``.
@@ -74,9 +74,9 @@ def run(
 def virtual_backend(
     backend: Backend = "asyncio", *, patience: float = PATIENCE
 ) -> tuple[str, dict[str, Any]]:
-    """Return virtual time as an anyio backend, for an ``anyio_backend`` fixture to return.
+    """Return an anyio backend with virtual time; an ``anyio_backend`` fixture can return it.
 
-    Each one is for a single run, which begins at 0 s.
+    Each backend is for a single run, which begins at 0 s.
 
     Args:
         backend: The event loop.
@@ -104,7 +104,7 @@ def virtual_backend(
 
 
 class VirtualEventLoop(WatchedEventLoop):
-    """asyncio's own event loop with a selector that jumps in time where it would wait.
+    """asyncio's own event loop, with a selector that jumps in time instead of waiting.
 
     Attributes:
         is_virtual: Tells `turtleact.clock` that the loop's time is virtual.
@@ -134,26 +134,26 @@ class VirtualEventLoop(WatchedEventLoop):
 
     @property
     def has_peers(self) -> bool:
-        """Whether news may come from outside: there is a socket, a pipe or a child process."""
+        """Whether news may come from outside, that is, a socket, pipe or child process is open."""
         self._children = [child for child in self._children if child.get_returncode() is None]
         own = 1  # the pipe that wakes the loop
         return bool(self._children) or len(self.idle_selector.get_map()) > own
 
     def run_forever(self) -> None:
-        """Run until it is stopped."""
+        """Run until the loop is stopped."""
         if self._limiter is None:
             learning = self.create_task(self._learn())
             learning.add_done_callback(asyncio.Future.result)
         super().run_forever()
 
     async def _learn(self) -> None:
-        """Find the limiter of anyio's threads; this is only possible inside a task."""
+        """Find the limiter of anyio's threads. This is possible only inside a task."""
         self._limiter = anyio.to_thread.current_default_thread_limiter()
 
     def run_in_executor(
         self, executor: Executor | None, func: Callable[..., T], *args: object
     ) -> asyncio.Future[T]:
-        """Run something in a thread; time stands still until it is done."""
+        """Run a function in a thread. Time stands still until the function is done."""
         job = super().run_in_executor(executor, func, *args)
         self._jobs += 1
         job.add_done_callback(self._end_job)
@@ -163,7 +163,7 @@ class VirtualEventLoop(WatchedEventLoop):
         self._jobs -= 1
 
     async def shutdown_default_executor(self, *timeout: float | None) -> None:
-        """Wait for the threads to end; time stands still meanwhile."""
+        """Wait for the threads to end. Time stands still meanwhile."""
         self._jobs += 1
         try:
             await super().shutdown_default_executor(*timeout)
@@ -184,7 +184,7 @@ class VirtualEventLoop(WatchedEventLoop):
 
 
 class _Selector(IdleSelector):
-    """Waits for real events only while some may come; otherwise moves time forward."""
+    """Waits for real events while some may come. Otherwise it moves time forward."""
 
     def __init__(self, loop: VirtualEventLoop, patience: float) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""How messages travel between nodes. This package exports the public names."""
+"""Carries messages between nodes. This package exports the public names."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["MemoryTransport", "QoS", "Transport", "ZenohTransport", "open_zenoh"
 
 
 def __getattr__(name: str) -> object:
-    """Import a transport on first use, so that Zenoh is loaded only if it is needed."""
+    """Import a transport on first use, so that Zenoh is loaded only when needed."""
     if name == "MemoryTransport":
         from turtleact.transports.memory import MemoryTransport
 

@@ -1,12 +1,12 @@
-"""How messages travel: publish and subscribe, serve and call, between the nodes of one graph.
+"""The interface of transports, which carry messages between the nodes of one graph.
 
 A transport knows no goal and no message class. It carries messages between `Endpoint` objects of
-the same name and type. Where messages travel as bytes, the `Format` of an endpoint converts them.
-A transport guarantees:
+the same name and type. If messages travel as bytes, the `Format` of an endpoint converts them. A
+transport guarantees:
 
 - Each subscription gets the messages of one publisher in the order in which they were published.
-- `Transport.subscribe` calls ``deliver`` in the event loop of the subscriber, or in the thread that
-  brings the message if the subscriber asks for that. An exception that ``deliver`` raises is logged
+- `Transport.subscribe` calls ``deliver`` in the event loop of the subscriber, or, if the subscriber
+asks for it, in the thread that brings the message. An exception that ``deliver`` raises is logged
   and never reaches the publisher.
 - A subscription gets the last messages of a transient-local publisher first, even if it was opened
   after they were published.
@@ -14,9 +14,10 @@ A transport guarantees:
 - A mismatch of quality of service never keeps two endpoints apart.
 - A call ends, with a reply or with the reason why there is none.
 
-`Transport.serve` offers any object as a service. In the same process `Transport.local` hands that
-object to a client, which uses it directly; no request passes through the transport. Clients in
-other processes call it with the `Caller` that `Transport.join` returns, if it is an `AsyncHandler`.
+`Transport.serve` offers any object as a service. In the same process, `Transport.local` hands that
+object to a client, which uses it directly; no request passes through the transport. If the object
+is an `AsyncHandler`, clients in other processes call it with the `Caller` that `Transport.join`
+returns.
 
 Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 """
@@ -78,7 +79,7 @@ ServerKind = Literal["action server", "service server"]
 T = TypeVar("T")
 
 Deliver: TypeAlias = Callable[[object], None]
-"""Takes each message of a topic."""
+"""A function that takes each message of a topic."""
 
 
 class QoS(msgspec.Struct, frozen=True, kw_only=True):
@@ -114,13 +115,14 @@ _POLICIES = {
 class TimePolicies(msgspec.Struct, frozen=True, gc=False):
     """The QoS policies of a ROS 2 endpoint that are measured in time.
 
-    turtleact shows those of its peers. Its own endpoints have none, and it enforces none.
+    turtleact shows these policies of its peers. Its own endpoints have none, and turtleact enforces
+    none.
 
     Attributes:
         deadline: The longest time between two messages (ns); None if there is no limit.
         lifespan: How long a message is valid (ns); None for ever.
-        liveliness: Who asserts that a publisher is alive, such as ``"automatic"``.
-        lease: How long a publisher counts as alive without asserting it (ns); None for ever.
+        liveliness: How a publisher shows that it is alive, such as ``"automatic"``.
+        lease: How long a publisher counts as alive without showing it (ns); None for ever.
     """
 
     deadline: int | None = None
@@ -139,15 +141,15 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
     Attributes:
         kind: The role of the endpoint.
         name: The fully qualified name of the topic or service.
-        type_name: The interface, ``pkg/kind/Name``.
+        type_name: The name of its interface, ``pkg/kind/Name``.
         node: The fully qualified name of its node.
         qos: Quality of service, for topics.
         times: The QoS policies in time, as a ROS 2 peer declares them.
         type_hash: The hash of its type, if known.
-        gid: The 16 bytes that identify it to other processes, if any.
-        on_demand: Whether other processes see it only once one of them has an endpoint with this
-            name. Useful for thousands of endpoints, few of which are ever used.
-        is_unlisted: Whether lists of all endpoints leave it out, in its own process too.
+        gid: The 16 bytes that identify the endpoint to other processes, if any.
+        on_demand: Whether other processes see the endpoint only once one of them has an endpoint
+            with this name. This saves work if few of thousands of endpoints are ever used.
+        is_unlisted: Whether lists of all endpoints leave the endpoint out, even in its own process.
     """
 
     kind: EndpointKind
@@ -165,7 +167,7 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
 class Format(Protocol):
     """Converts an endpoint's messages to bytes and back.
 
-    The server of a service reads requests and writes responses, its client the other way round.
+    The server of a service reads requests and writes responses. Its client does the opposite.
     """
 
     @property
@@ -173,33 +175,33 @@ class Format(Protocol):
         """The hash of the message or service, ``RIHS01_…``."""
 
     def encode(self, message: object) -> bytes:
-        """Encode a message; raises `InvalidMessage` if it does not fit its type."""
+        """Encode a message. Raises `InvalidMessage` if the message does not fit its type."""
 
     def decode(self, data: bytes) -> object:
-        """Decode a message; raises `InvalidMessage` if the bytes are not one."""
+        """Decode a message. Raises `InvalidMessage` if the bytes are no such message."""
 
 
 class MakeEndpoint(Protocol):
-    """Makes the description of an endpoint of some node."""
+    """A function that describes an endpoint of its node."""
 
     def __call__(
         self, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
     ) -> Endpoint:
-        """Return the description."""
+        """Return the description of an endpoint."""
 
 
 class Closeable(Protocol):
     """Something opened on a transport."""
 
     def close(self) -> None:
-        """Close it. A second call does nothing."""
+        """Close this object. A second call does nothing."""
 
 
 class AsyncCloseable(Protocol):
-    """Something open; closing it may take a while."""
+    """Something open that may take a while to close."""
 
     async def aclose(self) -> None:
-        """Close it. A second call does nothing."""
+        """Close this object. A second call does nothing."""
 
 
 class Serving(AsyncCloseable, Protocol):
@@ -207,11 +209,11 @@ class Serving(AsyncCloseable, Protocol):
 
     @property
     def is_idle(self) -> bool:
-        """Whether closing it would take no time."""
+        """Whether closing the server would take no time."""
 
 
 class Owner(Protocol):
-    """Owns what is opened on it, as a node does; closing it closes everything.
+    """Owns everything that is opened on it, as a node does. Closing the owner closes everything.
 
     Attributes:
         home: The event loop in which the owner, and what is opened on it, must be used.
@@ -220,20 +222,21 @@ class Owner(Protocol):
     home: Home
 
     def add(self, thing: AsyncCloseable, opened: Closeable) -> Closeable:
-        """Track something until the user closes it, or the owner does.
+        """Track an object until the user or the owner closes it.
 
         Args:
             thing: The user's object.
             opened: The transport's object, closed together with it.
 
         Returns:
-            An object that closes both. ``thing`` closes that object when the user closes ``thing``.
+            An object that closes both. When the user closes ``thing``, ``thing`` must close this
+            object.
         """
 
     def add_server(
         self, kind: ServerKind, server: Serving, close: Callable[[], object]
     ) -> Closeable:
-        """Track a server in the same way; ``close`` removes it from the graph."""
+        """Track a server like `add`. ``close`` removes the server from the graph."""
 
 
 class Publication(Closeable, Protocol):
@@ -241,7 +244,10 @@ class Publication(Closeable, Protocol):
 
     @property
     def has_readers(self) -> bool:
-        """Whether a message published now has a reader, now or perhaps later (latched topics)."""
+        """Whether a message published now has a reader.
+
+        On a latched topic, it may get one later.
+        """
 
     @property
     def has_near_readers(self) -> bool:
@@ -259,10 +265,10 @@ class Publication(Closeable, Protocol):
         """Send a message to every subscription. Do not change the message afterwards."""
 
     def send(self, data: bytes) -> None:
-        """Send an encoded message, only to subscriptions in other processes."""
+        """Send an encoded message to the subscriptions in other processes only."""
 
     def expect_readers(self) -> None:
-        """Send from now on, because a reader exists even if it has not been discovered yet."""
+        """Send from now on. A reader exists, even if it has not been discovered yet."""
 
     def refresh(self) -> None:
         """Publish the source's current state.
@@ -275,7 +281,7 @@ class Publication(Closeable, Protocol):
 
 
 class Source(Protocol):
-    """Makes the messages of a topic from the current state, but only while somebody reads it.
+    """Makes the messages of a topic from the current state, while somebody reads the topic.
 
     A subclass without a state only implements `readers_changed`.
     """
@@ -291,7 +297,7 @@ class Source(Protocol):
     def readers_changed(self, *, has_readers: bool) -> None:
         """Called when the first reader has come, and when the last one has left.
 
-        If there is a reader before the publisher, this is called while the publisher is opened.
+        If a reader exists before the publisher, this is called while the publisher is opened.
         """
 
 
@@ -300,7 +306,7 @@ class LossAware(Protocol):
     """A source that is told when its topic loses messages."""
 
     def message_lost(self) -> None:
-        """Called when a message was dropped, because they are published faster than sent."""
+        """Called when a message was dropped because messages are published faster than sent."""
 
 
 class Reply(msgspec.Struct, frozen=True):
@@ -308,7 +314,7 @@ class Reply(msgspec.Struct, frozen=True):
 
     Attributes:
         message: The response.
-        note: A short text sent with it, which only turtleact reads.
+        note: A short text sent with the response. Only turtleact reads it.
     """
 
     message: object
@@ -316,16 +322,18 @@ class Reply(msgspec.Struct, frozen=True):
 
 
 REQUEST_NOTE: ContextVar[str] = ContextVar("REQUEST_NOTE", default="")
-"""The note that came with the request that is being handled; only turtleact sends any."""
+"""The note that came with the request that is being handled. Only turtleact sends notes."""
 
 
 class Target(msgspec.Struct, frozen=True, gc=False):
     """Selects servers for a client's requests if several processes serve the same service.
 
     Attributes:
-        servers: ``"all"``, as in ROS 2, or ``"one"``: the nearest. With all, the first reply wins.
-        counts: Decides by the bytes of a reply whether it may win. A reply that may not win is used
-            only if no other server sends a better one. May be called in any thread.
+        servers: ``"all"``, as in ROS 2, or ``"one"``, the nearest server. With ``"all"``, the first
+            reply wins.
+        counts: Decides by the bytes of a reply whether the reply may win. A reply that may not win
+            is used only if no other server sends a better one. This function may be called in any
+            thread.
     """
 
     servers: Literal["one", "all"] = "all"
@@ -337,11 +345,11 @@ EVERY_SERVER = Target()
 
 
 class PendingCall(Protocol):
-    """A request that is under way. `take`, `reply` or `drop` must be called in the end."""
+    """A request that is under way. In the end, call `take`, `reply` or `drop`."""
 
     @property
     def is_over(self) -> bool:
-        """Whether a reply has arrived, or none ever will."""
+        """Whether a reply has arrived or will never arrive."""
 
     @property
     def stamp(self) -> int | None:
@@ -351,17 +359,17 @@ class PendingCall(Protocol):
         """Call ``told`` in the event loop, at least once, when the call is over."""
 
     def take(self) -> Reply:
-        """Return the reply of a call that is over; raises like `Caller.call`, each time."""
+        """Return the reply of a call that is over, or raise the error of `Caller.call`."""
 
     async def reply(self) -> Reply:
-        """Wait for the reply, then return or raise like `take`."""
+        """Wait for the reply, and return it or raise its error like `take`."""
 
     def drop(self) -> None:
-        """Give up the reply. Does nothing after the reply was taken."""
+        """Give up the reply. After the reply was taken, this does nothing."""
 
 
 class CallObserver(Protocol):
-    """Watches the calls of one service, at the end of its client or of its server.
+    """Watches the calls of one service, at its client or at its server.
 
     A call is identified by the gid of its client and by its sequence number. The methods must not
     raise. They are called where the call is handled: in the event loop, unless the client or the
@@ -371,10 +379,10 @@ class CallObserver(Protocol):
     """
 
     def requested(self, request: object, gid: bytes, sequence: int) -> None:
-        """Called when a request has been sent, or has been received."""
+        """Called when a request has been sent or received."""
 
     def responded(self, response: object, gid: bytes, sequence: int) -> None:
-        """Called when a response has been sent, or has been received. Errors are no responses."""
+        """Called when a response has been sent or received. Errors are no responses."""
 
     def close(self) -> None:
         """Called when the client or server has been closed."""
@@ -384,20 +392,20 @@ class Caller(Closeable, Protocol):
     """The client end of a service.
 
     Attributes:
-        observer: Watches the calls; None for no observer, which is the default.
+        observer: Watches the calls; None, the default, for no observer.
     """
 
     observer: CallObserver | None
 
     @property
     def is_served(self) -> bool:
-        """Whether a call would reach a server now. Changes only when the graph does."""
+        """Whether a call would reach a server now. This changes only when the graph changes."""
 
     async def wait_for_route(self) -> None:
-        """Wait until a server that shows itself on the graph can be reached, for a few seconds.
+        """Wait at most a few seconds until a server that is on the graph can be reached.
 
         A client that was opened a moment ago sees the server earlier than it can reach it. If no
-        server shows itself, this returns at once. Cancelling: safe.
+        server is on the graph, this returns at once. Cancelling: safe.
         """
 
     async def call(self, request: object, note: str = "") -> Reply:
@@ -411,8 +419,8 @@ class Caller(Closeable, Protocol):
 
         Raises:
             InvalidMessage: if the request does not fit its type. Nothing was sent.
-            ServerUnavailable: if nobody serves the service, or serves it with another type, or if
-                the server went away.
+            ServerUnavailable: if nobody serves the service, if it has another type, or if the
+                server went away.
             ServiceError: if the handler failed. If the handler raised a `TurtleactError`, that
                 error is raised here instead.
             TurtleactError: if the caller is closed.
@@ -424,21 +432,21 @@ class Caller(Closeable, Protocol):
         on_end: Callable[[PendingCall], object] | None = None,
         note: str = "",
     ) -> PendingCall | None:
-        """Send a request to another process now; return None if `call` would have to wait first.
+        """Send a request to another process now. Return None if `call` would have to wait first.
 
         Args:
             request: The request.
             note: As for `call`.
-            on_end: Called once, with the call, when the call is over: in the thread that brings the
-                reply, or in the event loop. A client that passes this may call `ask` in any thread,
-                one at a time.
+            on_end: Called once with the call when the call is over, in the thread that brings the
+                reply or in the event loop. If you pass it, you may call `ask` in any thread, but
+                not in two at the same time.
 
         Raises:
             InvalidMessage: if the request does not fit its type. Nothing was sent.
         """
 
     def why_not_served(self, suffix: str = "") -> str:
-        """Explain why a call would reach no server; ``suffix`` is cut from the type names shown."""
+        """Explain why a call would reach no server. ``suffix`` is cut from the type names shown."""
 
 
 @runtime_checkable
@@ -446,11 +454,11 @@ class AsyncHandler(Protocol):
     """A handler that answers callers of any process, in a task."""
 
     async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a request; ``caller`` is the gid of its client."""
+        """Answer a request. ``caller`` is the gid of its client."""
 
 
 Respond: TypeAlias = Callable[[Reply | TurtleactError], object]
-"""Takes the answer to a request."""
+"""A function that takes the answer to a request."""
 
 
 @runtime_checkable
@@ -468,7 +476,7 @@ class SyncHandler(Protocol):
 
 @runtime_checkable
 class ThreadedHandler(Protocol):
-    """A `SyncHandler` that takes requests of other processes in the thread that brings them.
+    """A `SyncHandler` that takes other processes' requests in the thread that brings them.
 
     Its `SyncHandler.reply_nowait` always returns True, must be quick, and may call ``respond`` in
     any thread. That saves a detour through the event loop.
@@ -493,9 +501,10 @@ class Lazy(Protocol):
     """A transport that can open something only when another process looks for it."""
 
     def open_when_sought(self, name: str, open: Callable[[], Closeable]) -> Closeable:
-        """Call ``open`` once another process has an endpoint with this name; now if it has one.
+        """Call ``open`` as soon as another process has an endpoint with this name, or has one now.
 
-        Cheaper than an endpoint with ``on_demand``, which is visible in its own process at once.
+        This is cheaper than an endpoint with ``on_demand``, which is visible in its own process at
+        once.
 
         Returns:
             The object that closes what was opened, and stops waiting.
@@ -507,9 +516,10 @@ class Transport(Protocol):
 
     Attributes:
         clock: The time of all nodes on the graph.
-        round_trip: How long other processes took to answer who exists (s); 0 if none was asked.
-        discovery_ends: Until then, servers that already exist may not have been seen (event loop
-            time, as `anyio.current_time`); -inf if all are seen at once.
+        round_trip: How long other processes took to answer which nodes and endpoints exist (s); 0
+            if none was asked.
+        discovery_ends: Before this moment, a server that already exists may not have been seen
+            (event loop time, as `anyio.current_time`). It is -inf if all servers are seen at once.
     """
 
     clock: Clock
@@ -519,7 +529,7 @@ class Transport(Protocol):
     def advertise(
         self, endpoint: Endpoint, format: Format, source: Source | None = None
     ) -> Publication:
-        """Open the sending end of a topic; with a source, only its messages are latched."""
+        """Open the sending end of a topic. With a source, only its messages are latched."""
 
     def subscribe(
         self,
@@ -529,11 +539,12 @@ class Transport(Protocol):
         *,
         in_any_thread: bool = False,
     ) -> Closeable:
-        """Open the receiving end of a topic; ``deliver`` gets each message.
+        """Open the receiving end of a topic. ``deliver`` gets each message.
 
         With ``in_any_thread``, ``deliver`` is called in the thread that brings the message, without
-        a detour through the event loop. So it must be quick, and safe in any thread. If all
-        subscriptions in this process do so, any thread may publish to the topic, one at a time.
+        a detour through the event loop. It must therefore be quick, and safe in any thread. If all
+        subscriptions of a topic in this process are of this kind, any thread may publish to the
+        topic, but not two at the same time.
         """
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
@@ -543,8 +554,8 @@ class Transport(Protocol):
         finish; closing the transport cancels them.
 
         If a node serves the same name and type several times, other processes see one service, so
-        that no client gets two replies. The oldest handler answers. If it has to answer for the
-        others too, it finds them with `all_local`.
+        that no client gets two replies. The oldest handler answers. If that handler has to answer
+        for the others too, it finds them with `all_local`.
         """
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
@@ -575,9 +586,9 @@ class Transport(Protocol):
     async def wait_for_change(self) -> None:
         """Wait until a node or endpoint comes or goes. Cancelling: safe.
 
-        Earlier changes are not remembered, so look at the graph first, in the same task. Bound the
-        wait with a cancel scope or `asyncio.timeout`: `asyncio.wait_for` of Python 3.11 starts
-        another task, and would miss a change before that task runs.
+        Earlier changes are not remembered, so look at the graph first, in the same task. To limit
+        the wait, use a cancel scope or `asyncio.timeout`. `asyncio.wait_for` of Python 3.11 starts
+        another task, and would miss a change that comes before that task runs.
         """
 
 
@@ -594,7 +605,7 @@ async def wait_until_served(
 
     Args:
         transport: The graph.
-        find: Returns the server, or None.
+        find: A function that returns the server, or None.
         timeout: How long to wait (s, by the graph's clock); None for no limit.
 
     Raises:
@@ -610,10 +621,10 @@ async def wait_until_served(
 
 
 async def find_server(transport: Transport, find: Callable[[], T | None]) -> T | None:
-    """Return the server that ``find`` finds, waiting while the graph is still being discovered.
+    """Return the server that ``find`` finds. Wait for it while the graph is being discovered.
 
-    A transport that was opened a moment ago may not have seen an older server yet. Therefore this
-    waits until `Transport.discovery_ends`, and does not wait after that.
+    A transport that was opened a moment ago may not have seen an older server yet. This function
+    therefore waits until `Transport.discovery_ends`, but not after that.
 
     Cancelling: safe.
     """
@@ -632,7 +643,7 @@ def why_not_served(servers: Sequence[Endpoint], wanted: Endpoint, suffix: str = 
 
     Args:
         servers: All endpoints with the service's name, clients included.
-        wanted: The client; its type hash is compared if it has one.
+        wanted: The client. Its type hash is compared if it has one.
         suffix: The ending of the type names, which is not shown to users.
     """
     others = [each for each in servers if each.kind == "service" and each.name == wanted.name]

@@ -1,7 +1,7 @@
-"""The transport inside one process: passes message objects on within the publisher's call.
+"""The transport inside one process. It delivers message objects within the publisher's call.
 
-Messages are shared, not copied, so a publisher must not change a message afterwards. Formats are
-never used, and nothing is ever congested. One event loop only.
+Messages are shared, not copied, so a publisher must not change a message afterwards. It uses no
+formats, is never congested, and works in one event loop only.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class MemoryTransport:
     Nodes with the same transport object see each other.
 
     Args:
-        clock: The time of all nodes on the graph; wall time if left out.
+        clock: The clock of all nodes on the graph. If left out, it is wall time.
     """
 
     def __init__(self, clock: Clock | None = None) -> None:
@@ -73,7 +73,7 @@ class MemoryTransport:
         format: Format,  # noqa: ARG002  # no bytes travel here
         source: Source | None = None,
     ) -> Publication:
-        """Open the sending end of a topic; with a source, only its messages are latched."""
+        """Open the sending end of a topic. With a source, only its messages are latched."""
         topic = self._topic(endpoint)
         publication = _Publication(topic, endpoint.qos, source)
         topic.publications.append(publication)
@@ -91,7 +91,7 @@ class MemoryTransport:
         *,
         in_any_thread: bool = False,  # noqa: ARG002  # a message comes in its publisher's thread
     ) -> Closeable:
-        """Open the receiving end of a topic; latched messages are delivered before this returns."""
+        """Open the receiving end of a topic. Latched messages are delivered before this returns."""
         topic = self._topic(endpoint)
         reader = _Reader(topic.key[0], deliver)
         if endpoint.qos.durability == "transient_local":
@@ -110,7 +110,7 @@ class MemoryTransport:
         format: Format,  # noqa: ARG002  # as above
         handler: object,
     ) -> Closeable:
-        """Offer ``handler`` as a server; clients find the oldest one.
+        """Offer ``handler`` as a server. Clients find the oldest handler.
 
         The handlers of one node appear as one endpoint on the graph, until the last is closed.
         """
@@ -164,14 +164,14 @@ class MemoryTransport:
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints on the graph, or only those called ``name``, in the order they were opened.
 
-        A list of all leaves out those that are unlisted.
+        A list of all endpoints leaves out those with ``is_unlisted``.
         """
         if name:
             return tuple(self._by_name.get(name, {}).values())
         return tuple(each for each in self._endpoints.values() if not each.is_unlisted)
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The same as `endpoints`, because all of them are in this process."""
+        """The same as `endpoints`, because all endpoints are in this process."""
         return self.endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
@@ -185,7 +185,7 @@ class MemoryTransport:
         await self._changed.wait()
 
     def tell_change(self) -> None:
-        """Count a change of the graph, made here or elsewhere, and wake those who wait for one."""
+        """Count a change of the graph, made here or elsewhere; wake the tasks that wait for one."""
         self.changes += 1
         if self._changed is not None:
             self._changed.fire()
@@ -225,7 +225,7 @@ class MemoryTransport:
             self.tell_change()
 
     def _appear_as(self, endpoint: Endpoint, leave: Callable[[], None]) -> Leave:
-        """Show an endpoint on the graph; return the function that removes it.
+        """Show an endpoint on the graph, and return the function that removes it.
 
         A graph may have thousands of endpoints. `partial` needs fewer objects than closures, which
         would take ten each.
@@ -290,7 +290,7 @@ class _Publication:
     """The sending end of a topic.
 
     Attributes:
-        has_readers: See `Publication`; stored, because it is read for every message.
+        has_readers: As in `Publication`. It is stored because it is read for every message.
     """
 
     on_close: Leave
@@ -434,7 +434,7 @@ class _Caller:
         """Return None: there are no servers in other processes."""
 
     async def wait_for_route(self) -> None:
-        """Do nothing: what is seen in this process can be reached."""
+        """Do nothing: every server in this process can be reached."""
 
     def why_not_served(self, suffix: str = "") -> str:
         endpoint = self.endpoint
@@ -452,7 +452,7 @@ class _Offer:
     """A handler that is offered. No two offers are equal.
 
     Attributes:
-        leave: Removes the node's endpoint from the graph. One offer of each node has it.
+        leave: Removes the node's endpoint from the graph. One offer of each node has this function.
     """
 
     __slots__ = ("handler", "leave", "node")
@@ -464,7 +464,7 @@ class _Offer:
 
 
 class _Opened:
-    """Something else that was opened."""
+    """An endpoint or node that was opened, other than an offer."""
 
     def __init__(self, on_close: Leave) -> None:
         self.close = on_close

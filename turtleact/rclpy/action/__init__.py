@@ -1,4 +1,4 @@
-"""Actions: servers, clients, and what exists on the graph."""
+"""Actions: their servers and clients, and lists of the actions on the graph."""
 
 from __future__ import annotations
 

@@ -41,13 +41,13 @@ if TYPE_CHECKING:
 __all__ = ["ActionClient", "ClientGoalHandle"]
 
 Event: TypeAlias = "tuple[Callable[..., Anything], tuple[Anything, ...]]"
-"""Something that has come: how to handle it, and its arguments."""
+"""Something that has arrived: the function that handles it, and its arguments."""
 
 FEEDBACK_QOS = QoSProfile(depth=10)
 
 
 class ClientGoalHandle(Subscriptable):
-    """One goal, as the client that sent it sees it.
+    """The goal handle of the client that sent the goal.
 
     Args:
         action_client: The client.
@@ -77,7 +77,7 @@ class ClientGoalHandle(Subscriptable):
 
     @property
     def goal_id(self) -> Anything:
-        """Its id, a ``unique_identifier_msgs.msg.UUID``."""
+        """The goal's id, a ``unique_identifier_msgs.msg.UUID``."""
         return self._goal_id
 
     @property
@@ -93,24 +93,24 @@ class ClientGoalHandle(Subscriptable):
 
     @property
     def status(self) -> int:
-        """Its state, as far as it is known: a number of ``action_msgs.msg.GoalStatus``."""
+        """The goal's state as far as it is known: a number of ``action_msgs.msg.GoalStatus``."""
         return self._status
 
     def update_status(self, status: int) -> None:
-        """Note the goal's state. A goal that has ended stays as it is."""
+        """Remember the goal's state. The state of a goal that has ended does not change."""
         if self._status < 4 or status >= 4:
             self._status = status
 
     def cancel_goal(self) -> Anything:
-        """Ask the server to cancel it, and wait for the answer; somebody else must spin."""
+        """Ask the server to cancel the goal, and wait for the answer. Somebody else must spin."""
         return self._action_client.wait_for_future(self.cancel_goal_async(), "cancel_goal()")
 
     def cancel_goal_async(self) -> Future:
-        """Ask the server to cancel it, and return the future of the answer."""
+        """Ask the server to cancel the goal, and return the future of the answer."""
         return self._action_client.cancel_goal_async(self)
 
     def get_result(self) -> Anything:
-        """Wait for the result; somebody else must spin."""
+        """Wait for the result. Somebody else must spin."""
         return self._action_client.wait_for_future(self.get_result_async(), "get_result()")
 
     def get_result_async(self) -> Future:
@@ -125,12 +125,12 @@ class ActionClient(Waitable):
         node: The node.
         action_type: The class of the action.
         action_name: Its name.
-        callback_group: Decides when an answer may be handled; None means the node's default group.
+        callback_group: Decides when answers may be handled. None means the node's default group.
         goal_service_qos_profile: Ignored.
         result_service_qos_profile: Ignored.
         cancel_service_qos_profile: Ignored.
         feedback_sub_qos_profile: The quality of service of the feedback topic.
-        status_sub_qos_profile: That of the status topic.
+        status_sub_qos_profile: The quality of service of the status topic.
     """
 
     def __init__(
@@ -173,10 +173,10 @@ class ActionClient(Waitable):
     ) -> Anything:
         """Send a goal and wait for its result, a message with ``status`` and ``result``.
 
-        Somebody else must spin the node meanwhile. Returns None if the goal is rejected.
+        Another thread must spin the node meanwhile. Returns None if the goal is rejected.
 
         Raises:
-            TypeError: if the goal is of another class, or a value does not fit its type.
+            TypeError: if the goal is not of the action's class, or a value does not fit its type.
         """
         sent = self.send_goal_async(goal, feedback_callback, goal_uuid)
         handle = self.wait_for_future(sent, "send_goal()")
@@ -189,11 +189,11 @@ class ActionClient(Waitable):
 
         Args:
             goal: The goal message.
-            feedback_callback: Takes each feedback message of the goal.
-            goal_uuid: Its id; None means a random one.
+            feedback_callback: Called with each feedback message of the goal.
+            goal_uuid: The goal's id. None means a random id.
 
         Raises:
-            TypeError: if the goal is of another class, or a value does not fit its type.
+            TypeError: if the goal is not of the action's class, or a value does not fit its type.
         """
         if not isinstance(goal, self._action_type.Goal):
             raise TypeError(f"expected a goal of the action, not {type(goal)}")
@@ -213,7 +213,7 @@ class ActionClient(Waitable):
         """Ask the server to cancel a goal, and return the future of the answer.
 
         Raises:
-            TypeError: if it is not a `ClientGoalHandle`.
+            TypeError: if ``goal_handle`` is not a `ClientGoalHandle`.
         """
         _check_handle(goal_handle)
         info = self._kind.goal_info(goal_handle.goal_id)
@@ -224,7 +224,7 @@ class ActionClient(Waitable):
         """Return the future of a goal's result, a message with ``status`` and ``result``.
 
         Raises:
-            TypeError: if it is not a `ClientGoalHandle`.
+            TypeError: if ``goal_handle`` is not a `ClientGoalHandle`.
         """
         _check_handle(goal_handle)
         request = self._kind.service("get_result").Request(goal_id=goal_handle.goal_id)
@@ -245,13 +245,13 @@ class ActionClient(Waitable):
             return all(end.is_served for end in self._ends.values())
 
     def wait_for_server(self, timeout_sec: float | None = None) -> bool:
-        """Wait until there is a server, without spinning; return whether there is one."""
+        """Wait until the service has a server, without spinning. Return whether it has one."""
         return wait_until(self.server_is_ready, timeout_sec, self._node.context.ok)
 
     # what comes; any thread
 
     def _call(self, service: str, data: bytes, handle: Callable[[Anything], Anything]) -> Future:
-        """Send a request, and return the future of what ``handle(response)`` returns."""
+        """Send a request, and return the future of the value of ``handle(response)``."""
         future = Future()
         response_class = self._kind.service(service).Response
 
@@ -300,17 +300,17 @@ class ActionClient(Waitable):
         return NumberOfEntities(num_subs=2, num_clients=3)
 
     def take_data(self) -> Anything:
-        """Take the oldest thing that has come."""
+        """Take the oldest item that has arrived."""
         with self._lock:
             return self._events.popleft() if self._events else None
 
     async def execute(self, taken_data: Event) -> None:
-        """Handle what has arrived."""
+        """Handle an item that has arrived."""
         handle, arguments = taken_data
         await await_or_execute(handle, *arguments)
 
     def describe(self) -> str:
-        """Describe this entity for a diagnostic message."""
+        """Return a description of this entity for a diagnostic message."""
         return f"the action client of {self._kind.names.name}"
 
     def destroy(self) -> None:

@@ -1,4 +1,4 @@
-"""What actions exist, and which nodes serve or use them."""
+"""Lists the actions that exist, and the nodes that serve or use them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The names, types and formats of the endpoints of an action."""
+"""Opens the endpoints of an action, with their names, types and formats."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TYPES = {
     "cancel_goal": "CancelGoalService",
     "get_result": "GetResultService",
 }
-"""The services of an action, and the attributes of ``Impl`` that are their classes."""
+"""The services of an action, and the attributes of ``Impl`` that hold their classes."""
 
 # Both responses begin with a number, in the byte after the header: it says "unknown goal". A server
 # that does not know a goal may answer before the right one; that answer does not count.
@@ -68,7 +68,7 @@ class ActionKind:
         return getattr(self._type.Impl, TYPES[service])
 
     def goal_info(self, goal_id: Anything, clock: Clock | None = None) -> Anything:
-        """Return a ``GoalInfo`` with this id; with a clock, its time."""
+        """Return a ``GoalInfo`` with this id and, if a clock is given, the clock's time."""
         now = 0 if clock is None else clock.now_ns()
         return self._info(goal_id, self._time(*divmod(now, 1_000_000_000)))
 
@@ -79,7 +79,7 @@ class ActionKind:
         return self._node.connection.serve(end, hash_of(type_name), handler)
 
     def has_built_in(self) -> bool:
-        """Whether turtleact serves an action of this name, which makes way for others."""
+        """Whether turtleact serves a built-in action of this name, which makes way for others."""
         nodes = {
             each.node
             for each in self._node.connection.endpoints(self.names.send_goal)

@@ -1,8 +1,8 @@
 """Action servers.
 
-Requests wait in one queue and are answered in an executor, in the group of the server. An execute
-callback is a task of the executor, outside every group, so ``time.sleep`` in it is normal with a
-`MultiThreadedExecutor`. The states of a goal are those of `turtleact.goal`.
+Requests wait in one queue. An executor answers them in the callback group of the server. An execute
+callback is a task of the executor, outside every callback group. With a `MultiThreadedExecutor` it
+may therefore call ``time.sleep``. The states of a goal are those of `turtleact.goal`.
 
 Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions"; rclpy
 ``action/server.py`` for names and texts.
@@ -51,7 +51,7 @@ __all__ = [
 ]
 
 Request: TypeAlias = "tuple[str, Anything, Respond]"
-"""A request that waits: which service, the message, and how to answer it."""
+"""A request that waits: its service, its message, and the function that answers it."""
 
 FEEDBACK_QOS = QoSProfile(depth=10)
 
@@ -86,11 +86,11 @@ def default_cancel_callback(cancel_request: Anything) -> CancelResponse:  # noqa
 
 
 class ServerGoalHandle(Subscriptable):
-    """One goal, as its server sees it; any thread may use it.
+    """The goal handle of the server. Any thread may use it.
 
     Args:
         action_server: The server.
-        goal_info: A ``action_msgs.msg.GoalInfo``: id, and when it was accepted.
+        goal_info: An ``action_msgs.msg.GoalInfo``: the goal's id, and the time of its acceptance.
         goal_request: The goal message.
     """
 
@@ -119,12 +119,12 @@ class ServerGoalHandle(Subscriptable):
 
     @property
     def goal_id(self) -> Anything:
-        """Its id, a ``unique_identifier_msgs.msg.UUID``."""
+        """The goal's id, a ``unique_identifier_msgs.msg.UUID``."""
         return self._goal_info.goal_id
 
     @property
     def goal_info(self) -> Anything:
-        """Its id, and when it was accepted."""
+        """The goal's id, and the time of its acceptance."""
         return self._goal_info
 
     @property
@@ -139,14 +139,14 @@ class ServerGoalHandle(Subscriptable):
 
     @property
     def status(self) -> int:
-        """Its state, a number of ``action_msgs.msg.GoalStatus``."""
+        """The goal's state, a number of ``action_msgs.msg.GoalStatus``."""
         return int(GoalStatus.UNKNOWN if self._is_destroyed else self.goal.status)
 
     def update(self, event: GoalEvent) -> None:
         """Change the goal's state.
 
         Raises:
-            RCLError: if the state does not allow that.
+            RCLError: if the state does not allow the event.
         """
         with self._lock:
             if self._is_destroyed:
@@ -162,9 +162,9 @@ class ServerGoalHandle(Subscriptable):
         self._action_server.goal_changed(self)
 
     def execute(self, execute_callback: Anything = None) -> None:
-        """Have the executor run the execute callback, or another one.
+        """Make the executor run the execute callback, or another function.
 
-        A goal that is being canceled already stays in that state.
+        A goal that is already being canceled keeps that state.
         """
         if not self.is_cancel_requested:
             self.update(GoalEvent.EXECUTE)
@@ -174,7 +174,7 @@ class ServerGoalHandle(Subscriptable):
         """Publish feedback.
 
         Raises:
-            TypeError: if it is of another class, or a value does not fit its type.
+            TypeError: if the message is of another class, or a value does not fit its type.
         """
         if not isinstance(feedback, self._action_server.action_type.Feedback):
             raise TypeError(f"expected feedback of the action, not {type(feedback)}")
@@ -183,19 +183,19 @@ class ServerGoalHandle(Subscriptable):
             self._action_server.publish_feedback(self.goal.id or b"", feedback)
 
     def succeed(self, response: Anything = None) -> None:
-        """End the goal as SUCCEEDED, perhaps with its result."""
+        """End the goal as SUCCEEDED, with the result if one is given."""
         self._end(GoalEvent.SUCCEED, response)
 
     def abort(self, response: Anything = None) -> None:
-        """End the goal as ABORTED, perhaps with its result."""
+        """End the goal as ABORTED, with the result if one is given."""
         self._end(GoalEvent.ABORT, response)
 
     def canceled(self, response: Anything = None) -> None:
-        """End the goal as CANCELED, perhaps with its result."""
+        """End the goal as CANCELED, with the result if one is given."""
         self._end(GoalEvent.CANCELED, response)
 
     def destroy(self) -> None:
-        """Forget the goal: from now on its state is UNKNOWN."""
+        """Forget the goal. From now on its state is UNKNOWN."""
         self._is_destroyed = True
 
     def _end(self, event: GoalEvent, response: Anything) -> None:
@@ -211,18 +211,19 @@ class ActionServer(Waitable):
         node: The node.
         action_type: The class of the action.
         action_name: Its name.
-        execute_callback: Takes a `ServerGoalHandle` and returns the result; may be a coroutine
+        execute_callback: Takes a `ServerGoalHandle` and returns the result. It may be a coroutine
             function.
-        callback_group: Decides when requests may be answered; None means the node's default group.
+        callback_group: Decides when requests may be answered. None means the node's default group.
         goal_callback: Takes a goal message and returns a `GoalResponse`.
-        handle_accepted_callback: Takes a `ServerGoalHandle`; left out, it executes the goal.
+        handle_accepted_callback: Takes a `ServerGoalHandle`. If left out, the goal is executed at
+            once.
         cancel_callback: Takes a `ServerGoalHandle` and returns a `CancelResponse`.
         goal_service_qos_profile: Ignored.
         result_service_qos_profile: Ignored.
         cancel_service_qos_profile: Ignored.
         feedback_pub_qos_profile: The quality of service of the feedback topic.
-        status_pub_qos_profile: That of the status topic.
-        result_timeout: How long a result is kept (s); a negative number means for ever.
+        status_pub_qos_profile: The quality of service of the status topic.
+        result_timeout: How long a result is kept (s). A negative number means for ever.
     """
 
     def __init__(
@@ -280,21 +281,21 @@ class ActionServer(Waitable):
     # callbacks
 
     def register_handle_accepted_callback(self, handle_accepted_callback: Anything) -> None:
-        """Replace the callback for accepted goals; None means the default one.
+        """Replace the callback for accepted goals. None means the default callback.
 
         Raises:
-            TypeError: if it cannot be called.
+            TypeError: if the callback is not callable.
         """
         if handle_accepted_callback is None:
             handle_accepted_callback = default_handle_accepted_callback
         self._handle_accepted_callback = handle_accepted_callback
 
     def register_goal_callback(self, goal_callback: Anything) -> None:
-        """Replace the callback for goal requests; None means the default one."""
+        """Replace the callback for goal requests. None means the default callback."""
         self._goal_callback = default_goal_callback if goal_callback is None else goal_callback
 
     def register_cancel_callback(self, cancel_callback: Anything) -> None:
-        """Replace the callback for cancel requests; None means the default one."""
+        """Replace the callback for cancel requests. None means the default callback."""
         if cancel_callback is None:
             cancel_callback = default_cancel_callback
         self._cancel_callback = cancel_callback
@@ -303,7 +304,7 @@ class ActionServer(Waitable):
         """Replace the execute callback.
 
         Raises:
-            TypeError: if it cannot be called.
+            TypeError: if the callback is not callable.
         """
         if not callable(execute_callback):
             raise TypeError("Failed to register goal execution callback: not callable")
@@ -312,7 +313,7 @@ class ActionServer(Waitable):
     # as a waitable
 
     def _receive(self, service: str, request: bytes, respond: Respond) -> None:
-        """Receive a request; the transport calls this in any thread."""
+        """Receive a request. The transport may call this in any thread."""
         try:
             message = decode(request, self._kind.service(service).Request)
         except InvalidMessage as error:
@@ -336,7 +337,7 @@ class ActionServer(Waitable):
         return NumberOfEntities(num_timers=1, num_services=3)
 
     def take_data(self) -> Anything:
-        """Take the oldest request; forget the goals that have expired."""
+        """Take the oldest request, and forget the goals that have expired."""
         self._expire()
         try:
             return self._requests.popleft()
@@ -354,7 +355,7 @@ class ActionServer(Waitable):
             self._execute_get_result_request(message, respond)
 
     def describe(self) -> str:
-        """Describe this entity for a diagnostic message."""
+        """Return a description of this entity for a diagnostic message."""
         return f"the action server of {self._kind.names.name}"
 
     def destroy(self) -> None:
@@ -391,9 +392,9 @@ class ActionServer(Waitable):
         await await_or_execute(self._handle_accepted_callback, handle)
 
     def _expect_readers(self) -> None:
-        """Publish feedback from now on: a client of another process has sent a goal.
+        """Publish feedback from now on, because a client in another process has sent a goal.
 
-        Its subscription may not have been discovered yet.
+        The client's subscription may not have been discovered yet.
         """
         if self._handlers["send_goal"].has_far_callers and not self._expects_readers:
             self._expects_readers = True
@@ -409,10 +410,10 @@ class ActionServer(Waitable):
         return response is GoalResponse.ACCEPT
 
     def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Anything) -> None:
-        """Have the executor run an execute callback; None means the server's.
+        """Make the executor run an execute callback. None means the server's callback.
 
         Raises:
-            TypeError: if it cannot be called.
+            TypeError: if the callback is not callable.
         """
         if execute_callback is None:
             execute_callback = self._execute_callback
@@ -425,7 +426,7 @@ class ActionServer(Waitable):
     async def _execute_goal(
         self, execute_callback: Anything, goal_handle: ServerGoalHandle
     ) -> None:
-        """Run an execute callback to its end, and answer whoever waits for the result."""
+        """Run an execute callback to its end, and answer the clients that wait for the result."""
         try:
             result = await await_or_execute(execute_callback, goal_handle)
         except Exception as error:
@@ -444,7 +445,7 @@ class ActionServer(Waitable):
         self._end_goal(goal_handle, result)
 
     def _checked_result(self, result: Anything, goal_handle: ServerGoalHandle) -> Anything:
-        """Return a result that can be sent; rclpy's server would die of any other."""
+        """Return a result that can be sent. With any other result, rclpy's server would crash."""
         if result is None:
             result = goal_handle.response
         if isinstance(result, self._action_type.Result):
@@ -470,7 +471,7 @@ class ActionServer(Waitable):
             future.set_result((response, goal_handle.goal.published))
 
     def goal_changed(self, goal_handle: ServerGoalHandle) -> None:
-        """Publish a goal's new state; its handle calls this."""
+        """Publish a goal's new state. The goal's handle calls this."""
         if not goal_handle.is_active and self._timeout_ns >= 0:
             due = time.monotonic_ns() + self._timeout_ns
             self._expiries.append((due, goal_handle.goal.id or b""))
@@ -478,7 +479,7 @@ class ActionServer(Waitable):
         self._status.publish()
 
     def publish_feedback(self, goal_id: bytes, feedback: Anything) -> None:
-        """Publish feedback of a goal; its handle calls this."""
+        """Publish feedback of a goal. The goal's handle calls this."""
         self._feedback.publish(self._kind.encode_feedback(goal_id, feedback))
 
     # canceling
@@ -507,7 +508,7 @@ class ActionServer(Waitable):
         respond(encode(response, type(response)), NOTE)
 
     async def _may_cancel(self, goal_handle: ServerGoalHandle) -> bool:
-        """Ask the callback; cancel the goal if it agrees and the goal has not ended meanwhile."""
+        """Ask the callback. If it agrees and the goal has not ended meanwhile, cancel the goal."""
         answer = await await_or_execute(self._cancel_callback, goal_handle)
         if answer is not CancelResponse.ACCEPT:
             return False
@@ -542,7 +543,7 @@ class ActionServer(Waitable):
         future.add_done_callback(answer)
 
     def _first_expiry(self) -> int:
-        """When the first goal expires (ns, monotonic); very late if none does."""
+        """When the first goal expires (ns, monotonic). If no goal does, that is very late."""
         try:
             return self._expiries[0][0]
         except IndexError:
@@ -566,6 +567,6 @@ class ActionServer(Waitable):
 
 
 NOTE = GoalNote().write()
-"""Tells clients of turtleact that this server drops no requests."""
+"""The note that tells clients of turtleact that this server drops no requests."""
 
 NEVER = 2**63

@@ -1,7 +1,7 @@
 """The status topic of an action: the states of all goals that its server holds.
 
-The message grows with the goals, so it is made only while somebody reads the topic, and several
-changes in quick succession become one message.
+The message grows with the number of goals. So it is made only while somebody reads the topic, and
+several changes in quick succession become one message.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ PER_GOAL = 5e-6
 
 
 class StatusTopic(Source):
-    """Publishes the states.
+    """Publishes the states of a server's goals.
 
     Args:
         node: The node.
         kind: The action.
         qos: The quality of service.
-        held: Returns the goals.
+        held: A function that returns the goals.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class StatusTopic(Source):
         return [encode(message) for message in self.current()]
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Do nothing: `publish` makes no message that nobody reads."""
+        """Do nothing. `publish` makes no message that nobody reads."""
 
     def close(self) -> None:
         """Close the topic."""

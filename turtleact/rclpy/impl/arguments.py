@@ -1,4 +1,4 @@
-"""The arguments of a program that are for ROS: those between ``--ros-args`` and ``--``.
+"""Parses the arguments of a program that are for ROS: those between ``--ros-args`` and ``--``.
 
 Source: the ROS 2 design article "ROS command line arguments"; rcl ``arguments.c`` and its
 ``rcl_yaml_param_parser``.
@@ -67,7 +67,7 @@ class RemapRule(msgspec.Struct, frozen=True):
     """A rule such as ``node:from:=to``.
 
     Attributes:
-        node: The name of the node that it is for; empty for all.
+        node: The name of the node that the rule is for; empty for all nodes.
         source: The name to replace, or ``__node`` or ``__ns``.
         target: The new name.
     """
@@ -90,12 +90,12 @@ class ParameterRule(msgspec.Struct, frozen=True):
 
 
 class Arguments(msgspec.Struct, frozen=True):
-    """What a program was asked to do on its command line.
+    """The ROS arguments of a program's command line.
 
     Attributes:
-        remaps: Names to replace, in order; the first match counts.
-        parameters: Values of parameters; later ones replace earlier ones.
-        log_levels: Levels by the names of loggers; the empty name is the root.
+        remaps: Names to replace, in order. The first match counts.
+        parameters: Values of parameters. Later values replace earlier ones.
+        log_levels: Levels by the names of loggers. The empty name is the root logger.
         flags: Options without a value.
     """
 
@@ -143,7 +143,7 @@ class Arguments(msgspec.Struct, frozen=True):
 
 
 def parse_arguments(args: Sequence[str] | None) -> Arguments:
-    """Parse the arguments of a program, ``sys.argv`` if None.
+    """Parse the arguments of a program. None means ``sys.argv``.
 
     Raises:
         UnknownROSArgsError: if an argument is unknown.
@@ -179,12 +179,12 @@ def parse_arguments(args: Sequence[str] | None) -> Arguments:
 
 
 def arguments_of(own: Sequence[str] | None, shared: Arguments, *, use_shared: bool) -> Arguments:
-    """Return the arguments that apply to a node: its own come first.
+    """Return the arguments that apply to a node. Its own arguments come first.
 
     Args:
         own: More arguments, as on a command line.
-        shared: Those of the program.
-        use_shared: Whether to include those.
+        shared: The arguments of the program.
+        use_shared: Whether to include the arguments of the program.
     """
     if own is None:
         return shared if use_shared else Arguments()
@@ -214,10 +214,10 @@ def without_ros_arguments(args: Sequence[str]) -> list[str]:
 
 
 def parse_value(text: str) -> object:
-    """Return the value that a text stands for, read as YAML.
+    """Return the value of a text, which is read as YAML.
 
     Raises:
-        RCLError: if it is malformed.
+        RCLError: if the text is malformed.
     """
     try:
         return _tree(text, "value", "value")
@@ -229,8 +229,8 @@ def read_parameters(path: Path) -> list[ParameterRule]:
     """Read a file of parameters: ``NODE: {ros__parameters: {NAME: VALUE}}``.
 
     Raises:
-        RCLError: if it is malformed.
-        OSError: if it cannot be read.
+        RCLError: if the text is malformed.
+        OSError: if the file cannot be read.
     """
     try:
         trees = _trees(path.read_text("utf-8"), str(path))
@@ -242,9 +242,10 @@ def read_parameters(path: Path) -> list[ParameterRule]:
 
 
 def _trees(text: str, path: str) -> list[object]:
-    """Parse a file of parameters: as a whole, or block by block.
+    """Parse a file of parameters as a whole, or block by block.
 
-    A key may appear twice: ROS 2 reads the file from its beginning to its end, and so do we.
+    A key may appear twice, because ROS 2 reads the file from its beginning to its end. We do the
+    same.
     """
     try:
         return [_tree(text, "parameters", path)]
@@ -326,7 +327,7 @@ def _flat(tree: Mapping[str, object], prefix: str) -> Iterator[tuple[str, object
 
 
 def _plain(value: object) -> object:
-    """Replace words that keep their spelling for errors by plain values."""
+    """Replace words that keep their spelling (for errors) with plain values."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -344,7 +345,7 @@ def _expanded(name: str, node: str, namespace: str) -> str:
 
 
 def _matches(pattern: str, full_name: str) -> bool:
-    """Whether a full name of a node fits a pattern; ``*`` is one part, ``**`` any number."""
+    """Whether a node's full name fits a pattern. ``*`` is one part, ``**`` any number of parts."""
     parts = []
     for part in pattern.strip("/").split("/"):
         parts.append({"**": r"(?:/[^/]+)*", "*": r"/[^/]+"}.get(part, re.escape(f"/{part}")))

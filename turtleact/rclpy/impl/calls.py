@@ -1,7 +1,7 @@
 """Calls of services, from any thread.
 
-A server of rclpy in the same process gets the request directly. A server in another process is
-asked without a detour through the event loop, if it is known already.
+A server of rclpy in the same process gets the request directly. A request to a known server in
+another process is sent without a detour through the event loop.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ class CallEnd:
 
         Args:
             request: The encoded request.
-            answered: Called with the response and its note, in any thread.
-            failed: Called if there will be no response, in any thread.
+            answered: Called in any thread with the response and its note.
+            failed: Called in any thread if no response will come.
         """
         handler = self._local()
         if handler is not None:
@@ -96,7 +96,10 @@ class CallEnd:
         self._connection.loop.post(self._caller.close)
 
     def _local(self) -> RequestHandler | None:
-        """Return the server in this process; looked up again whenever the graph has changed."""
+        """Return the server in this process.
+
+        It is looked up again whenever the graph has changed.
+        """
         changes = self._connection.changes
         if changes != self._seen:
             endpoint = self._endpoint

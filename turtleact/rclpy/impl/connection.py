@@ -38,10 +38,10 @@ from turtleact.transports.base import (
 __all__ = ["Connection", "OpenTransport", "RequestHandler", "Sender"]
 
 OpenTransport: TypeAlias = Callable[[int], AbstractAsyncContextManager[Transport]]
-"""Opens the graph of a ROS domain."""
+"""A function that opens the graph of a ROS domain."""
 
 Respond: TypeAlias = Callable[[bytes, str], object]
-"""Answers a request with a response and a note. May be called in any thread."""
+"""A function that answers a request with a response and a note. Any thread may call it."""
 
 CLOSING = 2.0
 """How long to wait for a graph to close (s)."""
@@ -51,7 +51,7 @@ ENDING = 0.02
 
 
 class Encoded(msgspec.Struct, frozen=True):
-    """The format of an endpoint whose messages are bytes already.
+    """The format of an endpoint with messages that are bytes already.
 
     Attributes:
         type_hash: The hash of the interface.
@@ -88,8 +88,8 @@ class Sender:
     def publish(self, data: bytes) -> None:
         """Send an encoded message to every subscription, in the order of the calls.
 
-        The messages of a latched topic pass through the event loop, where subscriptions are opened:
-        a new one gets each message once.
+        The messages of a latched topic pass through the event loop, where subscriptions are opened.
+        A new subscription therefore gets each message once.
         """
         if self._is_latched:
             self._connection.loop.post(partial(self._publication.publish, data))
@@ -98,15 +98,15 @@ class Sender:
             self._publication.publish(data)
 
     def expect_readers(self) -> None:
-        """Send from now on, because a reader exists even if it has not been discovered yet."""
+        """Send from now on. A reader exists, even if it has not been discovered yet."""
         self._connection.loop.call(self._publication.expect_readers)
 
     def refresh_soon(self, delay: float, begin: Callable[[], object]) -> None:
         """Publish the state of the topic's source after some seconds.
 
         Args:
-            delay: How many.
-            begin: Called right before.
+            delay: How many seconds to wait.
+            begin: Called right before the state is published.
         """
 
         def refresh() -> None:
@@ -116,7 +116,7 @@ class Sender:
         self._connection.loop.post_later(delay, refresh)
 
     def close(self) -> None:
-        """Leave the topic after sending what was published."""
+        """Leave the topic after all published messages are sent."""
         self._connection.loop.post(self._publication.close)
 
 
@@ -150,7 +150,7 @@ class RequestHandler:
         return True
 
     async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a request in the event loop; transports prefer `reply_nowait`."""
+        """Answer a request in the event loop. Transports prefer `reply_nowait`."""
         loop = asyncio.get_running_loop()
         answered: asyncio.Future[Reply | TurtleactError] = loop.create_future()
 
@@ -165,7 +165,7 @@ class RequestHandler:
 
 
 class Connection:
-    """A graph that has been joined; it is closed when its last user has left.
+    """A graph that this process has joined. It is closed when its last user has left.
 
     Args:
         loop: The event loop.
@@ -211,7 +211,7 @@ class Connection:
         await self._opened.__aexit__(None, None, None)
 
     def close(self) -> None:
-        """Leave the graph. Whatever does not close in time is left behind."""
+        """Leave the graph. Endpoints that do not close in time are left behind."""
         with contextlib.suppress(TimeoutError):
             self.loop.run(self._close(), CLOSING)
 
@@ -262,7 +262,7 @@ class Connection:
     def subscribe(
         self, endpoint: Endpoint, type_hash: str, deliver: Callable[[bytes], None]
     ) -> Closeable:
-        """Open the receiving end of a topic; ``deliver`` may be called in any thread."""
+        """Open the receiving end of a topic. ``deliver`` may be called in any thread."""
         opening = partial(
             self._transport.subscribe,
             endpoint,
@@ -313,7 +313,7 @@ class Connection:
 
 
 class _Posted:
-    """Something open in the event loop that any thread may close."""
+    """An object of the event loop that any thread may close."""
 
     def __init__(self, loop: EventLoop, opened: Closeable) -> None:
         self._loop = loop

@@ -1,7 +1,8 @@
-"""Says why a program hangs: which callback keeps which other from running.
+"""Explains why a program hangs: which callback keeps another one from running.
 
-rclpy lets a callback wait for something that only another callback of the same group can do. That
-never ends. The wait is kept as it is, but after two seconds the log names both callbacks.
+rclpy lets a callback wait for something that only another callback of the same group can do. Such a
+wait never ends. turtleact does not interrupt it, but logs the names of both callbacks after two
+seconds.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ __all__ = ["BLOCKED_AFTER", "note_blocked", "warn_if_blocked"]
 logger = RcutilsLogger("rclpy")
 
 BLOCKED_AFTER = 2.0
-"""After so long, a callback that waits for its group is reported (s)."""
+"""A callback that has waited for its group for this long is reported (s)."""
 
 REPORTED = -1.0
-"""Stands in `Entity.blocked_since` for an entity that was reported."""
+"""The value of `Entity.blocked_since` for an entity that was reported."""
 
 HINT = "give one of them a ReentrantCallbackGroup or a MutuallyExclusiveCallbackGroup of its own"
 
 
 def note_blocked(entity: Entity) -> None:
-    """Note that an entity's group keeps it waiting; warn once if that has lasted long enough."""
+    """Note that an entity waits for its group. Warn once if the wait has lasted too long."""
     if entity.blocked_since == REPORTED:
         return
     now = time.monotonic()
@@ -47,7 +48,7 @@ def warn_if_blocked(entity: Entity, what: str, *, is_answered: bool) -> None:
 
     Args:
         entity: The entity with the callback.
-        what: Who waits.
+        what: The function that waits.
         is_answered: Whether the callback has something to do.
     """
     if not is_answered:

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 __all__ = ["NOTHING", "Block", "Destroyable", "Entity", "Handle"]
 
 NOTHING = object()
-"""What `Entity.take` returns if there was nothing to take after all."""
+"""The result of `Entity.take` if there was nothing to take after all."""
 
 
 class Handle:
-    """Whether something may still be used; a context manager that raises if not.
+    """Shows whether an object may still be used. As a context manager, it raises if not.
 
-    It stays usable while any block is entered, and is closed when the last block is left.
+    The object stays usable while any block is entered. It is closed when the last block is left.
 
     Args:
         close: Called once, when it is destroyed.
@@ -40,10 +40,10 @@ class Handle:
         return self._is_destroyed
 
     def check(self) -> None:
-        """Raise if it was destroyed.
+        """Check that the object was not destroyed.
 
         Raises:
-            InvalidHandle: if it was destroyed.
+            InvalidHandle: if the object was destroyed.
         """
         if self._is_destroyed:
             raise InvalidHandle("cannot use Destroyable because destruction was requested")
@@ -112,11 +112,12 @@ class Entity(Destroyable):
     Args:
         callback_group: Decides when its callback may run.
         close: Called once, when it is destroyed.
-        wake: Called when it may have become ready; any thread may do so.
+        wake: Called in any thread when the entity may have become ready.
 
     Attributes:
         callback_group: As given.
-        blocked_since: When its group first kept it waiting (s, `time.monotonic`); 0 if it does not.
+        blocked_since: When the entity began to wait for its group (s, `time.monotonic`); 0 if it
+            does not wait.
     """
 
     def __init__(
@@ -139,20 +140,20 @@ class Entity(Destroyable):
         return self._handle
 
     def wake(self) -> None:
-        """Have the executor look at it."""
+        """Make the executor look at the entity."""
         if self._wake is not None:
             self._wake()
 
     def is_ready_now(self) -> bool:
-        """Whether a callback could run now; never blocks."""
+        """Whether a callback could run now. This never blocks."""
         raise NotImplementedError
 
     def due_in(self) -> float | None:
-        """How long until it is ready by itself (s); None if something else must happen first."""
+        """How long until the entity is ready by itself (s); None if something must happen first."""
         return None
 
     def take(self) -> Anything:
-        """Take what the callback gets; `NOTHING` if somebody else has taken it."""
+        """Take the callback's argument; `NOTHING` if another thread has taken it."""
         raise NotImplementedError
 
     async def run(self, taken: Anything) -> None:

@@ -1,4 +1,4 @@
-"""turtleact's event loop, in a thread of its own.
+"""Runs turtleact's event loop in a thread of its own.
 
 The threads of the program never run the loop, and the loop never runs the program's callbacks.
 """
@@ -18,11 +18,11 @@ __all__ = ["EventLoop"]
 T = TypeVar("T")
 
 SHORTEST = 0.001
-"""Shorter delays are left out (s)."""
+"""Delays shorter than this (s) are skipped."""
 
 
 class EventLoop:
-    """An event loop in a daemon thread; it starts with its first use and never ends."""
+    """An event loop in a daemon thread. It starts with its first use and never ends."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -35,7 +35,7 @@ class EventLoop:
         return threading.current_thread() is self._thread
 
     def call(self, function: Callable[[], T]) -> T:
-        """Call a function in the loop, and return what it returns or raise what it raises."""
+        """Call a function in the loop. Return its result, or raise its exception."""
         if self.is_here:
             return function()
         called: Future[T] = Future()
@@ -50,11 +50,11 @@ class EventLoop:
         return called.result()
 
     def post(self, function: Callable[[], object]) -> None:
-        """Call a function in the loop, after everything posted before, and do not wait."""
+        """Call a function in the loop, after all functions posted before. Do not wait for it."""
         self._running().call_soon_threadsafe(function)
 
     def post_later(self, delay: float, function: Callable[[], object]) -> None:
-        """Call a function in the loop after some seconds, and do not wait."""
+        """Call a function in the loop after some seconds. Do not wait for it."""
         loop = self._running()
         if delay < SHORTEST:
             loop.call_soon_threadsafe(function)
@@ -65,7 +65,7 @@ class EventLoop:
         """Run a coroutine in the loop and wait for its end.
 
         Raises:
-            TimeoutError: if it has not ended in time; it is cancelled then.
+            TimeoutError: if the coroutine has not ended in time. It is then cancelled.
         """
         running = self.start(coroutine)
         try:

@@ -17,17 +17,17 @@ __all__ = ["rclpy_implementation"]
 
 
 class rmw_qos_profile_t:
-    """Stands for the profiles of the extension module."""
+    """Stands in for the profiles of the extension module."""
 
     @staticmethod
     def predefined(name: str) -> QoSProfile:
-        """Return the profile of a name such as ``qos_profile_default``."""
+        """Return the profile with a name such as ``qos_profile_default``."""
         found: QoSProfile = getattr(qos, name)
         return found
 
 
 class rclpy_implementation:  # rclpy's name
-    """Stands for the extension module."""
+    """Stands in for the extension module."""
 
     InvalidHandle = InvalidHandle
     NodeNameNonExistentError = NodeNameNonExistentError

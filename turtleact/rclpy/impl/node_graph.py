@@ -1,4 +1,4 @@
-"""What a node sees of the graph: names, types and numbers of endpoints."""
+"""Gives a node's view of the graph: names, types and numbers of endpoints."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class NodeNameNonExistentError(RuntimeError):
 
 
 class Named(Protocol):
-    """What these functions need to know of the node."""
+    """The part of a node that these functions use."""
 
     @property
     def connection(self) -> Connection:

@@ -1,8 +1,8 @@
-"""The parameters of a node: declared ones, their values, descriptors and callbacks.
+"""The parameters of a node: their declarations, values, descriptors and callbacks.
 
-A set of parameters is applied as a whole or not at all: first the callbacks "pre" may change the
-list, then descriptors and the callbacks "on" decide, then values change, the callbacks "post" are
-told, and the change is published.
+A set of parameters is applied as a whole or not at all. First, the "pre" callbacks may change the
+list. Then descriptors and the "on" callbacks decide. If they agree, the values change, the "post"
+callbacks are called, and the change is published.
 
 Source: the ROS 2 design article "ROS 2 Parameters"; rclpy ``node.py`` for names and texts.
 """
@@ -49,12 +49,12 @@ def _descriptor(**fields: object) -> Anything:
 
 
 class NodeParameters:
-    """The part of a node that has to do with parameters.
+    """The part of a node that manages parameters.
 
     Args:
         overrides: The initial values that the command line, a file or the program gives, by name.
         allow_undeclared: Whether a parameter may be set and read without being declared.
-        publish: Publishes the names and messages of parameters that are new, changed and deleted.
+        publish: A function that publishes which parameters are new, changed and deleted.
     """
 
     def _init_parameters(
@@ -86,13 +86,13 @@ class NodeParameters:
 
         Args:
             name: Its name.
-            value: Its value, unless an override gives another; or a `Parameter.Type`, if it has
-                none yet.
+            value: The parameter's value, unless an override replaces it. Give a `Parameter.Type` to
+                declare a parameter without a value.
             descriptor: A ``rcl_interfaces.msg.ParameterDescriptor``.
             ignore_override: Whether to ignore an override.
 
         Raises:
-            ParameterAlreadyDeclaredException: if it was declared before.
+            ParameterAlreadyDeclaredException: if the parameter was declared before.
             InvalidParameterException: if the name is empty.
             InvalidParameterValueException: if a callback refuses the value.
             InvalidParameterTypeException: if an override is of another type.
@@ -111,8 +111,8 @@ class NodeParameters:
         """Declare several parameters, and return them; see `declare_parameter`.
 
         Args:
-            namespace: What to put before each name.
-            parameters: Tuples of a name, and perhaps a value and a descriptor.
+            namespace: The prefix of each name.
+            parameters: Tuples of a name and, optionally, a value and a descriptor.
             ignore_override: Whether to ignore overrides.
         """
         declared: list[Parameter] = []
@@ -130,7 +130,7 @@ class NodeParameters:
         return self.get_parameters_or_unset([each.name for each in declared])
 
     def get_parameters_or_unset(self, names: Iterable[str]) -> list[Parameter]:
-        """Return declared parameters, also those without a value."""
+        """Return declared parameters, including those without a value."""
         return [self._parameters[name] for name in names if name in self._parameters]
 
     def _declaration(
@@ -203,8 +203,8 @@ class NodeParameters:
         """Undeclare a parameter.
 
         Raises:
-            ParameterNotDeclaredException: if it is not declared.
-            ParameterImmutableException: if it is read-only.
+            ParameterNotDeclaredException: if the parameter is not declared.
+            ParameterImmutableException: if the parameter is read-only.
         """
         if not self.has_parameter(name):
             raise ParameterNotDeclaredException(name)
@@ -223,9 +223,9 @@ class NodeParameters:
         """Return a parameter.
 
         Raises:
-            ParameterNotDeclaredException: if it is not declared, and undeclared ones are not
-                allowed.
-            ParameterUninitializedException: if it has no value yet.
+            ParameterNotDeclaredException: if the parameter is not declared, and undeclared
+                parameters are not allowed.
+            ParameterUninitializedException: if the parameter has no value yet.
         """
         found = self._parameters.get(name)
         if found is not None:
@@ -248,7 +248,7 @@ class NodeParameters:
         return [self.get_parameter(name) for name in names]
 
     def get_parameter_or(self, name: str, alternative_value: Parameter | None = None) -> Parameter:
-        """Return a parameter, or another one if it is not declared or has no value."""
+        """Return a parameter. If it is not declared or has no value, return the alternative."""
         if alternative_value is None:
             alternative_value = Parameter(name, Parameter.Type.NOT_SET)
         if not self.has_parameter(name):
@@ -269,8 +269,8 @@ class NodeParameters:
         """Return the type of a parameter.
 
         Raises:
-            ParameterNotDeclaredException: if it is not declared, and undeclared ones are not
-                allowed.
+            ParameterNotDeclaredException: if the parameter is not declared, and undeclared
+                parameters are not allowed.
         """
         if self.has_parameter(name):
             return self._parameters[name].type_
@@ -288,11 +288,11 @@ class NodeParameters:
         """Return the names below some prefixes as a ``rcl_interfaces.msg.ListParametersResult``.
 
         Args:
-            prefixes: The prefixes; none means all names.
-            depth: How many dots a name may have after the prefix, plus one; 0 for any number.
+            prefixes: The prefixes. An empty list means all names.
+            depth: How many parts a name may have after the prefix; 0 for any number.
 
         Raises:
-            TypeError: if a prefix is not a string, or the depth not a number.
+            TypeError: if a prefix is not a string, or the depth is not a number.
             ValueError: if the depth is negative.
         """
         if isinstance(prefixes, str) or not all(isinstance(each, str) for each in prefixes):
@@ -367,7 +367,7 @@ class NodeParameters:
         allow_not_set: bool,
         may_be_read_only: bool,
     ) -> Anything:
-        """Set parameters if their descriptors and the callbacks "on" agree."""
+        """Set parameters if their descriptors and the "on" callbacks agree."""
         for parameter in parameters:
             descriptor = descriptors[parameter.name]
             if descriptor.read_only and not may_be_read_only:
@@ -393,7 +393,7 @@ class NodeParameters:
     def _change(
         self, parameters: list[Parameter], descriptors: dict[str, Anything], *, allow_not_set: bool
     ) -> None:
-        """Set parameters, and publish what is new, changed and deleted."""
+        """Set parameters, and publish which of them are new, changed and deleted."""
         new: list[Anything] = []
         changed: list[Anything] = []
         deleted: list[Anything] = []
@@ -417,27 +417,27 @@ class NodeParameters:
     # callbacks
 
     def add_pre_set_parameters_callback(self, callback: PreCallback) -> None:
-        """Call ``callback(parameters)`` first; it returns the list to set instead."""
+        """Call ``callback(parameters)`` first. It returns the list to set instead."""
         self._pre_set_parameters_callbacks.insert(0, callback)
 
     def add_on_set_parameters_callback(self, callback: OnCallback) -> None:
-        """Call ``callback(parameters)`` before they are set; its result may refuse them."""
+        """Call ``callback(parameters)`` before parameters are set. Its result may refuse them."""
         self._on_set_parameters_callbacks.insert(0, callback)
 
     def add_post_set_parameters_callback(self, callback: PostCallback) -> None:
-        """Call ``callback(parameters)`` after they were set."""
+        """Call ``callback(parameters)`` after parameters were set."""
         self._post_set_parameters_callbacks.insert(0, callback)
 
     def remove_pre_set_parameters_callback(self, callback: PreCallback) -> None:
-        """Remove a callback; raises ValueError if it is not there."""
+        """Remove a callback. Raises ValueError if the callback is not registered."""
         self._pre_set_parameters_callbacks.remove(callback)
 
     def remove_on_set_parameters_callback(self, callback: OnCallback) -> None:
-        """Remove a callback; raises ValueError if it is not there."""
+        """Remove a callback. Raises ValueError if the callback is not registered."""
         self._on_set_parameters_callbacks.remove(callback)
 
     def remove_post_set_parameters_callback(self, callback: PostCallback) -> None:
-        """Remove a callback; raises ValueError if it is not there."""
+        """Remove a callback. Raises ValueError if the callback is not registered."""
         self._post_set_parameters_callbacks.remove(callback)
 
     # descriptors
@@ -446,8 +446,8 @@ class NodeParameters:
         """Return the descriptor of a parameter.
 
         Raises:
-            ParameterNotDeclaredException: if it is not declared, and undeclared ones are not
-                allowed.
+            ParameterNotDeclaredException: if the parameter is not declared, and undeclared
+                parameters are not allowed.
         """
         if name in self._descriptors:
             return self._descriptors[name]
@@ -462,11 +462,11 @@ class NodeParameters:
     def set_descriptor(
         self, name: str, descriptor: Anything, alternative_value: Anything = None
     ) -> Anything:
-        """Give a parameter a descriptor, and perhaps another value; return its value.
+        """Give a parameter a descriptor and, optionally, another value. Return its value.
 
         Raises:
-            ParameterNotDeclaredException: if it is not declared.
-            ParameterImmutableException: if it is read-only.
+            ParameterNotDeclaredException: if the parameter is not declared.
+            ParameterImmutableException: if the parameter is read-only.
             InvalidParameterValueException: if the value does not fit.
         """
         if not self.has_parameter(name):
@@ -501,7 +501,7 @@ def _is_below(name: str, prefix: str, depth: int) -> bool:
 
 
 def _misfit(parameter: Parameter, descriptor: Anything) -> str:
-    """Return why a descriptor forbids a value; empty if it does not."""
+    """Return why a descriptor forbids a value; empty if it allows the value."""
     if not descriptor.dynamic_typing and descriptor.type != parameter.type_.value:
         if parameter.type_ is Parameter.Type.NOT_SET:
             return "Static parameter cannot be undeclared"

@@ -1,7 +1,7 @@
-"""Opens the graph that a program joins: the one that is there, or a new one.
+"""Opens the graph that a program joins: the existing graph, or a new one.
 
-A program looks for a router on its machine, such as ``turtleact serve``. If there is none, it
-becomes the router itself, so that programs find each other wherever they are started.
+A program looks for a router on its machine, such as ``turtleact serve``. If there is none, the
+program becomes the router itself, so that programs find each other wherever they are started.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from turtleact.transports import MemoryTransport, Transport, open_zenoh
 __all__ = ["open_chosen"]
 
 ATTEMPTS = 20
-"""How often to try, if another program becomes the router at the same moment."""
+"""How many attempts to make if another program becomes the router at the same moment."""
 
 PAUSE = 0.05
 """How long to wait between two attempts (s)."""
@@ -33,8 +33,8 @@ LISTEN = ("tcp/127.0.0.1:7447",)
 async def open_chosen(domain: int) -> AsyncIterator[Transport]:
     """Open the graph that was chosen for this process.
 
-    An embedded world has a connection of its own, as ``turtleact serve`` would have, so that other
-    programs and commands see it, too.
+    Like ``turtleact serve``, an embedded world has a connection of its own, so that other programs
+    and commands see the world, too.
 
     Raises:
         TurtleactError: if the graph cannot be opened.
@@ -67,7 +67,7 @@ async def _first(
     stack: AsyncExitStack,
     opening: Sequence[Callable[[], AbstractAsyncContextManager[Transport]]],
 ) -> Transport:
-    """Enter the first of these graphs that can be opened, trying several times."""
+    """Enter the first of these graphs that can be opened. Try several times."""
     for attempt in range(ATTEMPTS):
         for open_it in opening:
             try:

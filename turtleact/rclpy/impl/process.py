@@ -1,4 +1,4 @@
-"""What exists once in a process: the event loop, the graphs that it has joined, and its contexts.
+"""The objects that a process has once: the event loop, the joined graphs, and the contexts.
 
 A graph is joined when the first node needs it, and left when the last context that uses it is shut
 down. The event loop stays for the next ``init``.
@@ -24,10 +24,10 @@ PATIENCE = 2.5
 
 
 class Closable(Protocol):
-    """What this module knows of a context."""
+    """The part of a context that this module uses."""
 
     def try_shutdown(self) -> None:
-        """Shut down unless it is shut down already."""
+        """Shut down the context, unless that has been done."""
 
 
 class Process:
@@ -50,7 +50,7 @@ class Process:
         self._connections: dict[int, tuple[Connection, set[int]]] = {}
 
     def join(self, domain: int, user: object) -> Connection:
-        """Join a graph for a user, or return the connection that is there.
+        """Join a graph for a user, or return the existing connection.
 
         Raises:
             TurtleactError: if there is no graph in reach.
@@ -71,8 +71,8 @@ class Process:
         """Shut all contexts down, and wait for those that other threads are shutting down.
 
         After a signal, a thread shuts the contexts down while the main thread ends the program. If
-        the interpreter ended before the graph is left, a thread of Zenoh could call into it, and
-        the C library would abort the process.
+        the interpreter ended before the process has left the graph, a thread of Zenoh could call
+        into the interpreter, and the C library would abort the process.
         """
         for context in list(self.contexts):
             context.try_shutdown()
@@ -82,7 +82,7 @@ class Process:
 
     @contextmanager
     def ending(self) -> Iterator[None]:
-        """A block in which the calling thread shuts a context down; see `shut_down`."""
+        """Mark a block in which the calling thread shuts a context down; see `shut_down`."""
         with self._lock:
             self._ending.append(threading.get_ident())
         try:

@@ -1,7 +1,7 @@
-"""Loggers: severities, filters, and where messages go.
+"""Loggers: their severities, their filters, and their output.
 
 A call site is a place in the source code. It may log only once, skip its first message, or stay
-silent for some seconds. It must ask for the same thing each time.
+silent for some seconds. It must use the same options in each call.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Record(msgspec.Struct, frozen=True):
 
 
 Rosout: TypeAlias = Callable[[Record], object]
-"""Publishes a record on ``/rosout``."""
+"""A function that publishes a record on ``/rosout``."""
 
 
 class _Log:
@@ -79,7 +79,10 @@ class _Log:
         self._colours = os.environ.get("RCUTILS_COLORIZED_OUTPUT", "")
 
     def set_level(self, name: str, level: int) -> None:
-        """Set the level of a logger and of all below it; UNSET inherits it again."""
+        """Set the level of a logger and of all loggers below it.
+
+        With UNSET, the level is inherited again.
+        """
         with self._lock:
             self._levels[name] = level
             self._effective = {}
@@ -89,7 +92,7 @@ class _Log:
         return self._levels.get(name, 0)
 
     def effective_level(self, name: str) -> int:
-        """The level that counts: of the logger, or else of the nearest one above it."""
+        """The effective level: that of the logger, or else of the nearest logger above it."""
         level = self._effective.get(name)
         if level is None:
             level = next((each for each in map(self.level, _above(name)) if each), 0)
@@ -147,7 +150,7 @@ LOG = _Log()
 
 
 class _Site:
-    """What a call site remembers: how it was first called, and what its filters need."""
+    """The memory of a call site: how it was first called, and the state of its filters."""
 
     __slots__ = ("filters", "has_logged", "has_skipped", "last", "name", "severity")
 
@@ -160,7 +163,7 @@ class _Site:
         self.last = 0
 
     def check(self, severity: LoggingSeverity, name: str, filters: dict[str, Anything]) -> None:
-        """Raise if the call site is called in another way than before."""
+        """Check that the call site is called in the same way as before."""
         if severity != self.severity:
             raise ValueError("Logger severity cannot be changed between calls.")
         if name != self.name:
@@ -219,7 +222,7 @@ class RcutilsLogger:
         LOG.set_level(self.name, LoggingSeverity(level))
 
     def get_effective_level(self) -> LoggingSeverity:
-        """Return the level that counts, its own or the nearest one above it."""
+        """Return the effective level: the logger's own, or that of the nearest logger above it."""
         return LoggingSeverity(LOG.effective_level(self.name))
 
     def is_enabled_for(self, severity: LoggingSeverity | int) -> bool:
@@ -238,7 +241,7 @@ class RcutilsLogger:
         Args:
             message: The text, or an object to convert.
             severity: How severe it is.
-            name: The name to log it under, instead of the logger's own.
+            name: The name of another logger to use instead of this one.
             **kwargs: ``once``, ``skip_first``, ``throttle_duration_sec``, and
                 ``throttle_time_source_type``, a clock.
 
@@ -248,7 +251,7 @@ class RcutilsLogger:
         Raises:
             RuntimeError: if there is no such severity.
             TypeError: if a filter does not exist.
-            ValueError: if the same call site asked for something else before.
+            ValueError: if the same call site was called with other options before.
         """
         try:
             severity = LoggingSeverity(severity)
@@ -279,7 +282,7 @@ class RcutilsLogger:
         return True
 
     def debug(self, message: object, **kwargs: Anything) -> bool:
-        """Log a message for whoever looks for an error."""
+        """Log a message that helps to find errors."""
         return self.log(message, LoggingSeverity.DEBUG, **kwargs)
 
     def info(self, message: object, **kwargs: Anything) -> bool:

@@ -1,4 +1,4 @@
-"""Which graph a program joins; chosen before rclpy is imported, so this imports little."""
+"""The choice of the graph that a program joins. It is made before rclpy is imported."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ class Place(msgspec.Struct, frozen=True):
     """Where a graph is.
 
     Attributes:
-        connect: Its endpoints; none means the graph of this machine.
+        connect: The endpoints of the graph. An empty list means the graph of this machine.
         config: Paths and values of a configuration of Zenoh.
         is_embedded: Whether this process has a world of turtles, too.
-        is_alone: Whether the graph is inside this process, and nobody else sees it.
+        is_alone: Whether the graph is inside this process, so that no other process sees it.
     """
 
     connect: tuple[str, ...] = ()
@@ -26,7 +26,7 @@ class Place(msgspec.Struct, frozen=True):
 
 
 class Settings:
-    """What was chosen for this process.
+    """The settings of this process.
 
     Attributes:
         place: Where its graph is.

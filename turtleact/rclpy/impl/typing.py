@@ -26,7 +26,7 @@ class Subscriptable:
 
 
 class ServiceHost(Protocol):
-    """What the services of a node know of it."""
+    """The part of a node that its services use."""
 
     def get_name(self) -> str:
         """Return the node's name."""

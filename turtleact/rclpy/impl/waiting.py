@@ -12,20 +12,20 @@ from turtleact.rclpy.impl.entity import Entity
 __all__ = ["wait_for_answer", "wait_until"]
 
 POLL = 0.02
-"""How often to look whether something is there (s)."""
+"""The interval at which a wait checks its condition (s)."""
 
 PATIENCE = 0.5
-"""How long to wait at most before looking again (s); a signal may not interrupt a lock."""
+"""How long to wait at most before looking again (s). A signal may not interrupt a lock."""
 
 
 def wait_until(
     is_there: Callable[[], bool], timeout: float | None, is_ok: Callable[[], bool]
 ) -> bool:
-    """Look again and again until something is there; return whether it is.
+    """Check again and again until a condition is true. Return whether it became true.
 
     Args:
-        is_there: Whether it is there.
-        timeout: How long to look (s); None for ever.
+        is_there: The condition.
+        timeout: How long to check (s); None for ever.
         is_ok: Whether to go on.
     """
     end = None if timeout is None else time.monotonic() + timeout
@@ -46,14 +46,14 @@ def wait_for_answer(
 ) -> bool:
     """Wait until an answer was handled; return whether it was.
 
-    If that takes long, a warning says who keeps the callback from running.
+    If the wait takes long, a warning names the callback that blocks the answer.
 
     Args:
         entity: Handles the answer.
-        what: Who waits.
+        what: The function that waits, for the warning.
         answered: Set when the answer was handled.
         is_ok: Whether to go on.
-        timeout: How long to wait (s); None or a negative number mean for ever.
+        timeout: How long to wait (s). None or a negative number means for ever.
     """
     began = time.monotonic()
     end = None if timeout is None or timeout < 0 else began + timeout

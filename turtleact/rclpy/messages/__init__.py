@@ -1,5 +1,5 @@
-"""ROS 2's interfaces as rclpy programs know them: `geometry_msgs.msg` and the like.
+"""Makes the interface classes that rclpy programs use: `geometry_msgs.msg` and the like.
 
-These are other classes than turtleact's own, made from the same definitions: their fields are
+These classes differ from turtleact's own, but are made from the same definitions. Their fields are
 properties, sequences of numbers are arrays, and nothing is checked before a message is sent.
 """

@@ -43,7 +43,7 @@ InterfaceClass: TypeAlias = Anything
 """A class that is made at run time: a message class, or a service or action with its parts."""
 
 MISSING = object()
-"""Stands for a keyword that was left out."""
+"""The value of a keyword argument that was left out."""
 
 CHECKS_BY_DEFAULT = os.environ.get("ROS_PYTHON_CHECK_FIELDS") == "1"
 
@@ -59,7 +59,7 @@ class Metaclass(type):
 
 
 class MessageBase:
-    """What all messages have in common."""
+    """The base of all message classes."""
 
     __slots__ = ()
 
@@ -98,16 +98,16 @@ class ServiceMeta(type):
 
 
 def is_interface(candidate: object) -> bool:
-    """Whether an object is one of the classes made here."""
+    """Whether an object is a class that was made here."""
     return isinstance(candidate, Metaclass | ServiceMeta)
 
 
 @functools.cache
 def interface_class(type_name: str) -> InterfaceClass:
-    """Return the class of an interface by its full name, always the same one.
+    """Return the class of an interface by its full name. Each name has one class.
 
     Raises:
-        UnknownInterface: if there is none; the error suggests the nearest name.
+        UnknownInterface: if there is no such interface. The error suggests the nearest name.
         InvalidInterface: if its file is malformed.
     """
     found = get_interface(type_name)
@@ -157,8 +157,8 @@ def shape_of(message_class: Anything) -> Shape:
 def maker(message_class: Anything) -> Callable[..., object]:
     """Return a function that makes a message of decoded values, in the order of the fields.
 
-    turtleact's decoder uses this function like a message class. So the function has a shape, too,
-    which holds such functions for the nested messages.
+    turtleact's decoder uses this function like a message class. The function therefore has a shape,
+    too, which holds such functions for nested messages.
     """
     shape = shape_of(message_class)
     names: dict[str, object] = {"new": message_class.__new__, "cls": message_class}

@@ -1,7 +1,8 @@
-"""Messages to CDR and back, for the classes of `turtleact.rclpy.messages.classes`.
+"""Encodes and decodes messages of the classes of `turtleact.rclpy.messages.classes` as CDR.
 
-turtleact's own codecs read the declaration of a class, so they serve these classes too. A value
-that a codec refuses is converted here if rclpy would accept it; otherwise it is a TypeError.
+turtleact's own codecs read the declaration of a class, so they serve these classes too. If a codec
+refuses a value that rclpy would accept, the value is converted here. Any other refused value raises
+a TypeError.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def encode(message: Anything, message_class: Anything) -> bytes:
     """Encode a message.
 
     Raises:
-        TypeError: if it is of another class, or a value does not fit its type.
+        TypeError: if the message is of another class, or a value does not fit its type.
     """
     if type(message) is not message_class:
         raise TypeError(

@@ -1,4 +1,4 @@
-"""The fields of a message class: names of types, initial values, conversions and checks.
+"""Handles the fields of a message class: names of types, initial values, conversions and checks.
 
 Source: ``rosidl_generator_py``, as measured from messages of ROS 2 Kilted.
 """
@@ -35,7 +35,7 @@ TYPECODES = {
     "float32": "f",
     "float64": "d",
 }
-"""The codes of `array.array` for numbers; sequences of other elements are lists."""
+"""The codes of `array.array` for numbers. Sequences of other elements are lists."""
 
 NAMES = {
     "bool": "boolean",
@@ -78,7 +78,7 @@ def is_numeric_array(field_type: FieldType) -> bool:
 
 
 def sequence_of(field_type: FieldType) -> Callable[[Anything], object]:
-    """Return the function that converts what is assigned to a field with several numbers."""
+    """Return the function that converts values assigned to a field with several numbers."""
     code = TYPECODES[field_type.name]
     if is_numeric_array(field_type):
 
@@ -133,7 +133,7 @@ def _listed(field: Field) -> list[object]:
 def checker(field: Field, nested: type | None) -> Callable[[object], None]:
     """Return the function that checks a value of a field, for messages with ``check_fields``.
 
-    It raises AssertionError, as in rclpy.
+    The function raises AssertionError, as in rclpy.
     """
     check = partial(_check_one, field.name, field.type.element, nested)
     if not field.type.is_sequence:

@@ -11,7 +11,7 @@ __all__ = ["ZenohTransport", "open_zenoh"]
 
 
 def __getattr__(name: str) -> object:
-    """Import the transport on first use; `census` does not need it."""
+    """Import the transport on first use. `census` does not need it."""
     if name in __all__:
         from turtleact.transports.rmw_zenoh import transport
 

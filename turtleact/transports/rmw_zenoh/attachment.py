@@ -1,4 +1,4 @@
-"""The attachment of each message: its sender, time and sequence number. Pure.
+"""Encodes and decodes the attachment of a message: its sender, time and sequence number.
 
 ==  ====  =============================================================================
 at  size
@@ -67,12 +67,12 @@ class Attachment(msgspec.Struct, frozen=True):
 
 
 def write_attachment(sequence: int, stamp: int, gid: bytes, note: str = "") -> bytes:
-    """Encode an attachment; a note of more than 4,096 bytes is cut."""
+    """Encode an attachment. A note of more than 4,096 bytes is cut."""
     return LAYOUT.pack(sequence, stamp, GID_SIZE, gid) + note_tail(note)
 
 
 def note_tail(note: str) -> bytes:
-    """Encode a note, to be put behind an attachment that has none."""
+    """Encode a note, which the caller puts behind an attachment without a note."""
     if not note:
         return b""
     tail = note.encode(errors="backslashreplace")  # a note must never make its message fail
@@ -82,7 +82,7 @@ def note_tail(note: str) -> bytes:
 
 
 def read_attachment(data: bytes) -> Attachment:
-    """Decode an attachment; a long note is cut, and bytes that are not UTF-8 are replaced.
+    """Decode an attachment. A long note is cut, and bytes that are not UTF-8 are replaced.
 
     Raises:
         InvalidMessage: if the bytes are not an attachment.

@@ -1,4 +1,4 @@
-"""The configuration of a Zenoh session, and the reason why one cannot be opened. Pure.
+"""Builds the configuration of a Zenoh session, and explains why a session cannot be opened.
 
 A ``peer`` finds other peers through a router and then talks with them directly, like a ROS 2 node.
 A ``client`` talks only through its router. The ``router`` is what the nodes of a machine look for.
@@ -92,8 +92,8 @@ class SessionConfig(msgspec.Struct, frozen=True):
         text: A complete configuration in JSON5 to start from; empty for Zenoh's own.
         settings: Settings that always apply: path to value as JSON.
         defaults: Settings that apply unless the text sets them: path to value as JSON.
-        connect: Where the session connects to, as far as known here.
-        listen: Where the session listens, as far as known here.
+        connect: The endpoints that the session connects to, as far as known here.
+        listen: The endpoints at which the session listens, as far as known here.
     """
 
     domain: int
@@ -127,7 +127,7 @@ def session_config(
     domain: int,
     config: Mapping[str, object] | str,
 ) -> SessionConfig:
-    """Build the configuration of a session; the options are those of `open_zenoh`.
+    """Build the configuration of a session. The options are those of `open_zenoh`.
 
     Raises:
         InvalidOption: if the value of an option is not allowed.

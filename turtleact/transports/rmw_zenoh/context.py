@@ -1,7 +1,7 @@
-"""What the endpoints of a transport share: session, event loop, threads, and the local transport.
+"""What the endpoints of a transport share: session, event loop, threads and local transport.
 
 An `Inbox` and an `Outbox` connect the event loop to other threads. Many messages cost a single
-wake-up of the loop, and none of them ever blocks it.
+wake-up of the loop, and no message ever blocks the loop.
 """
 
 from __future__ import annotations
@@ -88,10 +88,10 @@ class Context:
         domain: The ROS domain.
         opened: The nodes and endpoints that are open.
         latched: The gids of this session's latched publishers. A new latched subscription also gets
-            their messages from Zenoh and must ignore them, since they came as objects already.
+            their messages from Zenoh. It must ignore these, because they came as objects already.
         sought: How many endpoints other processes have, by name.
-        waiting: What is opened as soon as another process has an endpoint of that name.
-        asleep: Endpoints that are declared as soon as another process has one of the same name.
+        waiting: Things to open as soon as another process has an endpoint of that name.
+        asleep: Endpoints to declare as soon as another process has an endpoint of the same name.
         is_open: Whether the transport is open.
     """
 
@@ -132,7 +132,7 @@ class Sought:
     Args:
         context: The transport's context.
         name: The name of the endpoint that another process must have.
-        opener: Opens it.
+        opener: The function that opens the thing.
     """
 
     __slots__ = ("_context", "_name", "_opened", "_opener")
@@ -148,11 +148,11 @@ class Sought:
             context.waiting[name] = self
 
     def open(self) -> None:
-        """Open it."""
+        """Open the thing, because another process looks for it."""
         self._opened = self._opener()
 
     def close(self) -> None:
-        """Close it, or stop waiting."""
+        """Close what was opened, or stop waiting."""
         if self._opened is not None:
             self._opened.close()
         elif self._context.waiting.get(self._name) is self:
@@ -180,7 +180,7 @@ class Crew:
             self.running[number] = background
 
     async def aclose(self) -> None:
-        """Cancel all tasks and wait for each to end, at most `GRACE` seconds."""
+        """Cancel all tasks, and wait at most `GRACE` seconds for them to end."""
         for background in tuple(self.running.values()):
             await background.aclose(GRACE)
 
@@ -212,20 +212,20 @@ class Counter:
 class Presence:
     """An endpoint or node as other processes see it: its declarations and its liveliness token.
 
-    The token is declared last and undeclared first, so that nobody sees an endpoint that cannot be
+    The token is declared last and undeclared first. So nobody sees an endpoint that cannot be
     reached.
 
     Args:
         context: The transport's context.
         token: The token.
-        declare: Declares everything but the token; called in the outbox.
-        undeclare: Undeclares the same; called in the outbox.
+        declare: Declares everything except the token. The outbox calls it.
+        undeclare: Undeclares everything except the token. The outbox calls it.
         on_demand: If not empty, the endpoint is declared only once another process has an endpoint
             with this name.
-        on_wake: Called when it is declared on demand.
+        on_wake: Called when the endpoint is declared on demand.
 
     Attributes:
-        is_asleep: Whether it still waits to be declared on demand.
+        is_asleep: Whether the endpoint still waits to be declared on demand.
     """
 
     def __init__(
@@ -360,7 +360,7 @@ class Outbox:
         name: The name of the thread.
 
     Attributes:
-        post: Adds a job; never blocks.
+        post: Adds a job. It never blocks.
         thread: The thread.
     """
 
@@ -391,7 +391,7 @@ class Outbox:
 class Complaints:
     """Logs warnings about peers, a few per peer, so that no peer can fill the log.
 
-    The first `LOGGED` warnings about a peer are logged at once. Further ones within `PERIOD`
+    The first `LOGGED` warnings about a peer are logged at once. Further warnings within `PERIOD`
     seconds are counted, and the count is logged at the end of that time.
 
     Args:

@@ -1,8 +1,9 @@
-"""Names on Zenoh: data keys, liveliness tokens and gids, and the graph made of tokens. Pure.
+"""Names on Zenoh: data keys, liveliness tokens and gids, and the graph that tokens describe.
 
 A topic or service has a *key expression*. Endpoints with the same key talk to each other, so the
 key includes the type and its hash. A node or endpoint is on the graph while its *liveliness token*
-exists. The token is a key that describes it, chunk by chunk. The endpoint's gid is a hash of it.
+exists. The token is a key that describes the node or endpoint, chunk by chunk. An endpoint's gid is
+a hash of its token.
 
 ::
 
@@ -10,8 +11,8 @@ exists. The token is a key that describes it, chunk by chunk. The endpoint's gid
     @ros2_lv/DOMAIN/ZID/NODE_ID/NODE_ID/NN/ENCLAVE/NAMESPACE/NODE                  a node
     @ros2_lv/DOMAIN/ZID/NODE_ID/ID/KIND/ENCLAVE/NAMESPACE/NODE/NAME/TYPE/HASH/QOS  an endpoint
 
-Tokens are written as rmw_zenoh writes them. When they are read, they may have more chunks and
-unusual qualities of service, because newer and older peers send such tokens.
+Tokens are written in rmw_zenoh's form. Tokens that are read may have more chunks and unusual
+qualities of service, because newer and older peers send such tokens.
 
 Source: rmw_zenoh_cpp ``detail/liveliness_utils.cpp`` and ``docs/design.md``, Jazzy to Rolling.
 """
@@ -100,7 +101,7 @@ class Graph:
         self._by_name: dict[str, dict[str, Endpoint]] = {}  # token to endpoint
 
     def add(self, key: str) -> Token | None:
-        """Add a token; return its meaning if it is new, otherwise None."""
+        """Add a token. Return its meaning if the token is new, otherwise None."""
         token = None if key in self.tokens else parse_token(key)
         if token is None or token.zid == self._zid:
             return None
@@ -110,7 +111,7 @@ class Graph:
         return token
 
     def remove(self, key: str) -> Token | None:
-        """Remove a token; return its meaning if it was known, otherwise None."""
+        """Remove a token. Return its meaning if the token was known, otherwise None."""
         token = self.tokens.pop(key, None)
         if token is not None and token.endpoint is not None:
             namesakes = self._by_name[token.endpoint.name]
@@ -120,7 +121,7 @@ class Graph:
         return token
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The endpoints of a name; without a name, all endpoints."""
+        """The endpoints with a name. Without a name, all endpoints."""
         if name:
             return tuple(self._by_name.get(name, {}).values())
         return tuple(token.endpoint for token in self.tokens.values() if token.endpoint is not None)
@@ -199,7 +200,7 @@ def endpoint_token(domain: int, zid: str, node_id: int, number: int, endpoint: E
 def parse_token(key: str) -> Token | None:
     """Return the meaning of a token; None if it cannot be understood.
 
-    If the token describes an endpoint, the endpoint gets the gid by which its peers know it.
+    If the token describes an endpoint, the endpoint gets the gid that its peers use.
     """
     chunks = key.split("/", ENDPOINT_CHUNKS) if len(key) <= LONGEST else []
     if len(chunks) < NODE_CHUNKS or chunks[0] != PREFIX or not all(chunks[:NODE_CHUNKS]):
@@ -242,7 +243,7 @@ def dds_type(type_name: str) -> str:
 
 
 def ros_type(dds_name: str) -> str:
-    """Convert a type name from DDS's form to ROS 2's; any other name is returned unchanged."""
+    """Convert a type name from DDS's form to ROS 2's. Any other name is returned unchanged."""
     packages, separator, name = dds_name.rpartition("::dds_::")
     if not separator or not name.endswith("_"):
         return dds_name
@@ -270,7 +271,7 @@ def _qos_chunk(qos: QoS) -> str:
 
 
 def _parse_qos(chunk: str) -> QoS:
-    """Parse the parts of a quality of service that we use; anything odd becomes the default."""
+    """Parse the parts of a quality of service that we use. Unknown values become the default."""
     reliability, durability, history, *_ = (*chunk.split(":"), "", "", "")
     _, _, depth = history.partition(",")
     is_depth = _is_number(depth) and len(depth) < 10
@@ -282,7 +283,7 @@ def _parse_qos(chunk: str) -> QoS:
 
 
 def _parse_times(chunk: str) -> TimePolicies:
-    """Parse the policies in time; anything odd or missing is infinite, as in rmw_zenoh."""
+    """Parse the policies in time. Unknown or missing values are infinite, as in rmw_zenoh."""
     parts = chunk.split(":")
     deadline, lifespan, liveliness = (*parts[3:6], "", "", "")[:3]
     kind, _, lease = liveliness.partition(",")

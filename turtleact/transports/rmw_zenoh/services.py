@@ -1,9 +1,9 @@
-"""Both ends of a service: objects inside the process, Zenoh queries to and from other processes.
+"""Both ends of a service: passes objects inside the process, and Zenoh queries between processes.
 
 A request carries its client's gid and a sequence number. It is handled in its own task, unless the
-handler can answer without one. Every request is answered: with the response, or with the handler's
-exception, which turtleact's clients raise again. If nobody serves a key or the server dies, Zenoh
-ends the query without a reason. The client then finds the reason in the graph.
+handler can answer without one. Every request is answered, either with the response or with the
+handler's exception. turtleact's clients raise that exception again. If nobody serves a key or the
+server dies, Zenoh ends the query without a reason. The client then finds the reason in the graph.
 
 Source: rmw_zenoh_cpp ``rmw_service_data.cpp``, ``rmw_client_data.cpp``.
 """
@@ -74,7 +74,7 @@ class WireService:
         context: The transport's context.
         named: The endpoint.
         format: Decodes requests and encodes responses.
-        is_for_others: Whether its handlers answer other processes.
+        is_for_others: Whether the handlers also answer other processes.
 
     Attributes:
         context: As given.
@@ -102,10 +102,11 @@ class WireService:
         context.opened.add(self)
 
     def add(self, handler: object) -> Closeable:
-        """Add a handler; requests from other processes go to the first one.
+        """Add a handler. Requests from other processes go to the first handler.
 
         Returns:
-            The object that removes it. The service exists until the last handler is removed.
+            The object that removes the handler. The service exists until its last handler is
+            removed.
         """
         near = self.context.near.serve(self._named.endpoint, self.format, handler)
         offer = _Offer(self, near, handler)
@@ -120,7 +121,7 @@ class WireService:
                 self.close()
 
     def close(self) -> None:
-        """Accept no more requests; those under way continue. A second call does nothing."""
+        """Accept no more requests. Requests under way continue. A second call does nothing."""
         if not self.is_open:
             return
         self.is_open = False
@@ -338,7 +339,7 @@ class WireCaller:
 
     @property
     def observer(self) -> CallObserver | None:
-        """Watches the calls, whether the server is in this process or in another."""
+        """The observer of the calls to servers in this process and in others."""
         return self._observer
 
     @observer.setter
@@ -351,7 +352,7 @@ class WireCaller:
         return (self.is_matching and self._context.is_open) or self._near.is_served
 
     async def call(self, request: object, note: str = "") -> Reply:
-        """Send a request and wait for the reply; see `turtleact.transports.base.Caller`."""
+        """Send a request, and wait for the reply; see `turtleact.transports.base.Caller`."""
         if self._near.is_served or not self._is_open:
             return await self._near.call(request, note)
         payload = self._format.encode(request)
@@ -377,8 +378,8 @@ class WireCaller:
     def close(self) -> None:
         """Leave the graph when the calls under way are over. A second call does nothing.
 
-        The calls continue. Other processes are told only then, because a server may cancel the
-        requests of a client that has gone.
+        The calls under way continue. Other processes are told when these are over, because a server
+        may cancel the requests of a client that has gone.
         """
         if self._is_open:
             self._is_open = False
@@ -399,7 +400,7 @@ class WireCaller:
             self._context.crew.run(call.end_soon(), f"a call of {self._endpoint.name}")
 
     async def wait_for_route(self) -> None:
-        """Wait until a server whose token was seen can be reached, at most `GRACE` seconds."""
+        """Wait at most `GRACE` seconds until a server with a known token can be reached."""
         if self.is_matching:
             return
         with anyio.move_on_after(GRACE):
@@ -483,7 +484,7 @@ class WireCaller:
         return "the server went away before there was an answer"
 
     def _why_otherwise(self) -> str:
-        """Return another possible reason, if a server that got the request may still exist."""
+        """Return another possible reason, if a server that has the request may still exist."""
         if self._context.is_open and any(map(self._fits, self._servers())):
             return "dropped the request: ROS 2 keeps 10 that wait"
         return ""
@@ -493,7 +494,7 @@ class WireCaller:
         return ServerUnavailable(name, problem, kind="service", otherwise=otherwise)
 
     def _matching(self, is_matching: bool) -> None:
-        """Receive Zenoh's news about servers; a thread of the session calls this."""
+        """Receive Zenoh's news about servers. A thread of the session calls this."""
         self._context.inbox.push(lambda: self._servers_changed(is_matching))
 
     def _servers_changed(self, is_matching: bool) -> None:
@@ -529,7 +530,7 @@ class WireCall(msgspec.Struct, eq=False):
             calls have none.
         answer: The payload and attachment of the reply.
         error: The text and the kind of an error.
-        is_over: Whether a reply or error has arrived, or neither ever will.
+        is_over: Whether a reply or error has arrived, or nothing will ever arrive.
         is_observed: Whether an observer has been told of the response.
     """
 
@@ -555,14 +556,14 @@ class WireCall(msgspec.Struct, eq=False):
 
     @property
     def stamp(self) -> int | None:
-        """When the reply was sent (ns since the epoch); None before, or if it does not say."""
+        """When the reply was sent (ns since the epoch); None before that, or if unknown."""
         try:
             return None if self.answer is None else read_attachment(self.answer[1]).stamp
         except InvalidMessage:
             return None
 
     def tell(self, told: Callable[[], object]) -> None:
-        """Have a function called when it is over; see `turtleact.transports.base.PendingCall`."""
+        """Call ``told`` when the call is over; see `turtleact.transports.base.PendingCall`."""
         self._told = told
 
     def take(self) -> Reply:
@@ -682,7 +683,10 @@ def said(error: TurtleactError) -> tuple[str, str]:
 
 
 def error_said(name: str, text: str, kind: str) -> TurtleactError:
-    """Restore a server's error; an error from other programs becomes its text."""
+    """Restore a server's error.
+
+    An error of another program becomes the text of a `ServiceError`.
+    """
     if kind == "InvalidMessage":
         path, _, problem = text.partition(": ")
         return InvalidMessage(path, problem)

@@ -1,9 +1,9 @@
 """The only access to Zenoh: a session with plain bytes and callbacks.
 
 Every method may block, so only an `Outbox` calls them. Zenoh calls back in its own threads.
-Everything declared must be undeclared explicitly, because the garbage collector would do it in any
-thread. Nothing declared here exchanges data with its own session, since inside a process messages
-are objects. Only this module turns Zenoh's exceptions into `TurtleactError`.
+Undeclare everything explicitly, because the garbage collector would do it in any thread. Nothing
+that is declared here exchanges data with its own session, because messages inside a process are
+objects. Only this module turns Zenoh's exceptions into `TurtleactError`.
 
 Source: rmw_zenoh_cpp ``rmw_publisher_data.cpp``, ``rmw_subscription_data.cpp``,
 ``rmw_service_data.cpp`` and ``rmw_client_data.cpp``; eclipse-zenoh 1.10.
@@ -78,7 +78,7 @@ class Declared(Protocol):
 
 
 class Session:
-    """A Zenoh session; opened by `Session.open`, closed by `close`.
+    """A Zenoh session. `Session.open` opens one, and `close` closes it.
 
     Attributes:
         zid: The session's id, as it appears in tokens.
@@ -95,7 +95,7 @@ class Session:
 
     @classmethod
     def open(cls, config: SessionConfig) -> Session:
-        """Open a session. Blocks for a few seconds at most.
+        """Open a session. This blocks for a few seconds at most.
 
         Raises:
             InvalidOption: if the configuration is not valid.
@@ -119,9 +119,9 @@ class Session:
         return cls(session, is_peer=is_peer, opening=monotonic() - began)
 
     def close(self) -> None:
-        """Close the session; everything declared on it must already be undeclared.
+        """Close the session. Everything declared on it must be undeclared before.
 
-        Blocks for `CLOSING` seconds at most. Zenoh itself may take up to ten seconds, if it is
+        This blocks for `CLOSING` seconds at most. Zenoh itself may take up to ten seconds, if it is
         still greeting a peer that has stopped (SIGSTOP, a debugger). The closing thread is then
         abandoned. Other processes have been told by that time, and this process can end.
         """
@@ -155,7 +155,7 @@ class Session:
             return watched
 
     def tokens(self, key: str) -> list[str]:
-        """Return all existing tokens; blocks until every process that knows some has answered.
+        """Return all existing tokens. This blocks until every process that knows some has answered.
 
         A new peer first waits until it is connected to the other peers.
         """
@@ -172,9 +172,10 @@ class Session:
         return list(dict.fromkeys([*asked, *tuple(found)]))
 
     def routers(self) -> dict[str, str]:
-        """Return the routers in reach: the id of each, and what it says about itself as JSON.
+        """Return the routers in reach: for each id, the router's description of itself as JSON.
 
-        A router says nothing if its admin space is off. Blocks for `ADMIN` seconds at most.
+        A router sends no description if its admin space is off. This blocks for `ADMIN` seconds at
+        most.
         """
         found = {str(zid): "" for zid in self._session.info.routers_zid()}
         ended = threading.Event()
@@ -217,8 +218,8 @@ class Session:
         A router tells a peer where other peers are, but does not forward their tokens. The peer
         connects to each of them in the background, and Zenoh does not report when it has finished.
         So this waits until no connection and no token has been added for some time. That time is a
-        multiple of how long the router took to greet or to answer, so that it suits a busy machine
-        and a slow network.
+        multiple of the router's time to greet or to answer, so it suits a busy machine and a slow
+        network.
         """
         quiet = SHORTEST_QUIET + QUIET_PER_TRIP * round_trip
         known, since = -1, monotonic()
@@ -233,7 +234,7 @@ class Session:
     def declare_publisher(
         self, key: str, *, is_reliable: bool, matching: Callable[[bool], object]
     ) -> Publisher:
-        """Declare a publisher; ``matching`` is told whether other processes read the topic."""
+        """Declare a publisher. ``matching`` is told whether other processes read the topic."""
         with _mapped(f"declare {key}"):
             publisher = self._session.declare_publisher(
                 key, congestion_control=_congestion(is_reliable), allowed_destination=REMOTE
@@ -259,7 +260,7 @@ class Session:
             )
 
     def declare_subscriber(self, key: str, take: Callable[[bytes], object]) -> Declared:
-        """Subscribe to a topic; ``take`` gets the payload of each message."""
+        """Subscribe to a topic. ``take`` gets the payload of each message."""
 
         def receive(sample: zenoh.Sample) -> None:  # like `_direct`, but without an extra call
             stay_attached()
@@ -272,7 +273,7 @@ class Session:
             return subscriber
 
     def declare_latched_subscriber(self, key: str, take: Take, *, depth: int) -> Declared:
-        """Subscribe to a latched topic; ``take`` gets payload and attachment, oldest first."""
+        """Subscribe to a latched topic. ``take`` gets payload and attachment, oldest first."""
         with _mapped(f"declare {key}"):
             return _LatchedSubscriber(
                 ext.declare_advanced_subscriber(
@@ -307,9 +308,10 @@ class Session:
     def declare_querier(
         self, key: str, matching: Callable[[bool], object], *, is_for_all: bool = True
     ) -> Querier:
-        """Declare a client; ``matching`` is told whether other processes serve the service.
+        """Declare a client. ``matching`` is told whether other processes serve the service.
 
-        If several do, each request goes to all of them, as in rmw_zenoh, or only to the nearest.
+        If several processes serve it, each request goes to all of them, as in rmw_zenoh, or only to
+        the nearest.
         """
         target = zenoh.QueryTarget.ALL_COMPLETE if is_for_all else zenoh.QueryTarget.BEST_MATCHING
         with _mapped(f"declare {key}"):
@@ -331,7 +333,7 @@ class Publisher:
         self._publisher = publisher
 
     def put(self, payload: bytes, attachment: bytes) -> None:
-        """Send a message; blocks while a reader of a reliable topic is not reading."""
+        """Send a message. This blocks while a reader of a reliable topic is not reading."""
         try:
             self._publisher.put(payload, attachment=attachment)
         except zenoh.ZError as error:
@@ -339,12 +341,12 @@ class Publisher:
 
     @property
     def is_matching(self) -> bool:
-        """Whether Zenoh knows of a reader elsewhere; latched publishers cannot tell."""
+        """Whether Zenoh knows of a reader elsewhere. Latched publishers cannot tell."""
         publisher = self._publisher
         return isinstance(publisher, zenoh.Publisher) and _is_matching(publisher)
 
     def undeclare(self) -> None:
-        """Undeclare the publisher and drop what it keeps; call this once.
+        """Undeclare the publisher, and drop the messages that it keeps. Call this once.
 
         The object is dropped, which releases the GIL. An advanced publisher's ``undeclare`` would
         hold the GIL while it waits for a task in one of Zenoh's threads, which may itself be
@@ -360,7 +362,7 @@ class _LatchedSubscriber:
         self._subscriber = subscriber
 
     def undeclare(self) -> None:
-        """Undeclare the subscriber by dropping it, once; `Publisher.undeclare` says why."""
+        """Undeclare the subscriber by dropping it. Call this once; see `Publisher.undeclare`."""
         del self._subscriber
 
 
@@ -380,14 +382,14 @@ class Querier:
         ended: Callable[[], object],
         is_cancelable: bool,
     ) -> Callable[[], None] | None:
-        """Send a request; one that need not be cancelable costs a fifth less.
+        """Send a request. A request that need not be cancelable costs a fifth less.
 
         Args:
             payload: The encoded request.
             attachment: The request's attachment.
             replied: Called with payload and attachment of each reply.
             failed: Called with the text and kind of each error.
-            ended: Called at the end, whatever came before.
+            ended: Called once at the end, after replies and errors if there were any.
             is_cancelable: Whether the request can be cancelled before the querier is undeclared.
 
         Returns:
@@ -428,7 +430,7 @@ class Querier:
 
 
 class Query:
-    """A request that has arrived; answer it once, then drop it.
+    """A request that has arrived. Answer it once, then drop it.
 
     Attributes:
         payload: The encoded request.
@@ -469,12 +471,12 @@ def stay_attached() -> None:
     """Keep the calling thread's Python thread state from now on.
 
     When one of Zenoh's threads calls Python, it gets a thread state for that call and gives it up
-    afterwards. Creating a new one costs 9 us or more per message. Without this function a client
-    takes 28 us for a feedback message, with it 9 us (CPython 3.11, two cores).
+    afterwards. Creating a new one costs 9 us or more per message. Without this function, a client
+    takes 28 us for a feedback message; with it, 9 us (CPython 3.11, two cores).
 
-    The interpreter counts how often a state was requested. This function requests it once more than
-    it is released, so the state lives until the thread or Python ends. Use it only for threads that
-    live long.
+    The interpreter counts how often a thread state was requested. This function requests the state
+    once more than it is released, so the state lives until the thread or Python ends. Use it only
+    for threads that live long.
 
     Source: CPython ``Doc/c-api/init.rst``, "Non-Python created threads".
     """
@@ -499,13 +501,13 @@ def _close(session: zenoh.Session) -> None:
 
 
 def _parts(sample: zenoh.Sample) -> tuple[bytes, bytes]:
-    """Copy payload and attachment; keeping the sample would keep the whole batch it came in."""
+    """Copy payload and attachment. Keeping the sample would keep the whole batch it came in."""
     attachment = sample.attachment
     return sample.payload.to_bytes(), b"" if attachment is None else attachment.to_bytes()
 
 
 def _direct(callback: Callable[[Any], object]) -> Any:  # noqa: ANN401  # of whatever is declared
-    """Make a handler that runs in the receiving thread, without a thread and queue of its own.
+    """Make a handler that runs in the receiving thread and has no thread or queue of its own.
 
     That thread keeps its Python thread state; see `stay_attached`.
     """
@@ -524,7 +526,7 @@ def _congestion(is_reliable: bool) -> zenoh.CongestionControl:
 
 @contextmanager
 def _mapped(what: str) -> Iterator[None]:
-    """Map Zenoh's errors to ours. Takes 1 to 4 us, so code that runs per message avoids it."""
+    """Map Zenoh's errors to ours. This takes 1 to 4 us, so code that runs per message avoids it."""
     try:
         yield
     except zenoh.ZError as error:
@@ -548,7 +550,9 @@ def census(
     config: Mapping[str, object] | None = None,
     mode: Mode = "peer",
 ) -> Graph:
-    """Ask a graph once who exists, without joining it; blocks, usually some hundredths of a second.
+    """Ask a graph once which nodes and endpoints exist, without joining it.
+
+    This blocks, usually for some hundredths of a second.
 
     Args:
         connect: Endpoints of the graph; None for the router of this machine.

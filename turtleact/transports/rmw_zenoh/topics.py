@@ -1,10 +1,10 @@
-"""Both ends of a topic: objects inside the process, bytes to and from other processes.
+"""Both ends of a topic: passes objects inside the process, and bytes between processes.
 
 A publication encodes a message only if another process reads the topic or the topic is latched.
 Messages to send wait in a `Lane` for the sending thread. Messages received wait in another lane for
 the event loop. The lane of a best-effort topic holds as many messages as the topic's depth. The
 lane of a reliable topic is limited only in bytes. A publisher that must not lose messages waits
-while `is_congested`.
+while its publication `is_congested`.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Lane(Generic[T]):
     """A queue that one thread fills and another empties.
 
     Args:
-        longest: The maximum number of entries; left out, there is no limit.
+        longest: The maximum number of entries. If left out, there is no limit.
 
     Attributes:
         dropped: How many entries were dropped because the lane was full.
@@ -72,7 +72,7 @@ class Lane(Generic[T]):
         return self._put - self._taken - self._lost
 
     def put(self, entry: T, size: int) -> bool:
-        """Add an entry; return whether the number of waiting entries has grown."""
+        """Add an entry. Return whether the number of waiting entries has grown."""
         weight = size + ENTRY
         put = self._put = self._put + weight
         entries = self._entries
@@ -81,7 +81,7 @@ class Lane(Generic[T]):
         return not (is_full and self._drop())
 
     def take(self) -> T | None:
-        """Take the oldest entry; None if there is none."""
+        """Take the oldest entry; None if the lane is empty."""
         try:
             entry, weight = self._entries.popleft()
         except IndexError:
@@ -109,11 +109,11 @@ class WirePublication:
         source: Makes the messages, unless they are published directly.
 
     Attributes:
-        is_read: Whether another process reads it, or may later (latched topics).
-        is_latched: Whether its last messages are kept.
+        is_read: Whether another process reads the topic, or may do so later (latched topics).
+        is_latched: Whether the topic's last messages are kept.
         is_stale: Whether a new state of the source has not been sent yet.
         presence: The publisher as other processes see it.
-        publisher: The declared publisher; None before that.
+        publisher: The declared publisher; None before it is declared.
     """
 
     def __init__(
@@ -192,7 +192,7 @@ class WirePublication:
         self._tell_source()
 
     def refresh(self) -> None:
-        """Publish the source's state: at once in this process, once for many calls elsewhere."""
+        """Publish the source's state: here at once, in other processes once for many calls."""
         if self._is_open and self._source is not None:
             self._near.refresh()
             if self.is_latched:
@@ -201,7 +201,7 @@ class WirePublication:
                 self._send_current()
 
     async def drained(self) -> None:
-        """Wait until it is not congested. Cancelling: safe."""
+        """Wait until the publication is not congested. Cancelling: safe."""
         if self.is_congested:
             while self._is_open:
                 self._is_awaited = True  # set before looking, or the wake-up could be missed
@@ -224,7 +224,7 @@ class WirePublication:
     # readers
 
     def _matching(self, is_matching: bool) -> None:
-        """Receive Zenoh's news about readers; a thread of the session calls this."""
+        """Receive Zenoh's news about readers. A thread of the session calls this."""
         self._context.inbox.push(lambda: self._far_readers_changed(is_matching))
 
     def _far_readers_changed(self, has_readers: bool) -> None:
@@ -318,7 +318,7 @@ class WireSubscription:
     """The receiving end of a topic.
 
     Args:
-        context: What carries the messages.
+        context: The transport's context.
         named: The endpoint.
         format: Decodes messages.
         deliver: Called with each message.
@@ -345,12 +345,12 @@ class WireSubscription:
         self._opened.close()
 
     def _take_latched(self, payload: bytes, attachment: bytes) -> None:
-        """Receive a message of a latched topic; a thread of the session calls this."""
+        """Receive a message of a latched topic. A thread of the session calls this."""
         if gid_in(attachment) not in self._context.latched:  # otherwise it came as an object
             self._take(payload)
 
     def _take(self, payload: bytes) -> None:
-        """Receive a message; a thread of the session calls this."""
+        """Receive a message. A thread of the session calls this."""
         if self._unread.put(payload, len(payload)):
             self._context.inbox.push(self._read)
         else:
@@ -407,7 +407,7 @@ class DirectSubscription(WireSubscription):
 
 
 class _Relay:
-    """Stands for a source in the local transport, which does not know the remote readers."""
+    """Stands in for a source in the local transport, which does not know the remote readers."""
 
     def __init__(self, source: Source, readers_changed: Callable[[bool], None]) -> None:
         self._source = source

@@ -1,4 +1,4 @@
-"""A graph of processes, including ROS 2 nodes, over Zenoh as rmw_zenoh uses it.
+"""Connects processes, including ROS 2 nodes, to one graph over Zenoh, as rmw_zenoh does.
 
 Nodes in one process that share a transport exchange objects, as on a `MemoryTransport`. Everything
 else travels over Zenoh, as bytes that ROS 2 can read.
@@ -6,7 +6,7 @@ else travels over Zenoh, as bytes that ROS 2 can read.
 - Calls into Zenoh may block. One thread makes them all, in order.
 - Zenoh calls back in its own threads. The event loop handles what they bring.
 - A reader that stops reading delays its reliable topics once, by a second at most. Then Zenoh
-  disconnects it. It reconnects by itself when it reads again.
+disconnects the reader. The reader reconnects by itself when it reads again.
 
 Source: rmw_zenoh_cpp, ``docs/design.md``.
 """
@@ -65,15 +65,15 @@ __all__ = ["ZenohTransport", "open_zenoh"]
 
 
 class ZenohTransport:
-    """A graph of processes; `open_zenoh` opens and closes it.
+    """The transport between processes. `open_zenoh` opens and closes it.
 
     Attributes:
         clock: The time of all nodes on the graph in this process.
         round_trip: How long other processes took to answer `explore` (s).
-        context: Shared by its endpoints; only for them.
+        context: Shared by the endpoints of the transport, for their use only.
         graph: The nodes and endpoints of other sessions.
-        discovery_ends: Until then, clients wait for a server that has not been seen yet (event loop
-            time).
+        discovery_ends: Before this moment, clients wait for a server that has not been seen yet
+            (event loop time).
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class ZenohTransport:
     def advertise(
         self, endpoint: Endpoint, format: Format, source: Source | None = None
     ) -> Publication:
-        """Open the sending end of a topic; with a source, only its messages are latched.
+        """Open the sending end of a topic. With a source, only its messages are latched.
 
         A thread sends messages to readers in other processes; see `Publication.is_congested`.
         Messages are encoded only while another process reads the topic, or if it is latched.
@@ -117,7 +117,7 @@ class ZenohTransport:
         *,
         in_any_thread: bool = False,
     ) -> Closeable:
-        """Open the receiving end of a topic; raises like `advertise`.
+        """Open the receiving end of a topic. The errors are those of `advertise`.
 
         With ``in_any_thread``, one of Zenoh's threads decodes and delivers messages from other
         processes. ``deliver`` must return quickly, because no other message arrives meanwhile.
@@ -127,10 +127,10 @@ class ZenohTransport:
         return made(self.context, named, format, deliver)
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
-        """Offer ``handler`` as the server of a service; raises like `advertise`.
+        """Offer ``handler`` as the server of a service. The errors are those of `advertise`.
 
-        A request is refused if one with the same gid and sequence number is under way. A handler's
-        exception is sent to its caller; clients of ROS 2 log it.
+        A request is refused if a request with the same gid and sequence number is under way. A
+        handler's exception is sent to the caller. Clients of ROS 2 log it.
         """
         self._check_open()
         is_for_others = isinstance(handler, AsyncHandler)
@@ -147,8 +147,9 @@ class ZenohTransport:
         """Show a client of a service on the graph, and return the object to call it with.
 
         A server in this process is preferred. A cancelled call ends here at once, but a server in
-        another process learns of it only when the caller is closed. If a server hangs without
-        dying, the call raises `ServiceTimeout` after ten minutes. Raises like `advertise`.
+        another process learns of the cancellation only when the caller is closed. If a server hangs
+        without dying, the call raises `ServiceTimeout` after ten minutes. The errors of this method
+        are those of `advertise`.
         """
         return WireCaller(self.context, self._name(endpoint, format), format, target, self._servers)
 
@@ -168,11 +169,11 @@ class ZenohTransport:
         return Opened(self.context, self._near.enter(node), Presence(self.context, token))
 
     def open_when_sought(self, name: str, open: Callable[[], Closeable]) -> Closeable:
-        """Call ``open`` once another process has an endpoint with this name; see `Lazy`."""
+        """Call ``open`` as soon as another process has an endpoint with this name; see `Lazy`."""
         return Sought(self.context, name, open)
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints on the graph, or those with a name: our own first, then others."""
+        """All endpoints on the graph, or those with a name: our own first, then those of others."""
         return (*self._near.endpoints(name), *self.graph.endpoints(name))
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
@@ -204,7 +205,9 @@ class ZenohTransport:
         await self._wait_unless_closed(passed)
 
     async def explore(self) -> None:
-        """Ask the graph who exists, and wait for the answer. Cancelling: safe.
+        """Ask which nodes and endpoints are on the graph, and wait for the answer.
+
+        Cancelling: safe.
 
         Raises:
             TurtleactError: if the transport is closed, now or while this waits.
@@ -235,7 +238,7 @@ class ZenohTransport:
             del self._gone_since[found]
 
     async def domains(self) -> tuple[int, ...]:
-        """The ROS domains in which other sessions have nodes; hidden nodes do not count.
+        """The ROS domains in which other sessions have nodes. Hidden nodes do not count.
 
         Cancelling: safe.
 
@@ -260,7 +263,7 @@ class ZenohTransport:
         return tuple(sorted(found))
 
     async def routers(self) -> dict[str, str]:
-        """The routers in reach, and what each says about itself as JSON. Cancelling: safe.
+        """The routers in reach, with each router's description of itself as JSON. Cancelling: safe.
 
         Raises:
             TurtleactError: if the transport is closed, now or while this waits.
@@ -280,7 +283,7 @@ class ZenohTransport:
         return found
 
     async def aclose(self) -> None:
-        """Close the session: calls under way end, and handlers are cancelled.
+        """Close the session. Calls under way end, and handlers are cancelled.
 
         Earlier messages are sent first. A second call does nothing.
         """
@@ -316,7 +319,10 @@ class ZenohTransport:
     # names
 
     def _name(self, endpoint: Endpoint, format: Format) -> Named:
-        """Give an endpoint its key and its token; their numbers are unique in the session."""
+        """Give an endpoint its key and its token.
+
+        The numbers in tokens are unique in the session.
+        """
         self._check_open()
         if (node_id := self._numbers.get(endpoint.node)) is None:
             node_id = self._numbers[endpoint.node] = self._next_number()
@@ -341,7 +347,7 @@ class ZenohTransport:
         return [each for each in self.graph.endpoints(name) if each.kind == "service"]
 
     def _watch(self, session: Session) -> None:
-        """Watch the tokens of other sessions; called in the outbox."""
+        """Watch the tokens of other sessions. The outbox calls this."""
         inbox = self.context.inbox
         session.watch_tokens(
             all_tokens(self.context.domain),
@@ -391,23 +397,24 @@ async def open_zenoh(
 ) -> AsyncIterator[ZenohTransport]:
     """Open a graph of processes for the length of a block.
 
-    Raises within a few seconds if an endpoint cannot be reached or is already in use. Later, lost
-    connections are restored silently, also to a router that was restarted.
+    If an endpoint cannot be reached or is already in use, this raises an error within a few
+    seconds. Later, lost connections are restored silently, including those to a restarted router.
 
     Args:
-        connect: The endpoints of routers or peers; all of them must be reachable. By default
-            ``tcp/localhost:7447``, and none for a router.
-        listen: Where others can connect to this session. By default a free port of this machine for
-            a peer, ``tcp/127.0.0.1:7447`` for a router, and nowhere for a client.
+        connect: The endpoints of routers or peers, all of which must be reachable. The default is
+            ``tcp/localhost:7447``; a router connects to none.
+        listen: The endpoints at which others can connect to this session. The default for a peer is
+            a free port of this machine, for a router ``tcp/127.0.0.1:7447``, and for a client none.
         mode: ``"peer"`` joins like a ROS 2 node. ``"client"`` talks only through its router.
             ``"router"`` is what the ROS 2 nodes of this machine look for.
-        domain: The ROS domain, 0 to 232. By default that of ``ROS_DOMAIN_ID``, or 0.
+        domain: The ROS domain, 0 to 232. The default is that of ``ROS_DOMAIN_ID``, or 0.
         config: More of Zenoh's configuration: a mapping from paths (``"transport/link/tx/lease"``)
             to values, or the text of a JSON5 file, such as those that configure ROS 2. The other
             options take precedence over the file.
-        clock: The time of the nodes in this process; wall time by default.
-        discovery: How long after opening a goal or call waits for a server that has not been seen
-            yet (s, event loop time). After that it fails at once if there is none.
+        clock: The clock of the nodes in this process. The default is wall time.
+        discovery: How long after the opening a goal or call still waits for a server that has not
+            been seen yet (s, event loop time). After that time, it fails at once if there is no
+            server.
 
     Raises:
         InvalidOption: if the value of an option is not allowed.
