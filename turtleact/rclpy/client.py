@@ -17,10 +17,12 @@ from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.impl.waiting import wait_for_answer, wait_until
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import QoSProfile
+from turtleact.rclpy.service_introspection import ServiceIntrospectionState
 from turtleact.rclpy.task import Future
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
+    from turtleact.rclpy.clock import Clock
     from turtleact.rclpy.context import Context
 
 __all__ = ["Client"]
@@ -128,6 +130,16 @@ class Client(Subscriptable, Entity):
                 if pending is future:
                     del self._pending[number]
                     break
+
+    def configure_introspection(
+        self,
+        clock: Clock,
+        service_event_qos_profile: QoSProfile,
+        introspection_state: ServiceIntrospectionState,
+    ) -> None:
+        """Choose what is published about the calls, on ``SERVICE/_service_event``."""
+        with self.handle:
+            self._end.events.configure(clock, service_event_qos_profile, introspection_state)
 
     def service_is_ready(self) -> bool:
         """Whether a call would reach a server now."""

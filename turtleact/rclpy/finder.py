@@ -70,7 +70,6 @@ MISSING: Final = {
     "launch_ros": "start each program by itself; 'turtleact run --help' lists what can be run",
     "rclpy.lifecycle": "turtleact has no managed nodes",
     "rclpy.experimental": "use a SingleThreadedExecutor or a MultiThreadedExecutor",
-    "rclpy.service_introspection": "its rclpy publishes no events of services",
     "rclpy.type_adapter": "turtleact has no type adapters",
 }
 """The modules that turtleact does not have, and what the error says about each."""

@@ -49,6 +49,7 @@ from turtleact.rclpy.qos import (
     qos_profile_services_default,
 )
 from turtleact.rclpy.service import Service
+from turtleact.rclpy.service_introspection import ServiceEvents
 from turtleact.rclpy.subscription import Subscription
 from turtleact.rclpy.time_source import TimeSource
 from turtleact.rclpy.timer import Rate, Timer
@@ -473,7 +474,7 @@ class Node(NodeParameters, NodeGraph, Block):
         full = self._resolve(srv_name, is_service=True)
         client = Client(
             self._context,
-            self.join(full, type_name_of(srv_type)),
+            self.join(full, srv_type),
             srv_type,
             srv_name,
             full,
@@ -486,10 +487,12 @@ class Node(NodeParameters, NodeGraph, Block):
         self._wake_executor()
         return client
 
-    def join(self, full_name: str, type_name: str, target: Target = EVERY_SERVER) -> CallEnd:
+    def join(self, full_name: str, srv_type: Anything, target: Target = EVERY_SERVER) -> CallEnd:
         """Open the transport's client end of a service."""
+        type_name = type_name_of(srv_type)
         end = self.endpoint("client", full_name, type_name)
-        return CallEnd(self._connection, end, hash_of(type_name), target)
+        events = ServiceEvents(self, full_name, srv_type, is_client=True)
+        return CallEnd(self._connection, end, hash_of(type_name), events, target)
 
     def create_service(
         self,
@@ -521,6 +524,7 @@ class Node(NodeParameters, NodeGraph, Block):
             callback,
             callback_group or self._default_callback_group,
             qos_profile,
+            ServiceEvents(self, full, srv_type, is_client=False),
             wake=self._wake_executor,
         )
         end = self.endpoint("service", full, type_name_of(srv_type))

@@ -14,10 +14,12 @@ from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import QoSProfile
+from turtleact.rclpy.service_introspection import ServiceEvents, ServiceIntrospectionState
 from turtleact.transports.base import Closeable
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
+    from turtleact.rclpy.clock import Clock
 
 __all__ = ["Service"]
 
@@ -34,6 +36,7 @@ class Service(Subscriptable, Entity):
         callback: Takes a request and an empty response, and returns a response.
         callback_group: Decides when the callback may run.
         qos_profile: The quality of service.
+        events: Publishes its calls, if `configure_introspection` says so.
         wake: Called when a request has come.
 
     Attributes:
@@ -48,6 +51,7 @@ class Service(Subscriptable, Entity):
         callback: Anything,
         callback_group: CallbackGroup,
         qos_profile: QoSProfile,
+        events: ServiceEvents,
         *,
         wake: Callable[[], object] | None = None,
     ) -> None:
@@ -56,7 +60,8 @@ class Service(Subscriptable, Entity):
         self._full_name = full_name
         self.callback = callback
         self.qos_profile = qos_profile
-        self.handler = RequestHandler(self._receive)
+        self._events = events
+        self.handler = RequestHandler(self._receive, events)
         self._waiting: deque[tuple[bytes, Callable[[bytes, str], object]]] = deque()
         self._opened: Closeable | None = None
         super().__init__(callback_group, close=self._close, wake=wake)
@@ -66,6 +71,16 @@ class Service(Subscriptable, Entity):
         """The full name of the service."""
         with self.handle:
             return self._full_name
+
+    def configure_introspection(
+        self,
+        clock: Clock,
+        service_event_qos_profile: QoSProfile,
+        introspection_state: ServiceIntrospectionState,
+    ) -> None:
+        """Choose what is published about the calls, on ``SERVICE/_service_event``."""
+        with self.handle:
+            self._events.configure(clock, service_event_qos_profile, introspection_state)
 
     def opened(self, opened: Closeable) -> None:
         """Remember the transport's end, to close it."""
@@ -112,5 +127,6 @@ class Service(Subscriptable, Entity):
         return f"the service {self._full_name}"
 
     def _close(self) -> None:
+        self._events.close()
         if self._opened is not None:
             self._opened.close()

@@ -31,11 +31,13 @@ from turtleact.rclpy.qos import (
     qos_profile_action_status_default,
     qos_profile_services_default,
 )
+from turtleact.rclpy.service_introspection import ServiceIntrospectionState
 from turtleact.rclpy.task import Future
 from turtleact.rclpy.waitable import NumberOfEntities, Waitable
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
+    from turtleact.rclpy.clock import Clock
     from turtleact.rclpy.node import Node
 
 __all__ = ["ActionClient", "ClientGoalHandle"]
@@ -247,6 +249,16 @@ class ActionClient(Waitable):
     def wait_for_server(self, timeout_sec: float | None = None) -> bool:
         """Wait until the service has a server, without spinning. Return whether it has one."""
         return wait_until(self.server_is_ready, timeout_sec, self._node.context.ok)
+
+    def configure_introspection(
+        self,
+        clock: Clock,
+        service_event_qos_profile: QoSProfile,
+        introspection_state: ServiceIntrospectionState,
+    ) -> None:
+        """Choose what is published about the calls of the three services."""
+        for end in self._ends.values():
+            end.events.configure(clock, service_event_qos_profile, introspection_state)
 
     # what comes; any thread
 

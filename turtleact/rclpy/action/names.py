@@ -14,6 +14,7 @@ from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class, maker
 from turtleact.rclpy.messages.codec import encode, hash_of
 from turtleact.rclpy.qos import QoSProfile
+from turtleact.rclpy.service_introspection import ServiceEvents
 from turtleact.rclpy.type_support import check_is_valid_action_type
 from turtleact.transports.base import Closeable, Target
 
@@ -72,6 +73,11 @@ class ActionKind:
         now = 0 if clock is None else clock.now_ns()
         return self._info(goal_id, self._time(*divmod(now, 1_000_000_000)))
 
+    def events(self, service: str) -> ServiceEvents:
+        """Return the server's events of one of the services; they are off."""
+        name = getattr(self.names, service)
+        return ServiceEvents(self._node, name, self.service(service), is_client=False)
+
     def serve(self, service: str, handler: RequestHandler) -> Closeable:
         """Open the server's end of a service."""
         name, type_name = getattr(self.names, service), self.service(service).type_name
@@ -93,8 +99,8 @@ class ActionKind:
 
     def join(self, service: str) -> CallEnd:
         """Open the client's end of a service."""
-        name, type_name = getattr(self.names, service), self.service(service).type_name
-        return self._node.join(name, type_name, _TARGETS[service])
+        name = getattr(self.names, service)
+        return self._node.join(name, self.service(service), _TARGETS[service])
 
     def advertise_feedback(self, qos: QoSProfile) -> Sender:
         """Open the sending end of the feedback topic."""

@@ -6,11 +6,14 @@ another process is sent without a detour through the event loop.
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable
+from itertools import count
 
 from turtleact.errors import TurtleactError
 from turtleact.rclpy.impl.connection import Connection, RequestHandler
+from turtleact.rclpy.service_introspection import ServiceEvents
 from turtleact.transports.base import (
     EVERY_SERVER,
     Caller,
@@ -30,7 +33,11 @@ class CallEnd:
         connection: The graph.
         endpoint: The description of the end.
         type_hash: The hash of the service.
+        events: Publishes the calls, if they are switched on.
         target: Which servers to ask.
+
+    Attributes:
+        events: As given.
     """
 
     def __init__(
@@ -38,11 +45,15 @@ class CallEnd:
         connection: Connection,
         endpoint: Endpoint,
         type_hash: str,
+        events: ServiceEvents,
         target: Target = EVERY_SERVER,
     ) -> None:
         self._connection = connection
         self._endpoint = endpoint
         self._caller: Caller = connection.join(endpoint, type_hash, target)
+        self._caller.observer = self.events = events
+        self._gid = os.urandom(16)  # identifies it in the events of calls inside the process
+        self._sequence = count(1)
         self._lock = threading.Lock()
         self._found: RequestHandler | None = None
         self._seen = -1
@@ -67,7 +78,7 @@ class CallEnd:
         """
         handler = self._local()
         if handler is not None:
-            handler.take(request, answered)
+            handler.take(request, self._watched(handler, request, answered))
             return
 
         def ended(call: PendingCall) -> None:
@@ -94,6 +105,26 @@ class CallEnd:
     def close(self) -> None:
         """Leave the graph when all calls under way have ended."""
         self._connection.loop.post(self._caller.close)
+        self.events.close()
+
+    def _watched(
+        self, handler: RequestHandler, request: bytes, answered: Callable[[bytes, str], object]
+    ) -> Callable[[bytes, str], object]:
+        """Tell the observers of a call in this process, which no transport sees."""
+        both = (self.events, handler.observer)
+        observers = [each for each in both if each is not None and each.is_on]
+        if not observers:
+            return answered
+        sequence = next(self._sequence)
+        for each in observers:
+            each.requested(request, self._gid, sequence)
+
+        def answer(response: bytes, note: str) -> None:
+            for each in reversed(observers):
+                each.responded(response, self._gid, sequence)
+            answered(response, note)
+
+        return answer
 
     def _local(self) -> RequestHandler | None:
         """Return the server in this process.

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from concurrent.futures import wait
 from contextlib import AbstractAsyncContextManager
 from functools import partial
-from typing import TypeAlias, cast
+from typing import Protocol, TypeAlias, cast
 
 import msgspec
 
@@ -27,6 +27,7 @@ from turtleact.transports import Transport, ZenohTransport
 from turtleact.transports.base import (
     EVERY_SERVER,
     Caller,
+    CallObserver,
     Closeable,
     Endpoint,
     Publication,
@@ -35,7 +36,7 @@ from turtleact.transports.base import (
     Target,
 )
 
-__all__ = ["Connection", "OpenTransport", "RequestHandler", "Sender"]
+__all__ = ["CallEvents", "Connection", "OpenTransport", "RequestHandler", "Sender"]
 
 OpenTransport: TypeAlias = Callable[[int], AbstractAsyncContextManager[Transport]]
 """A function that opens the graph of a ROS domain."""
@@ -97,6 +98,11 @@ class Sender:
         with self._lock:
             self._publication.publish(data)
 
+    @property
+    def has_readers(self) -> bool:
+        """Whether somebody reads the topic."""
+        return self._publication.has_readers
+
     def expect_readers(self) -> None:
         """Send from now on. A reader exists, even if it has not been discovered yet."""
         self._connection.loop.call(self._publication.expect_readers)
@@ -120,22 +126,35 @@ class Sender:
         self._connection.loop.post(self._publication.close)
 
 
+class CallEvents(CallObserver, Protocol):
+    """Watches the calls of a service, if it is on. Requests and responses are bytes."""
+
+    @property
+    def is_on(self) -> bool:
+        """Whether it wants to be told."""
+
+
 class RequestHandler:
     """Passes the requests for a service to a function that may answer in any thread, at any time.
 
     Args:
         take: Takes a request and the function that answers it, in any thread.
+        observer: Watches the calls.
 
     Attributes:
         take: As given.
+        observer: As given.
         has_far_callers: Whether another process has sent a request.
         is_threaded: True: transports need not use the event loop for it.
     """
 
     is_threaded = True
 
-    def __init__(self, take: Callable[[bytes, Respond], None]) -> None:
+    def __init__(
+        self, take: Callable[[bytes, Respond], None], observer: CallEvents | None = None
+    ) -> None:
         self.take = take
+        self.observer = observer
         self.has_far_callers = False
 
     def reply_nowait(

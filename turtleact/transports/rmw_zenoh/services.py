@@ -420,9 +420,9 @@ class WireCaller:
             attachment += note_tail(note)
         call = WireCall(self._context, payload, attachment, self, is_cancelable, on_end)
         self._calls.add(call)
-        self._context.outbox.post(call.send)
-        if self._observer is not None:
+        if self._observer is not None:  # before sending: another thread may tell of the response
             self._observer.requested(payload, self._endpoint.gid, call.sequence)
+        self._context.outbox.post(call.send)
         return call
 
     def forget(self, call: WireCall) -> None:
