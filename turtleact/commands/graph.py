@@ -171,11 +171,15 @@ async def until_interrupted(
     """
     status: int | None = None
     with interrupts.listening(asyncio.get_running_loop()):
+        # The task group is around the opening and closing, too, so a signal cancels whichever of
+        # them runs. If the act was cancelled, no status is set.
         async with anyio.create_task_group() as beside:
             beside.start_soon(_heed_interrupts, interrupts, beside.cancel_scope)
             async with AsyncExitStack() as stack:
                 with interrupts.beginning():
                     it = await stack.enter_async_context(opened)
+                # After a signal, `beginning` may have dropped an error, and then `it` was never
+                # set.
                 if not interrupts.received:
                     status = await act(it)
             beside.cancel_scope.cancel()

@@ -139,6 +139,8 @@ async def held_goals(node: Node, actions: dict[str, str]) -> tuple[list[HeldGoal
     async with anyio.create_task_group() as asking:
         for server, action in _servers(node, actions).items():
             asking.start_soon(_ask, node, server, action, silent)
+        # The status topics are read for a fixed time, as nobody says which message is the last one.
+        # Meanwhile the servers are asked; each question has its own time limit.
         async with within(patience, node.clock), anyio.create_task_group() as listening:
             for name, type_name in actions.items():
                 listening.start_soon(_listen, node, name, type_name, found)
@@ -327,6 +329,8 @@ async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedb
         beside.start_soon(transcript.animate)
         if hears_feedback:
             beside.start_soon(watched.hear_pauses)
+        # Two groups: `telling` must end before the result is printed, so that all feedback comes
+        # before it. `beside` is cancelled, because its tasks never end by themselves.
         async with anyio.create_task_group() as telling:
             heard: list[Subscription[Any]] = []
             if hears_feedback:

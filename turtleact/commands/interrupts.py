@@ -161,6 +161,8 @@ class Interrupts:
         self._is_reading = True
         try:
             with _woken_by_signals() as woken:
+                # A signal that comes before this line is in `received`, and one that comes after it
+                # raises, because `_is_reading` is set already. So none is missed in between.
                 if self.received:
                     raise KeyboardInterrupt
                 read = partial(_read, file, woken) if WAITS_FOR_FILES else _reading_thread(file)
@@ -191,6 +193,7 @@ class Interrupts:
                 if HAS_ALARM:
                     signal.setitimer(signal.ITIMER_REAL, 0)
                     signal.signal(signal.SIGALRM, before)
+                # The loop has ended in time, so nothing is left for a signal to end.
                 self._tell = None
                 self._due = inf
                 self._endured = sys.maxsize
@@ -218,6 +221,8 @@ class Interrupts:
                 raise
         finally:
             self._is_beginning = False
+            # What has begun may now be wound down in its own time. But a deadline of the last
+            # signal stays, because the process must end in any case.
             if len(self.received) < self._endured:
                 self._due = inf
 
@@ -238,12 +243,16 @@ class Interrupts:
 
     async def wait(self, count: int) -> None:
         """Wait until ``count`` signals have come. Cancelling: safe."""
+        # No signal is lost between the check and the wait: the handler only schedules `set`, which
+        # the loop runs once this task waits.
         while len(self.received) < count:
             self._changed.clear()
             await self._changed.wait()
 
     def _arrive(self, number: int, _: FrameType | None) -> None:
         self.received.append(signal.Signals(number))
+        # As a signal handler, this may run between any two bytecodes of the main thread. So it
+        # takes no lock, and raises only where `read` expects it.
         if self._is_reading:
             raise KeyboardInterrupt
         if len(self.received) > self._endured:

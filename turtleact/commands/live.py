@@ -123,6 +123,8 @@ class LiveTranscript:
         async with aclosing(typed_keys(self._region)) as keys:
             async for key in keys:
                 if key == PAUSE:
+                    # One request at a time: the next key is read when the server has answered. It
+                    # then does the opposite of the state that the server has told by then.
                     try:
                         await (goal.resume() if goal.is_paused else goal.pause())
                     except TurtleactError as error:

@@ -63,9 +63,13 @@ def run(main: Coroutine[object, object, T], interrupts: Interrupts) -> T:
     loop.set_exception_handler(_tell_of_error)
     task = loop.create_task(main)
     cause = _drive(loop, task, interrupts)
+    # Without interrupts, because nothing can be asked to end any more: each wait of this task is
+    # bounded. The user's code may stop the loop during it, too, so it is driven in the same way.
     ending = loop.create_task(_end_the_rest())
     _drive(loop, ending, None)
     left = ending.result()
+    # Closing waits for every task, so it is safe only if none is left. Otherwise the loop stays as
+    # it is: the process ends by `leave` then.
     if not left:
         runner.close()
         left = _busy_threads()
@@ -91,6 +95,8 @@ def _drive(
     their clients need an answer.
     """
     cause: BaseException | None = None
+    # `run_until_complete` would not do: it removes its callback when an exception leaves the loop,
+    # and it raises if the loop is stopped before the task is done.
     task.add_done_callback(lambda _: loop.stop())
     while not task.done():
         stopped: BaseException

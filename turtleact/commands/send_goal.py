@@ -179,6 +179,8 @@ class Sending:
         # The loop may be stuck in a body or in its output, and would never come to the signal.
         self._interrupts.patience = 2 * CANCEL_TIMEOUT
         with self._interrupts.listening(asyncio.get_running_loop()):
+            # Everything is opened inside `listening`, so that a second signal is still heard while
+            # it is closed.
             async with AsyncExitStack() as stack:
                 with self._interrupts.beginning():
                     node = await stack.enter_async_context(self._find_node())
@@ -275,6 +277,10 @@ class Sending:
             cast("ActionType[Message, Message, Message]", action_type), self._name
         )
         status = None
+        # There are two scopes. `sending` is only around the request and the goal: `_withdraw`
+        # cancels it if a signal comes before the goal is accepted. The scope of `beside` is around
+        # the tasks that watch for signals, silence and time: it is cancelled once the goal has
+        # ended.
         async with anyio.create_task_group() as beside:
             sending = anyio.CancelScope()
             beside.start_soon(self._heed_interrupts, sending, beside)
@@ -285,6 +291,8 @@ class Sending:
                     async with client.send_goal(goal, reattach=self._order.reattach) as handle:
                         self._sent = Sent(node, self._name, action_type.type_name, goal, handle)
                         status = await self._follow(self._sent, beside)
+            # Before the goal was accepted, this is the answer to the command. Afterwards the goal
+            # may go on, so the user is told how to get back to it.
             except ServerUnavailable as error:
                 if self._sent is None:
                     raise
@@ -378,6 +386,7 @@ class Sending:
     async def _obey(self, sent: Sent, status: int) -> None:
         self._transcript.canceling()
         self._transcript.note("waiting for the goal's end; Ctrl-C again exits at once")
+        # Beside the task that waits for the second signal: the server may never answer this.
         if not await self._cancel(sent, status):
             self._transcript.note("the server refuses to cancel the goal, which goes on")
 
@@ -388,6 +397,8 @@ class Sending:
             return
         self._transcript.note(f"no result after {seconds:g} s")
         self._transcript.canceling()
+        # A server that agrees to cancel has `PATIENCE` to end the goal. `_send` then cancels this
+        # task, which sleeps until then. If the time passes first, the command lets go of the goal.
         with anyio.move_on_after(PATIENCE):  # the server may not answer
             if await self._cancel(sent, TIMEOUT):
                 await anyio.sleep_forever()

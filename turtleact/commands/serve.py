@@ -131,6 +131,10 @@ class Work(NamedTuple):
 
 async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Interrupts) -> int:
     opened: list[tuple[ZenohTransport, str]] = []
+    # The stack closes in reverse. First nobody reloads or connects any more, then the background
+    # tasks end, then the node ends its goals, and then the journal, the exporters and the dashboard
+    # close, because they tell of the ends of goals. `listening` is outside, so that a second signal
+    # is heard during all of this.
     with interrupts.listening(asyncio.get_running_loop()):
         async with AsyncExitStack() as stack:
             if log.board is not None:
@@ -261,6 +265,7 @@ async def serve_declared(
         if taken.node == node.fully_qualified_name:
             raise UsageError(f"action '{taken.action}' is given twice") from None
         raise _refused(taken) from None
+    # One after the other is enough: each wait ends by itself, and all share the time limit.
     with anyio.move_on_after(None if wait else LEASE):
         for server in servers:
             await server.wait_until_serving()
@@ -376,6 +381,9 @@ async def _open_graph(
             )
             where = ", ".join(service.listen or connect)
         else:
+            # Whoever comes first is the router. A later server cannot listen at its port, and joins
+            # as a peer. If no router lets it in either, something else holds the port, as the first
+            # error says.
             try:
                 router = opening(mode="router", listen=[ROUTER])
                 transport = await stack.enter_async_context(router)

@@ -106,6 +106,7 @@ async def note_absence(node: Node, name: str) -> None:
     """Note each time that the last publisher of a topic has gone, until this is cancelled."""
     while True:
         await _wait_for_publishers(node, name)
+        # No change is lost between the count and the wait: there is no await in between.
         while node.count_publishers(name):
             await node.transport.wait_for_change()
         async with within(ABSENCE, node.clock):  # each message may come from a publisher of its own

@@ -226,6 +226,7 @@ class Node:
         shown = options.get("introspection") or self.introspection
         endpoints = ActionEndpoints(local, names, self.transport, endpoint, self._tasks, shown)
         server: ActionServer[G, R, F] = ActionServer(self, action_type, local, endpoints, rivals)
+        # Before the server takes its name: from then on goals may come, and hooks hear of all.
         for hook in self._hooks:
             server._watch(hook)
         again = partial(
@@ -244,6 +245,9 @@ class Node:
     def _restore_soon(self, local: LocalActionServer) -> None:
         """Restore a server's goals on the loop's next turn, with those of its siblings."""
         if local.durable is not None:
+            # Servers that share a slot must be restored together, in the order in which their goals
+            # were accepted. A program opens them one after the other without an await, so on the
+            # next turn of the loop all of them are there.
             if not self._to_restore:
                 self._tasks.from_anywhere(self._restore)  # on the next turn, even on trio
             self._to_restore.append(local)

@@ -245,6 +245,7 @@ class NodeParameters:
         deleted: Sequence[ParameterMessage] = (),
     ) -> None:
         events = self.open()
+        # Most of the time nobody listens, and then no event is made.
         if events.has_subscriptions:
             stamp = stamp_of(self._node.clock.now())
             name = self._node.fully_qualified_name
@@ -326,6 +327,7 @@ class Parameter(Generic[P]):
         """Tell everybody who watches the parameter that it has changed."""
         self._count += 1
         self._changed.fire()
+        # A copy, because a hook may add another one, which must not hear of this change.
         for hook in list(self._hooks):
             try:
                 hook(self.value)
@@ -342,6 +344,8 @@ class Parameter(Generic[P]):
         If there will be no more changes, this returns ``count``. Cancelling: safe.
         """
         resources = self._parameters.resources
+        # All three are looked at again after each wait, because closing the node only ends the
+        # block of `waiting`, and undeclaring only fires the signal.
         while self._count == count and self.is_declared and resources.is_open:
             with resources.waiting():
                 await self._changed.wait()

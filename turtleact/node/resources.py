@@ -111,6 +111,8 @@ class Resources(Owner):
                     await server.aclose()
 
     async def _close_rest(self) -> None:
+        # Only now: while actions and services close, their bodies and handlers may still open
+        # things and wait for them.
         self.is_open = False
         for scope in self._waits:
             scope.cancel()

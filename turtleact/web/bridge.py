@@ -159,6 +159,8 @@ class Bridge:
         refusal = self._refusal(websocket)
         if refusal is not None:
             self._note_refusal(refusal)
+            # An answer with a status says why. Servers without that extension of ASGI can only
+            # close the handshake, which the client sees as 403.
             if "websocket.http.response" in websocket.scope.get("extensions", {}):
                 await websocket.send_denial_response(refusal)
             else:

@@ -111,6 +111,8 @@ class Serving:
 
     async def aclose(self) -> None:
         """Stop serving, as the client has gone."""
+        # One after the other is quick enough: `withdraw` has given up the questions, so no server
+        # waits for an answer of the client that has gone.
         for kind, name in list(self._servers):
             await self.withdraw(kind, name).aclose()
 
@@ -136,6 +138,7 @@ class Serving:
         finally:
             del self._asked[question.id]
         answer = question.said
+        # `said` stays None only if `lose` has ended the wait.
         if answer is None:
             raise ServiceError(name, "its server has gone")
         if not answer.result:

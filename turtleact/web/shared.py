@@ -191,6 +191,8 @@ class Feed:
     async def _read(self) -> None:
         async for message in self._subscription:
             rendering = Rendering(message, self._now())
+            # A copy, because a reader may leave while it is delivered to. The rendering is shared:
+            # the message becomes JSON once, however many clients read the topic.
             for deliver in tuple(self.readers):
                 deliver(rendering)
 
@@ -215,6 +217,8 @@ class Feeds:
             TurtleactError: if the node is closed.
         """
         key = (topic, message_type)
+        # A latched topic is not shared. Only a new subscription gets the kept messages, so each
+        # client needs its own.
         is_latched = self._directory.is_latched(topic)
         feed = None if is_latched else self._shared.get(key)
         if feed is not None:
@@ -231,6 +235,7 @@ class Feeds:
         """Stop delivering; the last reader to leave closes the feed."""
         feed.readers.remove(deliver)
         if not feed.readers:
+            # Before the await: a client that joins while this feed closes must open a new one.
             self._shared = {key: each for key, each in self._shared.items() if each is not feed}
             await feed.aclose()
 
@@ -374,6 +379,8 @@ class Goals:
 
     async def aclose(self) -> None:
         """Stop following the goals, which continue."""
+        # A copy, because each task removes its goal from the dict when it ends. Goals that were
+        # accepted go on, because they are detached.
         for sent in list(self._sent.values()):
             await sent.following.aclose()
         await self._clients.aclose()

@@ -197,6 +197,7 @@ class Watch:
 
     async def aclose(self) -> None:
         """Stop watching."""
+        # A copy, because each task removes itself from the dict when it ends.
         for following in list(self._following.values()):
             await following.aclose()
         for action in self._actions.values():
@@ -214,6 +215,9 @@ class Watch:
         self._look()
         if since == 0 or args.get("session") != self._session:
             return self._news(0)
+        # Having waited for a change, this waits `PACE` more, so that changes that come together are
+        # told together. If nothing changes, the page gets empty news and asks again, which also
+        # makes the bridge look at the graph.
         with anyio.move_on_after(PATIENCE):
             while self._revision <= since:
                 await self._changed.wait()
@@ -328,6 +332,8 @@ class Watch:
             id = bytes(each.goal_info.goal_id.uuid).hex()
             told.add(id)
             record, status = self.history.find(id), status_of(each.status)
+            # The history is bounded. A goal that it has dropped is still in the server's messages,
+            # and would come back as new with each of them.
             if record is None and id in known:
                 continue
             if record is None:
@@ -381,6 +387,7 @@ class Watch:
             self.history.change(record)
 
     def _follow_goal(self, record: GoalRecord) -> None:
+        # Too many goals are not followed: their states come with the status topic, but no feedback.
         if record.id not in self._following and len(self._following) < MOST_FOLLOWED:
             self._following[record.id] = Background(
                 self._follow(record), f"the watch of goal {record.id}"
