@@ -114,6 +114,21 @@ async def test_a_record_as_json(handler):
     }
 
 
+def test_an_extra_with_the_name_of_a_member_gets_an_underscore(handler):
+    handler.setFormatter(JsonFormatter())
+    logger.info("here", extra={"level": 9, "time": "noon"})
+    told = json.loads(handler.lines[0])
+    assert (told["level"], told["level_"], told["time_"]) == ("INFO", 9, "noon")
+    assert told["time"] != "noon"
+
+
+def test_a_record_whose_arguments_do_not_fit_is_one_line_of_json_too():
+    record = logging.makeLogRecord({"msg": "turn %d\ntimes", "args": ("x",)})
+    assert json.loads(JsonFormatter().format(record))["message"] == (
+        "turn %d\ntimes ('x',) (TypeError: %d format: a real number is required, not str)"
+    )
+
+
 def test_a_record_outside_of_a_body_as_json_has_no_goal(handler):
     handler.setFormatter(JsonFormatter())
     try:

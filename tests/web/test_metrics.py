@@ -26,6 +26,8 @@ async def test_metrics_are_for_programs_on_this_machine(path, headers, status):
     ):
         answer = await client.get(url.removesuffix("metrics") + path, headers=headers)
         assert answer.status_code == status
+        if status == 403:
+            assert "--metrics 0.0.0.0:PORT" in answer.text
         if status == 200:
             assert (answer.text, answer.headers["content-type"]) == ("up 1\n", CONTENT_TYPE)
 

@@ -21,7 +21,7 @@ import msgspec
 
 from turtleact.goal import CURRENT_GOAL
 from turtleact.server.execution import Execution
-from turtleact.summaries import encodable
+from turtleact.summaries import encodable, summary
 
 __all__ = ["GoalFilter", "JsonFormatter", "TextFormatter"]
 
@@ -72,7 +72,8 @@ class JsonFormatter(logging.Formatter):
 
     Members: ``time`` (UTC, ISO 8601), ``level``, ``logger``, ``message``; in a body ``goal_id``,
     ``action`` and ``node``; in a span of OpenTelemetry ``trace_id`` and ``span_id``; with a
-    traceback ``exception``; and whatever was given as ``extra``.
+    traceback ``exception``; and whatever was given as ``extra``. An underscore is added to an extra
+    with one of these names.
     """
 
     def format(self, record: logging.LogRecord) -> str:
@@ -81,14 +82,24 @@ class JsonFormatter(logging.Formatter):
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="microseconds"),
             "level": record.levelname,
             "logger": record.name,
-            "message": record.getMessage(),
+            "message": _message(record),
         }
-        given = {name: value for name, value in record.__dict__.items() if name not in PLAIN}
-        members |= {name: value for name, value in given.items() if name not in FIELDS or value}
+        members |= {name: said for name in FIELDS if (said := getattr(record, name, ""))}
         members |= _current_span()
         if record.exc_info:
             members["exception"] = self.formatException(record.exc_info)
+        for name, value in record.__dict__.items():
+            if name not in PLAIN and name not in FIELDS:
+                members[f"{name}_" if name in members else name] = value
         return _written(members)
+
+
+def _message(record: logging.LogRecord) -> str:
+    """The message; if its arguments do not fit, what is wrong, so that the line stays JSON."""
+    try:
+        return record.getMessage()
+    except Exception as error:
+        return f"{record.msg} {record.args} ({summary(error)})"
 
 
 def _current_span() -> dict[str, str]:

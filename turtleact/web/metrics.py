@@ -27,6 +27,10 @@ __all__ = ["CONTENT_TYPE", "open_metrics"]
 
 CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 
+FORBIDDEN: Final = (
+    "only programs on this machine may read this; --metrics 0.0.0.0:PORT lets all in\n"
+)
+
 MOST_CONNECTIONS: Final = 32
 """How many connections there may be at once."""
 
@@ -53,7 +57,7 @@ async def open_metrics(text: Callable[[], str], host: str, port: int) -> AsyncIt
                 token="",
             )
             if problem:
-                return PlainTextResponse(f"{problem}\n", 403)
+                return PlainTextResponse(FORBIDDEN, 403)
         return Response(text(), media_type=CONTENT_TYPE)
 
     app = Starlette(routes=[Route("/metrics", answer)])
