@@ -307,12 +307,8 @@ async def test_a_server_that_closes_sends_the_events_that_wait(address):
             await client.call(SetBool.Request(data=False))
         await client.call(SetBool.Request(data=True))
         await server.aclose()
-        events: list[Any] = []
-        while len(events) < 2:
-            events.append(await anext(reader))
-        events += reader.drain()
-        assert events[-2].request == [SetBool.Request(data=True)]
-        assert events[-1].response == [SetBool.Response(success=False)]
+        while cast("Any", await anext(reader)).response != [SetBool.Response()]:
+            pass
 
 
 def complete(events: list[Any]) -> set[tuple[bytes, int]]:

@@ -131,11 +131,17 @@ class ServiceEvents(CallObserver):
             event = kind, self._now(), gid, sequence, data
             if self._publication.has_near_readers:
                 self._send_all()
-                self._publication.publish(self._format.decode(self._written(event)))
+                self._publish_now(self._written(event))
             else:
                 self._send_later(event)
         except Exception:
             self._complain()
+
+    def _publish_now(self, data: bytes) -> None:
+        if self._publication.has_object_readers:
+            self._publication.publish(self._format.decode(data))
+        else:
+            self._publication.send(data)
 
     def _written(self, event: _Event) -> bytes:
         kind, stamp, gid, sequence, data = event

@@ -13,10 +13,9 @@ from turtleact.interfaces.standard import TurtlePose
 from turtleact.interfaces.standard.std_msgs.msg import String
 from turtleact.recording import BagError, Selection
 from turtleact.recording.bag_writer import BagWriter
-from turtleact.recording.recorder import RawFormat
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport, QoS
-from turtleact.transports.base import STATUS_QOS, Endpoint
+from turtleact.transports.base import STATUS_QOS, Endpoint, RawFormat
 
 from .bags import by_rosbags
 

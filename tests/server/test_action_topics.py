@@ -26,7 +26,7 @@ class Topic:
     """
 
     changes = 0
-    has_near_readers = False
+    has_near_readers = has_object_readers = False
 
     def refresh(self) -> None:
         self.changes += 1
@@ -46,7 +46,7 @@ class FullLane:
     """A publication that drops every second message."""
 
     sent = 0
-    has_near_readers = False
+    has_near_readers = has_object_readers = False
 
     @property
     def dropped(self) -> int:

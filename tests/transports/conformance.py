@@ -26,7 +26,7 @@ from turtleact.errors import (
 )
 from turtleact.interfaces import Message, Service, WireFormat, int32
 from turtleact.transports import QoS, Transport
-from turtleact.transports.base import Endpoint, EndpointKind, Reply
+from turtleact.transports.base import Endpoint, EndpointKind, RawFormat, Reply
 
 from ..lab import Count, feedback, running, take_turns
 
@@ -213,6 +213,33 @@ class TransportConformance:
                 publication.publish(feedback(number))
             await peers.settle()
             assert inbox.numbers == list(range(20))
+
+    @BOTH_WAYS
+    async def test_a_raw_subscription_gets_the_bytes_that_are_sent(self, transport, end):
+        async with transport() as peers:
+            seen: list[object] = []
+            raw = RawFormat(SPEECH.type_hash, SPEECH.encode)
+            getattr(peers, end).subscribe(subscription(), raw, seen.append)
+            publication = peers.here.advertise(publisher(), SPEECH)
+            await peers.settle()
+            assert publication.has_readers
+            assert not publication.has_object_readers
+            publication.send(SPEECH.encode(feedback(7)))
+            await peers.settle()
+            assert seen == [SPEECH.encode(feedback(7))]
+
+    async def test_a_message_reaches_raw_subscriptions_once_beside_others(self, transport):
+        async with transport() as peers:
+            inbox, raw, seen = Inbox(), RawFormat(SPEECH.type_hash, SPEECH.encode), list[object]()
+            peers.here.subscribe(subscription(), raw, seen.append)
+            peers.here.subscribe(subscription(), SPEECH, inbox.deliver)
+            publication = peers.here.advertise(publisher(), SPEECH)
+            await peers.settle()
+            assert publication.has_object_readers
+            publication.publish(feedback(7))
+            await peers.settle()
+            assert inbox.numbers == [7]
+            assert [raw.encode(each) for each in seen] == [SPEECH.encode(feedback(7))]
 
     @BOTH_WAYS
     async def test_messages_arrive_in_the_order_of_their_publishing(self, transport, end):

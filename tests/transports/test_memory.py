@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable
 from contextlib import asynccontextmanager
 
 import pytest
 
 from turtleact.clock import VirtualClock, WallClock
 from turtleact.transports import MemoryTransport, Transport
+from turtleact.transports.base import RawFormat, Source
 
 from ..lab import feedback, settle
 from .conformance import (
     KINDS,
     LATCHED,
     SPEECH,
+    Inbox,
     Peers,
     TransportConformance,
     of_kind,
@@ -49,6 +52,31 @@ async def test_a_latched_message_is_there_when_subscribing_returns():
     transport.advertise(publisher(qos=LATCHED), SPEECH).publish(feedback(1))
     transport.subscribe(subscription(qos=LATCHED), SPEECH, seen.append)
     assert seen == [feedback(1)]
+
+
+async def test_a_source_writes_bytes_if_all_its_readers_take_them():
+    class Told(Source):
+        def current(self) -> list[object]:
+            return [feedback(1)]
+
+        def written(self, encode: Callable[[object], bytes]) -> list[bytes]:
+            return [b"written"]
+
+        def readers_changed(self, *, has_readers: bool) -> None:
+            """Do nothing."""
+
+    seen: list[object] = []
+    transport = MemoryTransport()
+    publication = transport.advertise(publisher(), SPEECH, Told())
+    transport.subscribe(subscription(), RawFormat(SPEECH.type_hash), seen.append)
+    publication.refresh()
+    assert seen == [b"written"]
+    transport.subscribe(subscription(), SPEECH, Inbox().deliver).close()
+    publication.refresh()
+    assert seen == [b"written"] * 2
+    transport.subscribe(subscription(), SPEECH, Inbox().deliver)
+    publication.refresh()
+    assert seen == [b"written", b"written", feedback(1)]
 
 
 async def test_what_is_written_already_is_for_nobody_here():

@@ -34,12 +34,11 @@ from turtleact.names import resolve_name
 from turtleact.node import Node
 from turtleact.recording.bag import Bag, Reading, Recorded, reader_of
 from turtleact.recording.metadata import Offer
-from turtleact.recording.recorder import RawFormat
 from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import EVERYTHING, REQUESTS, Selection, owner_of, part_of
 from turtleact.recording.storage import Channel, Range
 from turtleact.tasks import current_tasks, thread_work
-from turtleact.transports.base import Endpoint, Publication, QoS
+from turtleact.transports.base import Endpoint, Publication, QoS, RawFormat
 
 __all__ = ["PlayOptions", "Played", "play"]
 
@@ -279,7 +278,7 @@ class _Player:
         read = reader_of(channel)
 
         def publish(data: bytes) -> None:
-            message = read(data) if publication.has_near_readers else None
+            message = read(data) if publication.has_object_readers else None
             if message is None:
                 publication.send(data)
             else:

@@ -28,12 +28,12 @@ from turtleact.recording.mcap_writing import Compression
 from turtleact.recording.metadata import BagError, Offer
 from turtleact.recording.schemas import Schema, schema_of
 from turtleact.recording.selection import EVENT, EVERYTHING, Selection
-from turtleact.recording.spool import CAPACITY, Encode, Spool
+from turtleact.recording.spool import CAPACITY, Spool
 from turtleact.recording.storage import Channel
 from turtleact.tasks import Background, current_tasks, thread_work
-from turtleact.transports.base import Closeable, Endpoint, QoS
+from turtleact.transports.base import Closeable, Endpoint, QoS, RawFormat
 
-__all__ = ["RawFormat", "RecordOptions", "Recording", "record"]
+__all__ = ["RecordOptions", "Recording", "record"]
 
 
 class RecordOptions(TypedDict, total=False):
@@ -47,29 +47,6 @@ class RecordOptions(TypedDict, total=False):
     max_duration: float
     compression: Compression
     capacity: int
-
-
-class RawFormat:
-    """The format of an endpoint that leaves messages as bytes.
-
-    Args:
-        type_hash: The hash of the type.
-        encode: Encodes messages that are objects.
-    """
-
-    def __init__(self, type_hash: str, encode: Encode | None = None) -> None:
-        self.type_hash = type_hash
-        self._encode = encode
-
-    def encode(self, message: object) -> bytes:
-        """Return the bytes of a message."""
-        if isinstance(message, bytes) or self._encode is None:
-            return message  # type: ignore[return-value]  # without a class, only bytes come
-        return self._encode(message)
-
-    def decode(self, data: bytes) -> object:
-        """Return the bytes."""
-        return data
 
 
 class _Key(NamedTuple):

@@ -84,7 +84,7 @@ class FeedbackTopic(Source):
         Return False if somebody in this process wants a copy.
         """
         publication = self._publication
-        if goal.is_streamed or goal.on_feedback or goal.ended or publication.has_near_readers:
+        if goal.is_streamed or goal.on_feedback or goal.ended or publication.has_object_readers:
             return False
         data = self._format.write_unchecked(goal.id or self._server.name_goal(goal), feedback)
         if data is None:
@@ -100,7 +100,7 @@ class FeedbackTopic(Source):
         """Send a checked copy of feedback."""
         goal.published += 1
         goal_id, publication = goal.id or self._server.name_goal(goal), self._publication
-        if publication.has_near_readers:
+        if publication.has_object_readers:
             publication.publish(self._message_type(UUID(goal_id), message))
         else:
             publication.send(self._format.write(goal_id, message))

@@ -56,6 +56,7 @@ __all__ = [
     "PendingCall",
     "Publication",
     "QoS",
+    "RawFormat",
     "Reply",
     "Respond",
     "ServerKind",
@@ -181,6 +182,31 @@ class Format(Protocol):
         """Decode a message. Raises `InvalidMessage` if the bytes are no such message."""
 
 
+class RawFormat:
+    """A format that leaves bytes as they are.
+
+    A subscription with this format gets bytes where a publisher has them, and otherwise objects.
+
+    Args:
+        type_hash: The hash of the type.
+        encode: Encodes messages that are objects.
+    """
+
+    def __init__(self, type_hash: str, encode: Callable[[object], bytes] | None = None) -> None:
+        self.type_hash = type_hash
+        self._encode = encode
+
+    def encode(self, message: object) -> bytes:
+        """Return the bytes of a message."""
+        if isinstance(message, bytes) or self._encode is None:
+            return message  # type: ignore[return-value]  # without a class, only bytes come
+        return self._encode(message)
+
+    def decode(self, data: bytes) -> object:
+        """Return the bytes."""
+        return data
+
+
 class MakeEndpoint(Protocol):
     """A function that describes an endpoint of its node."""
 
@@ -254,6 +280,10 @@ class Publication(Closeable, Protocol):
         """Whether a subscription in this process would get a message."""
 
     @property
+    def has_object_readers(self) -> bool:
+        """Whether one of these cannot use the bytes of a message; see `RawFormat`."""
+
+    @property
     def is_congested(self) -> bool:
         """Whether messages are published faster than they are read; see `drained`."""
 
@@ -265,7 +295,7 @@ class Publication(Closeable, Protocol):
         """Send a message to every subscription. Do not change the message afterwards."""
 
     def send(self, data: bytes) -> None:
-        """Send an encoded message to the subscriptions in other processes only."""
+        """Send an encoded message to subscriptions in other processes, or with a `RawFormat`."""
 
     def expect_readers(self) -> None:
         """Send from now on. A reader exists, even if it has not been discovered yet."""

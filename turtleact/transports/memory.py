@@ -30,6 +30,7 @@ from turtleact.transports.base import (
     PendingCall,
     Publication,
     QoS,
+    RawFormat,
     Reply,
     Source,
     Target,
@@ -70,12 +71,12 @@ class MemoryTransport:
     def advertise(
         self,
         endpoint: Endpoint,
-        format: Format,  # noqa: ARG002  # no bytes travel here
+        format: Format,
         source: Source | None = None,
     ) -> Publication:
         """Open the sending end of a topic. With a source, only its messages are latched."""
         topic = self._topic(endpoint)
-        publication = _Publication(topic, endpoint.qos, source)
+        publication = _Publication(topic, endpoint.qos, format, source)
         topic.publications.append(publication)
         leave = partial(self._withdraw, topic, publication)
         publication.on_close = self._appear_as(endpoint, leave)
@@ -86,20 +87,18 @@ class MemoryTransport:
     def subscribe(
         self,
         endpoint: Endpoint,
-        format: Format,  # noqa: ARG002  # as above
+        format: Format,
         deliver: Deliver,
         *,
         in_any_thread: bool = False,  # noqa: ARG002  # a message comes in its publisher's thread
     ) -> Closeable:
         """Open the receiving end of a topic. Latched messages are delivered before this returns."""
         topic = self._topic(endpoint)
-        reader = _Reader(topic.key[0], deliver)
+        reader = _Reader(topic.key[0], deliver, takes_bytes=isinstance(format, RawFormat))
         if endpoint.qos.durability == "transient_local":
             for message in topic.latched():
                 reader.take(message)
-        topic.readers = (*topic.readers, reader)
-        if len(topic.readers) == 1:
-            topic.readers_changed()
+        topic.set_readers((*topic.readers, reader))
         leave = partial(self._leave, topic, reader)
         reader.on_close = self._appear_as(endpoint, leave)
         return reader
@@ -200,9 +199,7 @@ class MemoryTransport:
             del self._topics[topic.key]
 
     def _leave(self, topic: _Topic, reader: _Reader) -> None:
-        topic.readers = tuple(each for each in topic.readers if each is not reader)
-        if not topic.readers:
-            topic.readers_changed()
+        topic.set_readers(tuple(each for each in topic.readers if each is not reader))
         if topic.is_deserted:
             del self._topics[topic.key]
 
@@ -279,11 +276,12 @@ class _Topic:
     def latched(self) -> list[object]:
         return [message for each in self.publications for message in each.latched()]
 
-    def readers_changed(self) -> None:
+    def set_readers(self, readers: tuple[_Reader, ...]) -> None:
+        had_readers, self.readers = bool(self.readers), readers
         for each in self.publications:
             each.look_for_readers()
-            if each.source is not None:
-                each.source.readers_changed(has_readers=bool(self.readers))
+            if each.source is not None and bool(readers) != had_readers:
+                each.source.readers_changed(has_readers=bool(readers))
 
 
 class _Publication:
@@ -291,12 +289,14 @@ class _Publication:
 
     Attributes:
         has_readers: As in `Publication`. It is stored because it is read for every message.
+        has_object_readers: As in `Publication`. It is stored for the same reason.
     """
 
     on_close: Leave
 
-    def __init__(self, topic: _Topic, qos: QoS, source: Source | None) -> None:
+    def __init__(self, topic: _Topic, qos: QoS, format: Format, source: Source | None) -> None:
         self.source = source
+        self._encode = format.encode
         self._topic = topic
         self._is_open = True
         self._is_latched = qos.durability == "transient_local"
@@ -305,7 +305,11 @@ class _Publication:
         self.look_for_readers()
 
     def look_for_readers(self) -> None:
-        self.has_readers = self._is_open and (self._keeps or bool(self._topic.readers))
+        readers = self._topic.readers
+        self.has_readers = self._is_open and (self._keeps or bool(readers))
+        self.has_object_readers = self.has_readers and (
+            self._keeps or not all(each.takes_bytes for each in readers)
+        )
 
     @property
     def has_near_readers(self) -> bool:
@@ -332,15 +336,24 @@ class _Publication:
                 reader.take(message)
 
     def send(self, data: bytes) -> None:
-        """Do nothing: there are no readers in other processes."""
+        """Give the bytes to the readers that take them."""
+        if self._is_open:
+            for reader in self._topic.readers:
+                if reader.takes_bytes:
+                    reader.take(data)
 
     def expect_readers(self) -> None:
         """Do nothing: every reader is known here."""
 
     def refresh(self) -> None:
-        if self.source is not None and self._topic.readers:
+        if self.source is None or not self._topic.readers:
+            return
+        if self.has_object_readers:
             for message in self.source.current():
                 self.publish(message)
+        else:  # a source may write bytes faster
+            for data in self.source.written(self._encode):
+                self.send(data)
 
     async def drained(self) -> None:
         """Return at once: nothing is ever congested."""
@@ -356,7 +369,8 @@ class _Reader:
 
     on_close: Leave
 
-    def __init__(self, topic: str, deliver: Deliver) -> None:
+    def __init__(self, topic: str, deliver: Deliver, *, takes_bytes: bool) -> None:
+        self.takes_bytes = takes_bytes
         self._topic = topic
         self._deliver = deliver
         self._is_open = True

@@ -167,6 +167,11 @@ class WirePublication:
         return self._near.has_readers if self._source is None else self._has_near_readers
 
     @property
+    def has_object_readers(self) -> bool:
+        """Whether one of these cannot use the bytes of a message."""
+        return self._near.has_object_readers
+
+    @property
     def is_congested(self) -> bool:
         """Whether messages are published faster than they are sent."""
         return self._unsent.weight > CONGESTED
@@ -181,7 +186,7 @@ class WirePublication:
         if not self._is_open:
             return
         if self.is_read and not (self.is_latched and self._source is not None):
-            self.send(self._format.encode(message))
+            self._send_far(self._format.encode(message))
         self._near.publish(message)
         if self.is_latched and self._source is not None:
             self._grow_stale()
@@ -245,7 +250,12 @@ class WirePublication:
     # sending
 
     def send(self, data: bytes) -> None:
-        """Send encoded data to the subscriptions in other processes."""
+        """Send encoded data to the subscriptions in other processes, and to raw ones here."""
+        if self._near.has_readers:
+            self._near.send(data)
+        self._send_far(data)
+
+    def _send_far(self, data: bytes) -> None:
         context = self._context
         if not self._is_open or not context.is_open or self.presence.is_asleep:
             return
@@ -261,7 +271,7 @@ class WirePublication:
         self.is_stale = False
         payloads = () if self._source is None else self._source.written(self._format.encode)
         for payload in payloads:
-            self.send(payload)
+            self._send_far(payload)
         return sum(map(len, payloads))
 
     def _grow_stale(self) -> None:
