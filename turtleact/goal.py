@@ -195,6 +195,8 @@ class Goal(msgspec.Struct, eq=False):
         id: The 16 bytes of its id; None until somebody asks for the id.
         on_feedback: The sender's callback for feedback.
         is_streamed: Whether feedback must be kept for a reader.
+        parent: The goal whose body sent this one, if any.
+        sender: The client that sent it.
         feedback: The feedback kept so far; created by the first message or the first reader.
         last_feedback: The newest message, which is always kept. It may stay as the bytes that were
             sent until somebody in this process looks at it.
@@ -216,8 +218,6 @@ class Goal(msgspec.Struct, eq=False):
         children: The active goals that its body has sent, each with an object that can pause it.
         waiters: How many callers wait for its result. The table keeps the goal while there are such
             callers.
-        parent: The goal whose body sent this one, if any.
-        sender: The client that sent it.
         published: How many feedback messages were published for it on the feedback topic.
         is_asked_for: Whether a client in another process has asked for its result.
         error: Why contact with the goal was lost; its state is then UNKNOWN.
@@ -231,6 +231,8 @@ class Goal(msgspec.Struct, eq=False):
     id: bytes | None = None
     on_feedback: OnFeedback | None = None
     is_streamed: bool = False
+    parent: Goal | None = None
+    sender: object = None
     feedback: FeedbackLog | None = None
     last_feedback: Message | bytes | None = None
     result: object = None
@@ -247,8 +249,6 @@ class Goal(msgspec.Struct, eq=False):
     paused_ns: int = 0
     children: dict[Goal, Any] | None = None
     waiters: int = 0
-    parent: Goal | None = None
-    sender: object = None
     published: int = 0
     is_asked_for: bool = False
     error: TurtleactError | None = None

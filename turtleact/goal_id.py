@@ -14,15 +14,9 @@ __all__ = ["goal_id_bytes", "new_goal_id"]
 
 _POOLED = 256
 
-_VERSION_4 = 0x4 << 76 | 0x8 << 60
-"""The version and variant, which every id has."""
-
-_RANDOM = (1 << 128) - 1 & ~(0xF << 76 | 0xC << 60)
-"""The other bits."""
-
 
 class _Pool:
-    """A stock of random bytes. A forked child starts without it, so that no id is used twice."""
+    """A stock of ids. A forked child starts without it, so that no id is used twice."""
 
     def __init__(self) -> None:
         self._stock: list[bytes] = []
@@ -31,8 +25,10 @@ class _Pool:
 
     def draw(self) -> bytes:
         if not self._stock:
-            noise = os.urandom(16 * _POOLED)
-            self._stock += [noise[at : at + 16] for at in range(0, len(noise), 16)]
+            noise = bytearray(os.urandom(16 * _POOLED))
+            noise[6::16] = bytes(octet & 0x0F | 0x40 for octet in noise[6::16])  # the version
+            noise[8::16] = bytes(octet & 0x3F | 0x80 for octet in noise[8::16])  # the variant
+            self._stock += [bytes(noise[at : at + 16]) for at in range(0, len(noise), 16)]
         return self._stock.pop()
 
 
@@ -41,7 +37,7 @@ _pool = _Pool()
 
 def new_goal_id() -> bytes:
     """Return a new goal id, a UUID of version 4."""
-    return (int.from_bytes(_pool.draw(), "big") & _RANDOM | _VERSION_4).to_bytes(16, "big")
+    return _pool.draw()
 
 
 def goal_id_bytes(goal_id: bytes | str | uuid.UUID) -> bytes:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Coroutine, Generator
 from contextvars import copy_context
 from inspect import CO_COROUTINE
 from types import CodeType, TracebackType
-from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeAlias, TypeVar
 
 import anyio
 import anyio.lowlevel
@@ -29,7 +29,7 @@ from turtleact.client.goal_handle import ClientGoalHandle, GoalReader
 from turtleact.client.remote_server import RemoteActionServer
 from turtleact.clock import check_timeout
 from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, UnknownGoal
-from turtleact.goal import Goal, GoalOrder, GoalStatus, OnFeedback, failure
+from turtleact.goal import Goal, GoalOrder, GoalStatus, failure
 from turtleact.goal_id import goal_id_bytes, new_goal_id
 from turtleact.goal_server import GoalServer, OffersGoals, cancel_and_wait
 from turtleact.graph import graph_of
@@ -44,6 +44,8 @@ from turtleact.transports.base import Owner, find_server, wait_until_served
 __all__ = ["ActionClient", "Attach", "SendGoal"]
 
 logger = logging.getLogger("turtleact.client")
+
+_SUCCEEDED: Final = GoalStatus.SUCCEEDED  # Python 3.11 looks up an enum's members slowly
 
 SILENCE: Final = 5.0
 """After waiting this long for a server, the client logs once that it waits (s, event loop time)."""
@@ -124,7 +126,7 @@ class ActionClient(Generic[G, R, F]):
             problem = "must be a plain function: it is called, not awaited, for each message"
             raise InvalidOption("feedback_callback", problem)
         named = None if goal_id is None else goal_id_bytes(goal_id)
-        on_feedback = cast("OnFeedback | None", feedback_callback)  # called with the action's class
+        on_feedback: Any = feedback_callback  # called with the action's class
         if reattach != 0.0:  # a goal in this process is so quick that a check would be noticed
             check_timeout(reattach, "reattach", may_be_none=False)
             if named is None:  # reattaching finds the goal by its id
@@ -190,6 +192,16 @@ class ActionClient(Generic[G, R, F]):
 
     # the server
 
+    def _known_server(self) -> GoalServer | None:
+        """Return the server that was used before, if it is still open.
+
+        Raises:
+            TurtleactError: if the client is used in another event loop.
+        """
+        self._home.check()
+        server = self._server
+        return server if server is not None and server.is_open else None
+
     async def _find_server(self, patience: float = 0.0) -> GoalServer:
         """Return the action's server, waiting for discovery if the graph is new.
 
@@ -199,9 +211,8 @@ class ActionClient(Generic[G, R, F]):
             ServerUnavailable: if nobody serves it.
             TurtleactError: if the client is closed, or used in another event loop.
         """
-        self._home.check()
-        server = self._server
-        if server is not None and server.is_open:
+        server = self._known_server()
+        if server is not None:
             return server
         if self.is_open:
             server = await find_server(self._endpoints.transport, self._find)
@@ -270,7 +281,8 @@ class ActionClient(Generic[G, R, F]):
     async def _run(self, order: GoalOrder) -> R:
         """Send a goal and wait for its result."""
         reattach = order.reattach
-        server = await self._find_server(reattach)
+        # The common case is a plain call: a coroutine more for each goal would be noticed.
+        server = self._known_server() or await self._find_server(reattach)
         goal = await server.run_goal(order)
         while reattach and isinstance(goal.error, ServerUnavailable):
             server, goal = await self._reattach(order, goal.error)
@@ -279,8 +291,8 @@ class ActionClient(Generic[G, R, F]):
             except anyio.get_cancelled_exc_class():
                 await cancel_and_wait(server, goal, order.cancel_timeout)
                 raise
-        if goal.status is GoalStatus.SUCCEEDED:
-            return cast("R", goal.result)
+        if goal.status is _SUCCEEDED:
+            return goal.result  # type: ignore[return-value]  # the server checked it
         raise failure(goal)
 
     async def _reattach(
@@ -301,13 +313,13 @@ class ActionClient(Generic[G, R, F]):
 
     async def _enter(self, order: GoalOrder) -> GoalReader:
         """Send a goal and wait until it is accepted."""
-        server = await self._find_server(order.reattach)
+        server = self._known_server() or await self._find_server(order.reattach)
         goal = await server.send_goal(order)
         return GoalReader(server, goal, self._home, is_sender=True)
 
     async def _attach(self, goal_id: bytes) -> GoalReader:
         """Attach to a goal that somebody else sent."""
-        server = await self._find_server()
+        server = self._known_server() or await self._find_server()
         goal = await server.attach(goal_id)
         if goal is None:
             raise UnknownGoal(f"'{self.name}' holds no goal {goal_id.hex()}")

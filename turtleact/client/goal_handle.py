@@ -268,6 +268,7 @@ class GoalReader:
 
     __slots__ = (
         "_home",
+        "_hurried",
         "_is_sender",
         "_iterations",
         "_next",
@@ -286,6 +287,7 @@ class GoalReader:
         self._is_sender = is_sender
         self._next = 0
         self._iterations = 0
+        self._hurried = 0
 
     @property
     def goal_id(self) -> bytes:
@@ -342,6 +344,7 @@ class GoalReader:
         self._iterations += 1
         if self._is_sender:
             log.read = self._next
+            log.hurried = self._hurried
 
     def end_iteration(self, thread: int) -> None:
         """Record that an iterator made in ``thread`` is gone. Any thread may call this.
@@ -373,21 +376,25 @@ class GoalReader:
         if not self._is_sender:
             await self._server.wait_for_end(goal)
             return goal
-        log = goal.feedback
-        if log is None:
-            log = goal.feedback = FeedbackLog()
-        log.hurried += 1
-        log.relieve()
+        self._hurry(1)
         try:
             await self._server.wait_for_end(goal)
         finally:
-            log.hurried -= 1
+            self._hurry(-1)
         return goal
 
-    async def cancel(self) -> CancelGoal.Response:
+    def _hurry(self, change: int) -> None:
+        """Count the callers that wait for the end. They must not wait for a reader of feedback."""
+        self._hurried += change
+        log = self.goal.feedback  # before there is feedback or a reader, there is no log
+        if log is not None:
+            log.hurried = self._hurried
+            log.relieve()
+
+    def cancel(self) -> Coroutine[object, object, CancelGoal.Response]:
         """Ask the server to cancel the goal."""
         self._home.check()
-        return await self._server.cancel_goal(self.goal)
+        return self._server.cancel_goal(self.goal)
 
     async def pause(self, timeout: float) -> None:
         """Pause the goal."""

@@ -1,4 +1,4 @@
-"""Runs one goal's body in a task: steps it, cancels it, and knows its position.
+"""Runs one goal's body in a task: steps it, cancels it, ends the goal, and knows its position.
 
 A body always runs in its own task, no matter how its client waits. The server owns the task: it
 cancels the task and waits for its end.
@@ -28,8 +28,11 @@ BLOCKING = 0.5
 class Runner(Protocol):
     """What a body task needs from the server; see `turtleact.server.execution`."""
 
-    def run(self, goal: Goal, task: BodyTask) -> Coroutine[object, object, None]:
-        """Run the goal's body to its end. This raises only exceptions that stop the program."""
+    def open_body(self, goal: Goal, task: BodyTask) -> Coroutine[object, object, object]:
+        """Return the coroutine that runs the goal's body. Called in the body's task."""
+
+    def close_body(self, goal: Goal, task: BodyTask, error: BaseException) -> None:
+        """End a goal whose body has ended: with StopIteration if it has returned."""
 
     def end_unstarted(self, goal: Goal) -> None:
         """End a goal that was cancelled before its body took the first step."""
@@ -39,10 +42,13 @@ class Runner(Protocol):
 
 
 class BodyTask(Coroutine[object, object, None]):
-    """The coroutine of a body's task. It wraps the body and watches each step.
+    """The coroutine of a body's task: it steps the body, and ends the goal when the body ends.
+
+    Each step must be watched, so this steps the body by hand. Awaiting the body in a coroutine of
+    its own as well would cost 290 bytes for each goal.
 
     Args:
-        runner: Runs the body and ends the goal.
+        runner: Opens the body and ends the goal.
         goal: The goal.
         tasks: The task functions of the event loop.
 
@@ -50,26 +56,38 @@ class BodyTask(Coroutine[object, object, None]):
         body: The coroutine or generator that the user's function returned; None before the call.
     """
 
-    __slots__ = ("_goal", "_is_cancel_due", "_runner", "_running", "_task", "_tasks", "body")
+    __slots__ = (
+        "_goal",
+        "_has_ended",
+        "_is_cancel_due",
+        "_runner",
+        "_steps",
+        "_task",
+        "_tasks",
+        "body",
+    )
 
     def __init__(self, runner: Runner, goal: Goal, tasks: Tasks) -> None:
         self.body: object = None
         self._runner = runner
         self._goal = goal
         self._tasks = tasks
-        self._running: Coroutine[object, object, None] | None = None
+        self._steps: Coroutine[object, object, object] | None = None
         self._task: Cancelable | None = None
         self._is_cancel_due = False
+        self._has_ended = False
 
     def start(self, name: str, context: Context | None) -> None:
         """Start the task in ``context``, or in a copy of the current context.
 
-        An eager task takes its first step inside this call. That step may end the goal. If the step
+        An eager task takes its first step inside this call. That step may end the body. If the step
         cancels the goal while `_task` is not set yet, this method cancels the task afterwards.
         """
-        self._task = self._tasks.spawn(self, name, context, is_eager=True)
-        if self._is_cancel_due and not self._goal.is_decided:
-            self.cancel()
+        task = self._tasks.spawn(self, name, context, is_eager=True)
+        if not self._has_ended:
+            self._task = task
+            if self._is_cancel_due and not self._goal.is_decided:
+                self.cancel()
 
     def cancel(self) -> None:
         """Cancel the body at its next await outside a shield.
@@ -81,7 +99,7 @@ class BodyTask(Coroutine[object, object, None]):
         # or `send` cancels afterwards. (3) The task is in an anyio shield, which
         # `asyncio.Task.cancel` would break: `send` cancels after the step that leaves the shield.
         # (4) Otherwise the task is cancelled now.
-        if self._running is None:
+        if self._steps is None:
             self._runner.end_unstarted(self._goal)
         elif self._task is None:
             self._is_cancel_due = True
@@ -104,37 +122,20 @@ class BodyTask(Coroutine[object, object, None]):
 
     def send(self, value: Any) -> object:  # noqa: ANN401  # whatever the loop sends
         """Run one step."""
-        running = self._running
-        if running is None:
-            if self._goal.is_decided:  # cancelled before the first step
-                raise StopIteration
-            running = self._running = self._runner.run(self._goal, self)
-        return self._step(running.send, value)
+        return self._step(self._begin if self._steps is None else self._steps.send, value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
         """Run one step that begins with an exception."""
-        running = self._running
-        if running is None:  # the program ends and cancels a task that has not begun
-            self._runner.end_unstarted(self._goal)
-            raise error
-        return self._step(running.throw, error)
-
-    def _step(self, resume: Callable[[Any], object], value: object) -> object:
-        """Resume the body, and report the step if it blocks the loop for long."""
-        began = monotonic()
-        try:
-            waits_for = resume(value)
-        finally:
-            if (took := monotonic() - began) > BLOCKING:
-                self._runner.report_blocking(self._goal, took)
-        if self._is_cancel_due:
-            self.cancel()
-        return waits_for
+        if self._steps is not None:
+            return self._step(self._steps.throw, error)
+        # The program ends and cancels a task that has not begun.
+        self._runner.end_unstarted(self._goal)
+        raise error
 
     def close(self) -> None:
         """Close the body."""
-        if self._running is not None:
-            self._running.close()
+        if self._steps is not None:
+            self._steps.close()
 
     def __await__(self) -> Self:
         return self
@@ -143,4 +144,28 @@ class BodyTask(Coroutine[object, object, None]):
         return self
 
     def __next__(self) -> object:
-        return self.send(None)
+        return self._step(self._begin if self._steps is None else self._steps.send, None)
+
+    def _begin(self, value: Any) -> object:  # noqa: ANN401  # as `send`
+        """Run the first step, unless the goal was cancelled before it."""
+        if self._goal.is_decided:
+            raise StopIteration
+        self._steps = self._runner.open_body(self._goal, self)
+        return self._steps.send(value)
+
+    def _step(self, resume: Callable[[Any], object], value: object) -> object:
+        """Resume the body, and report the step if it blocks the loop for long."""
+        began = monotonic()
+        try:
+            waits_for = resume(value)
+        except BaseException as error:
+            self._has_ended = True
+            self._task = None  # breaks the cycle with the task, so that both are freed at once
+            self._runner.close_body(self._goal, self, error)
+            raise StopIteration from None  # the task has ended, too
+        finally:
+            if (took := monotonic() - began) > BLOCKING:
+                self._runner.report_blocking(self._goal, took)
+        if self._is_cancel_due:
+            self.cancel()
+        return waits_for

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from contextvars import Context, copy_context
 from functools import partial
+from types import CoroutineType
 from typing import NamedTuple, Protocol, TypeAlias, cast
 
 from turtleact.body import ActionType, Body, ServerOptions, Steps
@@ -37,6 +38,10 @@ logger = logging.getLogger("turtleact.server")
 Check: TypeAlias = Callable[[object], Message]
 
 _ENDS_PROGRAM = (KeyboardInterrupt, SystemExit)
+
+# Members of enums that each goal needs. Python 3.11 looks them up slowly in their classes.
+_CANCELING = GoalStatus.CANCELING
+_SUCCEED = GoalEvent.SUCCEED
 
 BURST = 16
 """After this many messages in a row, a generator that never waits must let other tasks run."""
@@ -118,7 +123,7 @@ class Execution:
         self.outlet: FeedbackOutlet | None = None
         self.is_suspended = False
         self.bodies: dict[BodyTask, Goal] = {}
-        self._call = served.body.call
+        self._body = served.body
         self._table = table
         self._tasks = tasks
         self._now = now
@@ -136,7 +141,7 @@ class Execution:
 
         If an observer has already had the goal cancelled, the goal ends at once.
         """
-        if goal.status is GoalStatus.CANCELING or goal.reason:
+        if goal.status is _CANCELING or goal.reason:
             self._end_canceled(goal)
         if goal.is_decided:
             return
@@ -147,32 +152,41 @@ class Execution:
         self.bodies[task] = goal
         task.start(self.served.name, context)
 
-    async def run(self, goal: Goal, task: BodyTask) -> None:
-        """Run a body, and end its goal when the body ends."""
+    def open_body(self, goal: Goal, task: BodyTask) -> Coroutine[object, object, object]:
+        """Return the coroutine that runs a goal's body. Called in the body's task."""
         CURRENT_GOAL.set(goal)  # only in this task's context
         goal.runner = self
-        body = self.served.body
+        if goal.hold is not None:
+            return self._run_when_resumed(goal, task)
+        return self._call_body(goal, task)
+
+    async def _run_when_resumed(self, goal: Goal, task: BodyTask) -> object:
+        """Run a body that begins paused."""
+        await self.pauses.stand(goal)
+        return await self._call_body(goal, task)
+
+    def _call_body(self, goal: Goal, task: BodyTask) -> Coroutine[object, object, object]:
+        body = self._body
+        if body.wants_handle:
+            running = body.call(goal.request, self.make_handle(goal))
+        else:
+            running = body.call(goal.request)
+        task.body = running
+        if isinstance(running, CoroutineType):
+            return running
+        if body.is_generator:
+            return self._drive(goal, cast("Steps", running))
+        return _awaiting(cast("Awaitable[object]", running))
+
+    def close_body(self, goal: Goal, task: BodyTask, error: BaseException) -> None:
+        """End a goal whose body has ended: with StopIteration if it has returned."""
         try:
-            if goal.hold is not None:
-                await self.pauses.stand(goal)
-            if body.wants_handle:
-                running = self._call(goal.request, self.make_handle(goal))
+            if isinstance(error, StopIteration):
+                self._succeed(goal, error.value)
             else:
-                running = self._call(goal.request)
-            task.body = running
-            if body.is_generator:
-                running = self._drive(goal, running)  # type: ignore[arg-type]  # see Body
-            result = await running  # type: ignore[misc]  # see Body
-            self._succeed(goal, result)
-        except BaseException as error:
-            if _is_closed_by_loop(error):
-                raise
-            stop = _stop_in(error)
-            if stop is None:
                 self._fail(goal, error)
-            else:
-                self.end(goal, GoalEvent.ABORT, None, STOPPED)
-                self._tasks.stop_program(stop)
+        except BaseException as raised:  # an observer stops the program
+            self._fail(goal, raised)
         finally:
             self._forget(task)
 
@@ -375,8 +389,7 @@ class Execution:
         if goal.is_decided:
             return
         goal.body = None
-        canceling = goal.status is GoalStatus.CANCELING
-        if self.is_suspended and not canceling and event is not GoalEvent.SUCCEED:
+        if self.is_suspended and goal.status is not _CANCELING and event is not _SUCCEED:
             return
         if goal.is_paused or goal.hold is not None or goal.children:
             self.pauses.leave(goal)
@@ -388,7 +401,8 @@ class Execution:
         if self.durable is None:
             self._announce_end(goal, event, reason)
         else:
-            self.durable.end(goal, event, reason, partial(self._announce_end, goal, event, reason))
+            announce = partial(self._announce_written_end, goal, event, reason)
+            self.durable.end(goal, event, reason, announce)
 
     def lose(self, goal: Goal, error: TurtleactError) -> None:
         """Tell everybody who waits for a goal that its server has stopped before the goal ended."""
@@ -403,10 +417,14 @@ class Execution:
             goal.listener.fire()
         self._call_back(goal)
 
+    def _announce_written_end(self, goal: Goal, event: GoalEvent, reason: str) -> None:
+        """End a goal whose end is in the journal, unless the server was stopped meanwhile."""
+        if not goal.ended:
+            self._announce_end(goal, event, reason)
+            self._ended.fire()
+
     def _announce_end(self, goal: Goal, event: GoalEvent, reason: str) -> None:
         """End a goal, and tell its readers and waiters."""
-        if goal.ended:  # the server was stopped before the journal had written the end
-            return
         goal.reason = reason
         if goal.parent is not None:
             goal.leave_parent()
@@ -423,8 +441,6 @@ class Execution:
             self._call_back(goal)
         if start_next is not None:
             self._tasks.call_soon(start_next)
-        if self.durable is not None:
-            self._ended.fire()
 
     def _call_back(self, goal: Goal) -> None:
         callbacks, goal.end_callbacks = goal.end_callbacks, ()
@@ -432,24 +448,31 @@ class Execution:
             callback()
 
     def _succeed(self, goal: Goal, result: object) -> None:
-        if result is None or not self.served.body.is_generator:  # `_drive` has checked the others
+        if result is None or not self._body.is_generator:  # `_drive` has checked the others
             try:
                 result = self.check_result(result)
             except InvalidMessage as error:
                 why = "no result" if result is None else f"the body's result does not fit: {error}"
                 self.end(goal, GoalEvent.ABORT, None, why)
                 return
-        self.end(goal, GoalEvent.SUCCEED, result)
+        self.end(goal, _SUCCEED, result)
 
     def _fail(self, goal: Goal, error: BaseException) -> None:
-        canceling = goal.status is GoalStatus.CANCELING
-        if isinstance(error, Abort):
+        canceling = goal.status is _CANCELING
+        stop = _stop_in(error)
+        if stop is not None:
+            self.end(goal, GoalEvent.ABORT, None, STOPPED)
+            self._tasks.stop_program(stop)
+        elif isinstance(error, Abort):
             self._end_with(goal, GoalEvent.ABORT, error.result, text_of(error.reason))
         elif isinstance(error, Cancel) and (canceling or goal.reason):
             event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
             self._end_with(goal, event, error.result, "" if canceling else goal.reason)
         elif is_cancellation(error, self._tasks):
             self._end_canceled(goal)
+            # The traceback leads to the frames that have thrown the cancellation in, and they refer
+            # to the cancellation: a cycle for each goal, which only the garbage collector frees.
+            error.__traceback__ = None
         else:
             name, told = self.served.name, loggable(error)
             logger.error("the body of goal %s of %s failed", goal.hex, name, exc_info=told)
@@ -459,7 +482,7 @@ class Execution:
 
     def _end_canceled(self, goal: Goal) -> None:
         """End a goal that was cancelled: CANCELED if a client asked for that, otherwise ABORTED."""
-        if goal.status is GoalStatus.CANCELING:
+        if goal.status is _CANCELING:
             self.end(goal, GoalEvent.CANCELED, None)
         else:
             self.end(goal, GoalEvent.ABORT, None, goal.reason or CUT_OFF)
@@ -513,6 +536,10 @@ class Execution:
         self._ended.fire()
 
 
+async def _awaiting(running: Awaitable[object]) -> object:
+    return await running
+
+
 async def _finish(steps: Steps) -> None:
     """Let a generator run on after its result. The result stands, whatever happens then."""
     try:
@@ -538,12 +565,3 @@ def _stop_in(error: BaseException) -> BaseException | None:
     if isinstance(error, BaseExceptionGroup):
         return next(filter(None, map(_stop_in, error.exceptions)), None)
     return error if isinstance(error, _ENDS_PROGRAM) else None
-
-
-def _is_closed_by_loop(error: BaseException) -> bool:
-    """Whether the event loop is gone and is closing the running coroutine.
-
-    A GeneratorExit that the body raised itself would have passed through a frame of the body.
-    """
-    trace = error.__traceback__
-    return isinstance(error, GeneratorExit) and trace is not None and trace.tb_next is None

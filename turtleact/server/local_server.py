@@ -183,14 +183,18 @@ class LocalActionServer:
             InvalidGoal: if the request does not fit the action.
             GoalRejected: if it is rejected.
         """
-        goal = await self.take(order, is_streamed=True)
+        goal = self._take_in_turn(order, is_streamed=True) or await self.take(
+            order, is_streamed=True
+        )
         # Yield once, so that the body has begun when the client gets its handle. On every loop and
-        # Python version, a cancel that the client sends next then reaches the running body.
-        try:
-            await self._tasks.checkpoint()
-        except self._tasks.cancelled:
-            await cancel_and_wait(self, goal, order.cancel_timeout)
-            raise
+        # Python version, a cancel that the client sends next then reaches the running body. A body
+        # that starts eagerly has begun already.
+        if goal.runner is None:
+            try:
+                await self._tasks.checkpoint()
+            except self._tasks.cancelled:
+                await cancel_and_wait(self, goal, order.cancel_timeout)
+                raise
         return goal
 
     async def run_goal(self, order: GoalOrder) -> Goal:
@@ -198,26 +202,27 @@ class LocalActionServer:
 
         Cancelling: cancels the goal and waits at most ``order.cancel_timeout`` s for its end.
         """
-        goal = await self.take(order, is_streamed=False)
+        goal = self._take_in_turn(order) or await self.take(order)
         if not goal.ended:
+            signal = self.signal(goal)
             try:
-                await self.wait_for_end(goal)
+                while not goal.ended:  # the caller has the goal: no need to keep it in the table
+                    await signal.wait()
             except self._tasks.cancelled:
                 await cancel_and_wait(self, goal, order.cancel_timeout)
                 raise
         return goal
 
-    async def take(self, order: GoalOrder, *, is_streamed: bool) -> Goal:
+    def _take_in_turn(self, order: GoalOrder, *, is_streamed: bool = False) -> Goal | None:
+        """Accept a goal from this process like `take_nowait`, unless other tasks need a turn."""
+        self._until_turn -= 1
+        return self.take_nowait(order, is_streamed=is_streamed) if self._until_turn > 0 else None
+
+    async def take(self, order: GoalOrder, *, is_streamed: bool = False) -> Goal:
         """Accept a goal, after asking the callback if there is one.
 
         ``is_streamed`` keeps feedback.
         """
-        if self.durable is None:
-            self._until_turn -= 1
-            if self._until_turn > 0:
-                goal = self.take_nowait(order, is_streamed=is_streamed)
-                if goal is not None:
-                    return goal
         try:
             if self.durable is not None:
                 return await self._take_durably(order, self.durable, is_streamed=is_streamed)
@@ -227,7 +232,7 @@ class LocalActionServer:
             self.observers.goal_rejected(rejected.reason)
             raise
 
-    def take_nowait(self, order: GoalOrder, *, is_streamed: bool) -> Goal | None:
+    def take_nowait(self, order: GoalOrder, *, is_streamed: bool = False) -> Goal | None:
         """Accept a goal without waiting, or return None if accepting it may take time.
 
         With a ``goal_callback`` or a journal, accepting may take time.
@@ -346,8 +351,8 @@ class LocalActionServer:
             order.goal_id,
             on_feedback,
             is_streamed,
-            parent=CURRENT_GOAL.get(),
-            sender=order.sender,
+            CURRENT_GOAL.get(),
+            order.sender,
         )
 
     def _admit(self, goal: Goal) -> Goal:
@@ -488,7 +493,11 @@ class LocalActionServer:
         """Answer a request to cancel one goal, even if it has been forgotten."""
         if goal.ended and self.find(self.name_goal(goal)) is not goal:
             return CancelGoal.Response(CancelCode.UNKNOWN_GOAL_ID)
-        if await self._ask_and_cancel(goal):
+        if self._callbacks.ask_about_cancels:
+            is_canceled = await self._ask_and_cancel(goal)
+        else:
+            is_canceled = self._cancel(goal)
+        if is_canceled:
             if self.durable is not None:
                 await self.durable.written()
             return CancelGoal.Response(CancelCode.NONE, [self.info(goal)])

@@ -13,6 +13,8 @@ from contextvars import Context
 from types import CoroutineType
 from typing import Any
 
+import msgspec
+
 from turtleact.goal import Cancelable
 
 __all__ = ["AsyncioSignal", "AsyncioTasks", "is_in_shielded_scope"]
@@ -146,14 +148,11 @@ class _Begun(Coroutine[object, object, None]):
         return self._running.__await__()
 
 
-class AsyncioSignal:
+class AsyncioSignal(msgspec.Struct, eq=False):
     """A signal made of futures, one per waiter, in the order of arrival."""
 
-    __slots__ = ("_loop", "_waiting")
-
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = loop
-        self._waiting: dict[asyncio.Future[None], None] = {}
+    _loop: asyncio.AbstractEventLoop
+    _waiting: dict[asyncio.Future[None], None] = {}
 
     def fire(self) -> None:
         """Wake every task that waits now."""
