@@ -1,19 +1,22 @@
-"""Ensures that only one node serves an action name, and decides what happens to a second one.
+"""Ensures that only one node serves an action name, and decides what a second node does.
 
 A node may serve several types under one name, as it does for ``/fibonacci``. But if two nodes
 served the same name, every goal would run twice, because ROS 2 sends a request to all servers of a
-service. A second node chooses what happens:
+service. A second node chooses one of these:
 
 - ``refuse``: its `action_server` raises and names the first node.
-- ``wait``: it begins to serve when the first node has gone; useful for restarts and failover.
+- ``wait``: it begins to serve when the first node has gone. This is useful for restarts and
+failover.
 - ``withdraw``: it withdraws when any other node, in any process, serves the name. Its running goals
   finish. When no other node serves the name any more, it serves it again. The built-in actions do
   this.
 
 A restarted node may still see its predecessor: a node of the same name whose process has just died
-and whose lease has not run out. Such a node is not refused. It waits until the predecessor is gone.
+and whose lease has not run out. The restarted node is not refused: it waits until the predecessor
+is gone.
 
-Across processes, all of this depends on discovery: a server counts only once it has been seen.
+Across processes, all of this depends on discovery: a server counts only after it has been
+discovered.
 """
 
 from __future__ import annotations
@@ -38,7 +41,7 @@ logger = logging.getLogger("turtleact.server")
 OnConflict: TypeAlias = Literal["refuse", "wait", "withdraw"]
 
 BUILT_INS_NODE = "/turtle_actions"
-"""The node of the built-in actions in every process; it withdraws in favour of any other node."""
+"""The node of the built-in actions in every process. It withdraws in favour of any other node."""
 
 
 STAGGER = random.uniform(0.0, 0.5)  # noqa: S311  # not for security
@@ -60,7 +63,7 @@ class Rivals:
         self._node = node
 
     def check(self, action: str, type_name: str, own_types: set[str]) -> None:
-        """Raise if another node serves the action, or this one under the same type.
+        """Check that no other node serves the action, and that this node does not serve its type.
 
         Args:
             action: The action's name.
@@ -68,7 +71,7 @@ class Rivals:
             own_types: The types that the node already serves under the name.
 
         Raises:
-            ActionConflict: with the name of the node that serves the action.
+            ActionConflict: if a node serves the action already. The error names that node.
         """
         if type_name in own_types:
             raise ActionConflict(action, self._node)
@@ -87,9 +90,9 @@ class Rivals:
         return next((node for node in self._nodes() if node not in own), None)
 
     def holder(self) -> str | None:
-        """Return the node that must go before this one can serve; None if the name is free.
+        """Return the node that must go before this node can serve; None if the name is free.
 
-        The holder may have this node's own name if it is in another process: a predecessor.
+        The holder may be a predecessor: a node in another process with this node's own name.
         """
         if self._node in self._nodes(is_local=False):
             return self._node
@@ -105,14 +108,14 @@ class Rivals:
 
     @property
     def discovery_ends(self) -> float:
-        """Until when servers that exist may not have been seen (event loop time)."""
+        """Before this moment, an existing server may not have been seen (event loop time)."""
         return self._transport.discovery_ends
 
     async def wait_until_free(self) -> None:
         """Wait until this node can serve the action. Cancelling: safe.
 
         Standbys in several processes all see at the same moment that a server has gone. Each then
-        waits for a time of its own and looks again, so that only the first one takes over.
+        waits for a different time and looks again, so that only the first standby takes over.
         """
         while (holder := self.holder()) is not None:
             is_remote = holder in self._nodes(is_local=False)
@@ -126,7 +129,7 @@ class Rivals:
             await self._transport.wait_for_change()
 
     def _nodes(self, *, is_local: bool | None = None) -> list[str]:
-        """List the nodes that serve the action: all, only local ones, or only remote ones."""
+        """List the nodes that serve the action: all nodes, only local ones, or only remote ones."""
         return [
             endpoint.node
             for endpoint in self._transport.endpoints(self._service)
@@ -139,13 +142,14 @@ class Rivals:
 
 
 class ServedName:
-    """The name of one action server: it serves the name, waits for it, or makes way for others.
+    """The name of one action server, which serves it, waits for it, or makes way for others.
 
     Args:
-        server: Holds and runs its goals.
-        endpoints: Put it on the graph.
+        server: The object that holds and runs the goals.
+        endpoints: The endpoints that put the server on the graph.
         rivals: The other servers of the name.
-        types_served: Returns the types that the node of the server now serves under the name.
+        types_served: A function that returns the types that the server's node now serves under the
+            name.
         restore: Called once the server serves the name, to restore its goals.
 
     Attributes:
@@ -173,9 +177,10 @@ class ServedName:
         """Serve the name now, or once it is free.
 
         Args:
-            on_conflict: What to do if another node serves it. "refuse" was decided before: what
-                holds the name now has the name of this node, and is about to disappear.
-            again: Opens a server like this one, after it has made way for another node.
+            on_conflict: What to do if another node serves the name. "refuse" was decided before. In
+                that case, a node with this node's own name holds the action name, and is about to
+                disappear.
+            again: Opens a server like this one, after this server has made way for another node.
         """
         if on_conflict == "withdraw":
             self._keep(self._make_way(again), "making way for others with")
@@ -189,13 +194,13 @@ class ServedName:
             self._keep(self._serve_once_free(), "waiting to serve")
 
     async def wait(self) -> bool:
-        """Wait until the name is served; False if the server stopped before. Cancelling: safe."""
+        """Wait until the server serves the name. False if it stopped before. Cancelling: safe."""
         while self._server.is_open and not self.is_serving:
             await self._turned.wait()
         return self.is_serving
 
     async def aclose(self) -> None:
-        """Accept no more goals, and neither wait for the name nor make way any more."""
+        """Accept no more goals, and stop waiting for the name or making way."""
         self._stop()
         for running in self._running:
             await running.aclose()
@@ -226,7 +231,10 @@ class ServedName:
         self._turned.fire()
 
     async def _look_for_built_in(self, seconds: float) -> None:
-        """Log it if discovery shows a built-in action within some seconds. Cancelling: safe."""
+        """Write a log line if discovery shows a built-in action within some seconds.
+
+        Cancelling: safe.
+        """
         with anyio.move_on_after(seconds):
             await self._rivals.wait_until(self._rivals.has_built_in)
             self._tell_of_built_in()
@@ -241,11 +249,11 @@ class ServedName:
         self._begin()
 
     async def _make_way(self, again: Callable[[], object]) -> None:
-        """Withdraw when another node serves the name; serve again when none does any more.
+        """Withdraw when another node serves the name. Serve again when no other node serves it.
 
-        A closed server cannot open again, so ``again`` opens another one, which watches for rivals
-        in turn. Until then the node keeps track of the old server, so that closing the node also
-        ends this watch.
+        A closed server cannot open again, so ``again`` opens another server, which watches for
+        rivals in turn. Until then, the node keeps track of the old server, so that closing the node
+        also ends this watch.
         """
         name, rivals = self._server.name, self._rivals
         await rivals.wait_until(lambda: rivals.first() is not None)
@@ -267,7 +275,7 @@ def check_on_conflict(given: object) -> None:
     """Check a value of ``on_conflict``.
 
     Raises:
-        InvalidOption: if it is none of `OnConflict`.
+        InvalidOption: if the value is none of `OnConflict`.
     """
     if given not in get_args(OnConflict):
         words = ", ".join(get_args(OnConflict))

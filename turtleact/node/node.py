@@ -77,23 +77,25 @@ Res = TypeVar("Res", bound=Message)
 
 
 class Node:
-    """One participant of a graph; made by `open_node`.
+    """One participant of a graph. `open_node` makes one.
 
-    Methods that open something raise `TurtleactError` if the node is closed, and TypeError for what
-    is no interface of the right kind. With ``on_demand``, other processes learn of an endpoint only
-    once one of them has an endpoint of the same name: for thousands of endpoints, mostly unused.
+    Methods that open something raise `TurtleactError` if the node is closed, and TypeError if a
+    class is no interface of the right kind. With ``on_demand``, other processes learn of an
+    endpoint only once one of them has an endpoint of the same name. Use it if you have thousands of
+    endpoints that are mostly unused.
 
     With ``introspection="contents"``, requests and responses are published on the topics
-    ``SERVICE/_service_event``, as in ROS 2; "metadata" leaves out what they contain. None stands
-    for the node's setting. Such calls travel as messages even within a process, which is slower.
+    ``SERVICE/_service_event``, as in ROS 2; with "metadata", their contents are left out. None
+    stands for the node's setting. With introspection, calls travel as messages even within a
+    process, which is slower.
 
     Attributes:
         name: The node's name, without the namespace.
         namespace: The prefix of relative names.
-        clock: The graph's time. Bodies should wait with it.
+        clock: The graph's clock. Bodies should wait with it.
         transport: The connection to other nodes.
-        introspection: The introspection of what is opened on the node from now on.
-        first_values: The first values of parameters, by name, instead of declared ones.
+        introspection: The introspection of everything that is opened on the node from now on.
+        first_values: First values of parameters, by name, which replace the declared ones.
     """
 
     introspection: Introspection = "off"
@@ -123,7 +125,7 @@ class Node:
 
     @property
     def is_open(self) -> bool:
-        """Whether you can open something on the node."""
+        """Whether the node is open, so that you can open something on it."""
         return self._resources.is_open
 
     def serve(
@@ -138,9 +140,9 @@ class Node:
 
         Args:
             definition: The declared body.
-            name: The name to serve it under, instead of the declared one.
+            name: The name under which to serve the action, instead of the declared name.
             on_conflict: See `action_server`.
-            **overrides: Options that replace declared ones; see `action_server`.
+            **overrides: Options that replace the declared options; see `action_server`.
         """
         check_declaration(definition)
         options = cast("ServerOptions", {**definition.options, **overrides})
@@ -171,30 +173,31 @@ class Node:
             execute: The body: an async generator or a coroutine function. It takes the goal and,
                 if it has a second parameter, the `ServerGoalHandle`.
             on_demand: See `Node`.
-            on_conflict: What to do if another node already serves the name, in this process or, as
-                far as discovery shows, in another. "refuse" raises `ActionConflict`. "wait" begins
-                to serve when the other node has gone. "withdraw" is for built-in actions: they
-                withdraw while another node serves the name. When it has gone, a new server with the
-                same arguments takes the place of the one that withdrew.
+            on_conflict: What to do if another node already serves the name. The node may be in this
+                process or, as far as discovery shows, in another. "refuse" raises `ActionConflict`.
+                "wait" begins to serve when the other node has gone. "withdraw" is for built-in
+                actions: they withdraw while another node serves the name. When that node has gone,
+                a new server with the same arguments takes the place of the withdrawn one.
             **options: ``goal_callback(goal)`` returns a `GoalResponse` or raises
                 `turtleact.Reject`. ``cancel_callback(handle)`` returns a `CancelResponse`. Both may
                 be coroutine functions. ``policy`` decides what happens to a new goal while another
                 runs: "parallel", "reject", "queue" or "preempt". Under "parallel", at most
-                ``max_active`` goals run and the others wait. At most ``queue_limit`` goals wait.
-                Servers of this node with the same ``slot`` share one policy and one place.
+                ``max_active`` goals run, and the others wait. At most ``queue_limit`` goals may
+                wait. Servers of this node with the same ``slot`` share one policy and one place.
                 ``result_timeout`` is how long a result is kept after the goal's end (s, 10 by
                 default; None keeps it for ever). ``on_client_lost`` is "keep", or "cancel" to
                 cancel a client's goals when the client closes. When the server closes, a cancelled
-                body has ``grace`` seconds to clean up (event loop time, 5 by default); then it is
-                given up. ``journal`` keeps the goals on disk (see `turtleact.open_journal`), and
-                ``on_restart`` says what to do with those that an earlier process left: "abort" or
-                "resume". ``pausable=True`` declares that a coroutine body awaits
-                ``handle.checkpoint()``, where it can be paused. ``on_pause(handle)`` and
-                ``on_resume(handle)`` are coroutine functions that bring a robot to rest and let it
-                go on. For ``introspection``, see `Node`.
+                body has ``grace`` seconds to clean up (event loop time, 5 by default). After that,
+                the body is given up. ``journal`` keeps the goals on disk (see
+                `turtleact.open_journal`). ``on_restart`` says what to do with goals that an earlier
+                process left: "abort" or "resume". ``pausable=True`` declares that a coroutine body
+                awaits ``handle.checkpoint()``, where the body can be paused. ``on_pause(handle)``
+                and ``on_resume(handle)`` are coroutine functions that bring a robot to rest and let
+                it go on. For ``introspection``, see `Node`.
 
         Raises:
-            ActionConflict: if another node serves the name, or this node does with the same type.
+            ActionConflict: if another node serves the name, or this node serves it with the same
+                type.
             InvalidName: if the name breaks ROS 2's rules.
             InvalidBody: if the function cannot be a body.
             InvalidOption: if the value of an option is not allowed.
@@ -243,7 +246,7 @@ class Node:
         return server
 
     def _restore_soon(self, local: LocalActionServer) -> None:
-        """Restore a server's goals on the loop's next turn, with those of its siblings."""
+        """Restore a server's goals on the loop's next turn, with the goals of its siblings."""
         if local.durable is not None:
             # Servers that share a slot must be restored together, in the order in which their goals
             # were accepted. A program opens them one after the other without an await, so on the
@@ -260,8 +263,8 @@ class Node:
         """Call ``hook(goal, old, new)`` at each change of a goal served on this node.
 
         The hook is called from now on, in the event loop, in the order of the changes. For a new
-        goal, ``old`` is UNKNOWN. If the hook raises, the exception is logged and nothing else
-        happens.
+        goal, ``old`` is UNKNOWN. If the hook raises an exception, that is logged and has no other
+        effect.
 
         Args:
             hook: Takes the goal's `ServerGoalHandle` and two `GoalStatus`.
@@ -284,9 +287,9 @@ class Node:
         Args:
             action_type: The action, a subclass of `turtleact.Action`.
             name: The action's name. A relative name is put below the node's namespace.
-            cancel_timeout: If a task is cancelled while it waits for a goal, or leaves the goal's
-                ``async with`` block, the goal is canceled too. The task then waits for the goal's
-                end, at most this long (s, event loop time; None for no limit).
+            cancel_timeout: A goal is canceled if a task is cancelled while it waits for the goal,
+                or if the task leaves the goal's ``async with`` block. The task then waits at most
+                this long for the goal's end (s, event loop time; None for no limit).
             introspection: See `Node`.
 
         Raises:
@@ -315,10 +318,11 @@ class Node:
         Args:
             message_type: The type of the messages.
             topic: The topic's name. A relative name is put below the node's namespace.
-            qos: Quality of service; left out, the defaults of `QoS`.
+            qos: Quality of service. If left out, the defaults of `QoS` apply.
             on_demand: See `Node`. Latched topics are visible to every process at once.
-            on_matched: Called when the topic gets its first reader, perhaps before this returns,
-                and when the last one has left. Not for latched topics.
+            on_matched: Called when the topic gets its first reader and when the last reader has
+                left. The first call may come before this method returns. Latched topics cannot have
+                it.
 
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
@@ -333,7 +337,9 @@ class Node:
     def subscription(
         self, message_type: type[M], topic: str, qos: QoS | None = None, *, on_demand: bool = False
     ) -> Subscription[M]:
-        """Open the receiving end of a topic, an object for ``async for``; see `publisher`.
+        """Open the receiving end of a topic.
+
+        Read it with ``async for``. For the arguments, see `publisher`.
 
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
@@ -360,7 +366,7 @@ class Node:
             name: The service's name. A relative name is put below the node's namespace.
             handler: A function or coroutine function that takes a request and returns the response.
                 Each request is handled in its own task, and several tasks run side by side. If the
-                handler raises, the caller gets `ServiceError`.
+                handler raises an exception, the caller gets `ServiceError`.
             on_demand: See `Node`.
             introspection: See `Node`.
 
@@ -383,7 +389,7 @@ class Node:
         *,
         introspection: Introspection | None = None,
     ) -> ServiceClient[Req, Res]:
-        """Open a client of a service. The service need not be served yet; see `service`.
+        """Open a client of a service, which need not be served yet. For arguments, see `service`.
 
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
@@ -429,7 +435,7 @@ class Node:
     def parameter(
         self, name: ParameterDeclaration[Any] | str, default: Any = None, **options: Any
     ) -> Parameter[Any]:
-        """Declare a parameter, or find one.
+        """Declare a parameter, or find a declared one.
 
         The first declaration opens the six parameter services of the node and a publisher on
         ``/parameter_events``, so ``param list`` and programs in ROS 2 see the parameter.
@@ -437,20 +443,21 @@ class Node:
         Args:
             name: The parameter's name; dots group parameters. With a name alone, this finds a
                 parameter that was declared before. With a declaration of `turtleact.parameter`,
-                this declares it if the node does not have it yet.
+                this declares the parameter if the node does not have it yet.
             default: The first value. It sets the kind that all later values must have: `bool`,
                 `int`, `float`, `str`, `bytes`, or a list of one of the first four. Python's whole
                 numbers are accepted for a `float`.
             description: What the parameter is for, with its unit.
             range: The least and the greatest allowed number, and perhaps the step between allowed
-                numbers. Only for `int` and `float`. Both ends are allowed.
+                numbers. Only an `int` or `float` can have a range. Both ends are allowed.
             read_only: Whether the parameter keeps its first value.
-            validate: Called with each new value, the first one too. To refuse a value, raise
+            validate: Called with each new value, including the first. To refuse a value, raise
                 `ValueError` with the reason, or return False.
 
         Raises:
-            InvalidParameter: if the parameter is declared already; if ``default`` is of no kind,
-                out of range or refused; if you give only a name, and it is not declared.
+            InvalidParameter: if the parameter is declared already; if ``default`` has an
+                unsupported type, is out of range or is refused; if you give only the name of an
+                undeclared parameter.
             InvalidOption: if ``range`` or ``validate`` is not allowed.
         """
         from turtleact.node.parameters import NodeParameters
@@ -470,7 +477,7 @@ class Node:
         return sum(endpoint.kind == "publisher" for endpoint in self.transport.endpoints(name))
 
     def stoppable(self) -> AbstractContextManager[None]:
-        """A block that ends if a body or handler on this node raises `SystemExit`; for trio."""
+        """Return a block, for trio, that ends if a body or handler here raises `SystemExit`."""
         return self._tasks.stoppable()
 
     def graph(self) -> Graph:
@@ -491,7 +498,7 @@ class Node:
             self._presence.close()
 
     async def close_withdrawn(self) -> None:
-        """Close the action servers that have made way for others, so that none comes back."""
+        """Close the action servers that have made way for others, so that they do not come back."""
         for server in self._servers():
             if not server.is_open:
                 await server.aclose()
@@ -502,7 +509,7 @@ class Node:
             raise TurtleactError(f"node '{self.fully_qualified_name}' is closed: open another")
 
     def _place(self, options: ServerOptions) -> Slot[SlotRequest] | None:
-        """Return the slot for a server with these options; None if its goals need none."""
+        """Return the slot for a server with these options; None if its goals need no slot."""
         policy = options.get("policy", "parallel")
         rules = Rules(policy, options.get("max_active"), options.get("queue_limit"))
         return self._slots.find(rules, options.get("slot"))
@@ -523,7 +530,7 @@ class Node:
     def _events(
         self, service: Endpoint, service_type: object, introspection: Introspection | None
     ) -> Iterator[CallObserver | None]:
-        """A block that opens a service; gives what publishes its events, if that was asked for."""
+        """Give the publisher of a service's events to the block that opens the service."""
         find_type, shown = (lambda: service_type), introspection or self.introspection
         events = service_events(self.transport, self._endpoint, service, find_type, shown)
         try:
@@ -548,7 +555,7 @@ class Node:
 
 
 class ServerGoalHandle(GoalHandle[G, R, F]):
-    """A goal as the server's bodies, callbacks and hooks see it.
+    """The handle of a goal for the server's bodies, callbacks and hooks.
 
     Attributes:
         node: The node that serves the goal.
@@ -565,7 +572,7 @@ Transition: TypeAlias = Callable[[ServerGoalHandle[Any, Any, Any], GoalStatus, G
 
 
 class ActionServer(Generic[G, R, F]):
-    """Serves one action under one name; made by `Node.action_server`.
+    """Serves one action under one name. `Node.action_server` makes one.
 
     Attributes:
         name: The fully qualified name.
@@ -593,15 +600,15 @@ class ActionServer(Generic[G, R, F]):
 
     @property
     def is_open(self) -> bool:
-        """Whether the server accepts goals, or will when the name is free."""
+        """Whether the server accepts goals, or will accept them when the name is free."""
         return self._local.is_open
 
     @property
     def is_serving(self) -> bool:
         """Whether the server is on the graph under its name.
 
-        It is not while it waits for another node to give up the name, and not after it has made way
-        for another node.
+        This is False while the server waits for another node to give up the name, and after it has
+        made way for another node.
         """
         return self._served_name.is_serving
 
@@ -614,8 +621,8 @@ class ActionServer(Generic[G, R, F]):
         """Stop accepting goals, end the existing ones, and leave the graph.
 
         Running goals end ABORTED. A body that ignores its cancellation for ``grace`` seconds is
-        given up, and the log says where it stands. asyncio can abandon such a task; trio cannot, so
-        on trio this method keeps waiting. Every waiter gets its answer.
+        given up, and the log says where it stands. asyncio can abandon the task of such a body.
+        trio cannot, so on trio this method keeps waiting. Every waiter gets its answer.
 
         Args:
             reason: The reason that clients get for goals that end now.
@@ -628,9 +635,9 @@ class ActionServer(Generic[G, R, F]):
         await self._endpoints.aclose()
 
     async def wait_until_serving(self) -> bool:
-        """Wait until the server serves its name; False if it was closed or made way before that.
+        """Wait until the server serves its name. False if it was closed or made way before.
 
-        Cancelling: safe; the server goes on waiting for its name.
+        Cancelling: safe, the server goes on waiting for its name.
         """
         return await self._served_name.wait()
 
@@ -638,7 +645,7 @@ class ActionServer(Generic[G, R, F]):
         self._local.observers.add(Hook(hook, self._local.execution.make_handle))
 
     def _take_name(self, on_conflict: OnConflict, again: Callable[[], object]) -> None:
-        """Serve the name, now or later; ``again`` opens another server like this one."""
+        """Serve the name, now or later. ``again`` opens another server like this one."""
 
         def replace() -> None:
             if self._membership is not None:
@@ -654,13 +661,13 @@ async def open_node(
 ) -> AsyncIterator[Node]:
     """Open a node for the length of a block.
 
-    On trio, the block must be left in the task that entered it.
+    On trio, leave the block in the same task that entered it.
 
     Args:
         name: The node's name.
         namespace: The prefix of relative names.
-        transport: The graph that the node joins; left out, a new graph inside the process. Nodes
-            with the same transport see each other.
+        transport: The graph that the node joins. If left out, it is a new graph inside the process.
+            Nodes with the same transport see each other.
 
     Raises:
         InvalidName: if the name or the namespace breaks ROS 2's rules.
@@ -674,12 +681,12 @@ async def open_node(
 
 
 def resources_of(node: Node) -> Resources:
-    """Return what tracks everything that is open on a node, for what runs beside it."""
+    """Return the tracker of everything open on a node, for code that runs beside the node."""
     return node._resources
 
 
 def local_server_of(server: ActionServer[Any, Any, Any]) -> LocalActionServer:
-    """Return what holds and runs the goals of a server, for what observes them."""
+    """Return the object that holds and runs a server's goals, for code that observes them."""
     return server._local
 
 

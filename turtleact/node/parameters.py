@@ -1,7 +1,7 @@
-"""The parameters of a node on the graph: six services, and an event for each change.
+"""Serves the parameters of a node on the graph: six services, and an event for each change.
 
 The services appear when the first parameter is declared, so a node without parameters costs
-nothing. Answers and their texts match rclcpp: a service that is asked about several parameters
+nothing. Answers and their texts match rclcpp: a service that gets the names of several parameters
 answers with an empty list if one of them is not declared.
 
 Source: rclcpp 28.1 (ROS 2 Jazzy), ``parameter_service.cpp`` and ``node_parameters.cpp``.
@@ -58,7 +58,7 @@ EVENTS_QOS = QoS(depth=1000)
 
 
 class Host(Protocol):
-    """What parameters need of a node."""
+    """The part of a node that parameters use."""
 
     clock: Clock
     first_values: dict[str, object]
@@ -100,7 +100,7 @@ class NodeParameters:
         self._events: Publisher[ParameterEvent] | None = None
 
     def open(self) -> Publisher[ParameterEvent]:
-        """Serve the services unless they are served already; return the publisher of events."""
+        """Serve the services, unless they are served already. Return the publisher of events."""
         if self._events is not None:
             return self._events
         node = self._node
@@ -116,7 +116,7 @@ class NodeParameters:
     def get(
         self, name: ParameterDeclaration[P] | str, default: P | None, options: Mapping[str, Any]
     ) -> Parameter[Any]:
-        """Declare a parameter, or find one; see `turtleact.Node.parameter`."""
+        """Declare a parameter, or find a declared one; see `turtleact.Node.parameter`."""
         if isinstance(name, ParameterDeclaration):
             return self.declare_once(name)
         if default is None:
@@ -127,7 +127,7 @@ class NodeParameters:
         """Declare a parameter.
 
         Raises:
-            InvalidParameter: if it is declared already, or cannot have its first value.
+            InvalidParameter: if the parameter is declared already, or cannot have its first value.
         """
         self.check_open()
         self.open()
@@ -148,10 +148,10 @@ class NodeParameters:
         return self.declare(declaration)
 
     def find(self, name: str) -> Parameter[Value]:
-        """The declared parameter of a name.
+        """The declared parameter with a name.
 
         Raises:
-            InvalidParameter: if none is declared.
+            InvalidParameter: if no such parameter is declared.
         """
         if not self._declared:
             raise InvalidParameter(name, "it is not declared, nor is any other on this node")
@@ -163,12 +163,12 @@ class NodeParameters:
         return cast("Value", value_of(self._table[name]))
 
     def assign(self, name: str, value: object) -> None:
-        """Set a parameter to a Python value; raises as `Parameter.value` does."""
+        """Set a parameter to a Python value. The errors are those of `Parameter.value`."""
         self.check_open()
         self._apply([ParameterMessage(name, self._table.convert(name, value))])
 
     def undeclare(self, name: str) -> None:
-        """Remove a parameter; does nothing if it is not declared."""
+        """Remove a parameter. If it is not declared, do nothing."""
         if name not in self._table:
             return
         self._home.check()
@@ -183,7 +183,7 @@ class NodeParameters:
         return cast("object", self._declared.get(parameter.name)) is parameter
 
     def check_open(self) -> None:
-        """Raise if the node is closed, or belongs to another event loop."""
+        """Check that the node is open and belongs to this event loop."""
         self._home.check()
         if not self.resources.is_open:
             name = self._node.fully_qualified_name
@@ -218,7 +218,7 @@ class NodeParameters:
         return SetParametersAtomically.Response(result)
 
     def _set_together(self, parameters: Sequence[ParameterMessage]) -> SetParametersResult:
-        """Set all of them, or none."""
+        """Set all of the parameters, or none."""
         if problem := self._table.problem(parameters):
             return SetParametersResult(reason=problem)
         self._apply(parameters)
@@ -254,7 +254,7 @@ class NodeParameters:
 
 
 class Parameter(Generic[P]):
-    """One parameter of a node; made by `turtleact.Node.parameter`.
+    """One parameter of a node. `turtleact.Node.parameter` makes one.
 
     Attributes:
         name: Its name.
@@ -273,14 +273,14 @@ class Parameter(Generic[P]):
 
     @property
     def is_declared(self) -> bool:
-        """Whether the parameter is still declared; closing the node changes nothing."""
+        """Whether the parameter is still declared. Closing the node does not change this."""
         return self._parameters.is_declared(self)
 
     @property
     def value(self) -> P:
         """The current value. A list is a copy: to change an array, assign a new list.
 
-        After `undeclare` it is the last value.
+        After `undeclare`, this is the last value.
 
         Assigning raises:
             InvalidParameter: if the value is of another kind, out of range or refused by
@@ -309,7 +309,7 @@ class Parameter(Generic[P]):
     def changes(self) -> Changes[P]:
         """Iterate over the values that the parameter gets from now on: ``async for``.
 
-        A reader that lags behind gets only the newest value. The loop ends when the node closes or
+        A reader that falls behind gets only the newest value. The loop ends when the node closes or
         the parameter is undeclared.
 
         Cancelling: safe, nothing is lost.
@@ -324,7 +324,7 @@ class Parameter(Generic[P]):
             self._parameters.undeclare(self.name)
 
     def notify(self) -> None:
-        """Tell everybody who watches the parameter that it has changed."""
+        """Tell hooks and readers that the parameter has changed."""
         self._count += 1
         self._changed.fire()
         # A copy, because a hook may add another one, which must not hear of this change.
@@ -339,7 +339,7 @@ class Parameter(Generic[P]):
         self._changed.fire()
 
     async def wait_for_change(self, count: int) -> int:
-        """Wait until there were more than ``count`` changes; return the number of changes.
+        """Wait until there were more than ``count`` changes. Return the number of changes.
 
         If there will be no more changes, this returns ``count``. Cancelling: safe.
         """
@@ -353,7 +353,7 @@ class Parameter(Generic[P]):
 
 
 class Changes(Generic[P]):
-    """The values that a parameter gets; made by `Parameter.changes`."""
+    """An iterator over the values that a parameter gets. `Parameter.changes` makes one."""
 
     def __init__(self, parameter: Parameter[P], count: int) -> None:
         self._parameter = parameter
@@ -371,7 +371,7 @@ class Changes(Generic[P]):
 
 
 def _checker(declaration: ParameterDeclaration[P]) -> Callable[[ParameterValue], str] | None:
-    """Turn the user's ``validate`` into a function that says why a value is refused."""
+    """Turn the user's ``validate`` into a function that returns why a value is refused."""
     validate = declaration.validate
     if validate is None:
         return None

@@ -1,4 +1,4 @@
-"""Tracks everything a node has opened, and closes what is left when the node closes.
+"""Tracks everything that a node has opened, and closes it when the node closes.
 
 This module knows nothing about names and message types.
 """
@@ -42,7 +42,7 @@ class Resources(Owner):
         }
 
     def add(self, thing: AsyncCloseable, opened: Closeable) -> Closeable:
-        """Track something until the user closes it, or the node does."""
+        """Track an object until the user or the node closes it."""
         self._count += 1
         self._opened[self._count] = thing
         self._tell(thing)
@@ -51,7 +51,7 @@ class Resources(Owner):
     def add_server(
         self, kind: ServerKind, server: Serving, close: Callable[[], object]
     ) -> Closeable:
-        """Track a server as `add` does; ``close`` removes the server from the graph."""
+        """Track a server as `add` does. ``close`` removes the server from the graph."""
         self._count += 1
         self._opened[self._count] = server
         self._servers[kind][self._count] = server
@@ -59,13 +59,13 @@ class Resources(Owner):
         return _Membership(close, self._opened, self._count)
 
     def watch(self, told: Callable[[object], object]) -> None:
-        """Call ``told`` with everything that is open, and with what is opened from now on."""
+        """Call ``told`` with everything that is open, and with everything that is opened later."""
         self._watchers.append(told)
         for thing in tuple(self._opened.values()):
             told(thing)
 
     def find(self, kind: type[T]) -> T | None:
-        """Return the oldest open thing of a class; None if there is none."""
+        """Return the oldest open object of a class; None if there is none."""
         return next((each for each in self._opened.values() if isinstance(each, kind)), None)
 
     def _tell(self, thing: object) -> None:
@@ -78,7 +78,7 @@ class Resources(Owner):
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
-        """A block that is left when the node closes; look at `is_open` before and after it."""
+        """Leave a block when the node closes. Look at `is_open` before and after the block."""
         with anyio.CancelScope() as scope:
             self._waits.add(scope)
             try:
@@ -87,7 +87,7 @@ class Resources(Owner):
                 self._waits.discard(scope)
 
     async def aclose(self) -> None:
-        """Close everything, shielded: first actions, then services, then the rest, newest first.
+        """Close everything, shielded from cancellation: actions, then services, then the rest.
 
         If closing one of them fails, the others are still closed.
         """
@@ -122,9 +122,10 @@ class Resources(Owner):
 
 
 class _Membership:
-    """Tracks one open thing; closing it removes the thing from the node and from the transport.
+    """Tracks one open object. Closing this removes the object from the node and the transport.
 
-    A node may have thousands of memberships. Each is one object; a closure would be four.
+    A node may have thousands of memberships. Each membership is one object; a closure would be
+    four.
     """
 
     __slots__ = ("_close", "_number", "_things")

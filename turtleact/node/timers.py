@@ -22,7 +22,8 @@ class Tick(NamedTuple):
     Attributes:
         number: How many periods have passed since the timer was made: 1 for the first tick. Skipped
             ticks count.
-        elapsed: The same in seconds by the graph's clock, as scheduled: ``number`` periods.
+        elapsed: The scheduled time since the timer was made (s, by the graph's clock): ``number``
+            periods.
         missed: How many ticks were skipped just before this one.
     """
 
@@ -32,13 +33,13 @@ class Tick(NamedTuple):
 
 
 class Timer:
-    """Ticks at a fixed rate; made by `turtleact.Node.every`.
+    """Ticks at a fixed rate. `turtleact.Node.every` makes one.
 
     ``async for tick in timer`` waits for each `Tick`. The first comes after one period. The
     schedule is absolute, so delays do not add up. If your loop takes longer than a period, the
-    timer skips the ticks that it has missed: the newest of them comes at once, and the next one at
-    its scheduled time. In virtual time the ticks come as fast as the program takes them. While
-    a world is paused, no tick comes. The loop ends when the node closes.
+    timer skips the ticks that it has missed. The newest missed tick comes at once, and the next
+    tick at its scheduled time. In virtual time the ticks come as fast as the program takes them.
+    While a world is paused, no ticks come. The loop ends when the node closes.
 
     Only one task at a time can wait for ticks. Cancelling: safe, no tick is lost.
 

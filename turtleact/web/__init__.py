@@ -1,9 +1,9 @@
-"""The web server: a node behind a WebSocket for browsers and rosbridge clients, and its page.
+"""The web server: gives browsers and rosbridge clients access to a node, and serves its page.
 
 `add_error_handlers` is for web apps of your own.
 
-It serves an ordinary `turtleact.Node` and knows nothing below that. The rest of turtleact imports
-this package only when it is used.
+The web server serves an ordinary `turtleact.Node` and knows nothing below that. The rest of
+turtleact imports this package only when it is used.
 """
 
 from __future__ import annotations

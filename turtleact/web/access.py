@@ -1,10 +1,10 @@
-"""Who may connect: the Host, the Origin and the token of a request, and the log of refusals.
+"""Decides who may connect, by the Host, Origin and token of a request; logs refusals.
 
-- A web page of another site can open a WebSocket to any address. Its browser sends the page's
-  origin, and the connection is refused. Programs send no origin, and may connect.
-- By DNS rebinding, such a page can make its own name mean this machine. Then the Host is that name,
-  and the connection is refused. IP addresses and loopback names cannot be rebound.
-- Clients on other machines have to know the token.
+- A web page of another site can open a WebSocket to any address. The browser sends that page's
+origin, and the server refuses the connection. Programs send no origin, and may connect.
+- By DNS rebinding, such a page can make its own name lead to this machine. Then the Host is that
+name, and the server refuses the connection. IP addresses and loopback names cannot be rebound.
+- Clients on other machines must know the token.
 
 Source: RFC 6454 (origins); RFC 6455, section 10.2; RFC 9110, section 7.2 (Host).
 """
@@ -34,7 +34,8 @@ class Access(msgspec.Struct, frozen=True):
 
     Attributes:
         hosts: Host names that a request may use, besides IP addresses and loopback names.
-        origins: Origins whose pages may connect, besides this server's own and loopback ones.
+        origins: The origins of pages that may connect, besides this server's own origin and those
+            of the loopback.
         token: The token that a request must have; empty if none is needed.
     """
 
@@ -43,12 +44,12 @@ class Access(msgspec.Struct, frozen=True):
     token: str = ""
 
     def problem(self, *, host: str, origin: str | None, token: str) -> str:
-        """Why a request is refused; empty if it is not.
+        """Why a request is refused; empty if it is allowed.
 
         Args:
             host: Its Host header.
             origin: Its Origin header, if it has one.
-            token: The token that it has; empty if none.
+            token: The token of the request; empty if it has none.
         """
         name = _name_of(f"//{host}")
         if not (is_address(name) or is_loopback(name) or name in self.hosts):
@@ -73,7 +74,7 @@ class Access(msgspec.Struct, frozen=True):
 class Refusals:
     """Logs refused connections: the first at once, later ones as a count.
 
-    Anybody who can reach the port can cause refusals, so each must not cost a line of its own.
+    Anybody who can reach the port can cause refusals, so not every refusal may write a line.
     """
 
     def __init__(self) -> None:
@@ -114,5 +115,5 @@ def _name_of(url: str) -> str:
 
 
 def _place_of(origin: str) -> str:
-    """Host and port of an origin, as its Host header would say them."""
+    """The host and port of an origin, as a Host header would name them."""
     return urlsplit(origin).netloc.lower()

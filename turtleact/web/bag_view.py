@@ -1,10 +1,11 @@
-"""A bag in the browser: turtles on the map, goals as bars on a time line, and a slider.
+"""Shows a bag in the browser: turtles on the map, goals as bars on a time line, and a slider.
 
-The page asks for what it shows: the poses of some seconds around the moment that was chosen. The
-index of the bag leads to them, so a large bag is opened as quickly as a small one. The goals are
-asked for apart, because they are spread over the whole bag.
+The page asks only for what it shows: the poses of some seconds around the chosen moment. The index
+of the bag leads to these poses, so a large bag opens as quickly as a small one. The page asks for
+the goals separately, because they are spread over the whole bag.
 
-Like the page of a node, this listens on loopback, and refuses requests for other names.
+Like the server of a node's page, this server listens on the loopback, and refuses requests for
+other names.
 """
 
 from __future__ import annotations
@@ -48,13 +49,13 @@ PAGE: Final = {
     "/bag.css": ("bag.css", "text/css"),
     "/bag.js": ("bag.js", "text/javascript"),
 }
-"""The files of this page; the others are those of the page of a node."""
+"""The files of this page. All other files are those of a node's page."""
 
 LONGEST: Final = 60.0
 """The longest part of a bag that is sent at once (s)."""
 
 CLOSEST: Final = 25_000_000
-"""Poses of one turtle that are closer than this are left out (ns)."""
+"""A pose of a turtle is left out if it comes within this time of the one before (ns)."""
 
 MOST_TURTLES: Final = 64
 MOST_CONNECTIONS: Final = 64
@@ -71,7 +72,7 @@ class BagView:
         bag: The bag.
 
     Attributes:
-        refusals: Where refused requests are counted.
+        refusals: The counter of refused requests.
     """
 
     def __init__(self, bag: Bag) -> None:
@@ -155,7 +156,7 @@ class BagView:
         return [{**_goal(each, origin), "reached": reached.get(each.id, [])} for each in found]
 
     def _reached(self) -> dict[bytes, list[float]]:
-        """When each goal had reached its next target (s), as far as its feedback counts them."""
+        """The times (s) at which each goal reached its targets, if its feedback counts them."""
         times: dict[bytes, list[float]] = {}
         readers: dict[str, Callable[[bytes], Any]] = {}
         for raw in self._bag.messages(Range(wants=lambda topic: part_of(topic).part == "feedback")):
@@ -171,7 +172,7 @@ class BagView:
         return times
 
     def _channels(self) -> dict[str, Channel]:
-        """The topics with poses."""
+        """The topics of the bag with poses."""
         if not self._poses:
             found = (each for each in self._bag.channels() if _is_pose(each))
             self._poses = {each.topic: each for each in [*found][:MOST_TURTLES]}
@@ -179,7 +180,7 @@ class BagView:
 
 
 class Shown(msgspec.Struct, frozen=True):
-    """A bag that is shown.
+    """A bag that is being shown.
 
     Attributes:
         url: The address of the page.
@@ -192,7 +193,7 @@ class Shown(msgspec.Struct, frozen=True):
 async def open_bag_view(
     path: str | Path, host: str = "127.0.0.1", port: int = 0
 ) -> AsyncIterator[Shown]:
-    """Show a bag on a page for the length of a block. Needs asyncio or uvloop.
+    """Show a bag on a page for the length of a block. This needs asyncio or uvloop.
 
     Args:
         path: The folder of the bag, or a single file.

@@ -1,7 +1,7 @@
-"""A node behind a WebSocket, as an ASGI app: rosbridge for programs, a page for people.
+"""Serves a node as an ASGI app: rosbridge on a WebSocket for programs, and a page for people.
 
-The app is a plain callable over a running node: it has no lifespan, so it can be mounted into any
-other app. It runs on asyncio and trio, whatever the server around it does.
+The app is a plain callable over a running node. It has no lifespan, so you can mount it into any
+other app. The app runs on asyncio and trio, under any ASGI server.
 
 Source: ASGI 3.0; rosbridge v2.
 """
@@ -30,7 +30,7 @@ from turtleact.web.shared import Limits, Shared
 __all__ = ["Bridge", "Statistics", "open_bridge"]
 
 FAREWELL: Final = 2.0
-"""How long clients may take for their last frames when the bridge is closed (s)."""
+"""When the bridge is closed, clients have this long to take their last frames (s)."""
 
 POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
@@ -68,7 +68,7 @@ FILES: Final = {
     "/favicon.ico": ("icon.svg", "image/svg+xml"),
     **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in MODULES},
 }
-"""The files of the page by path; only the first needs the token, as the others hold no data."""
+"""The files of the page by path. Only the first needs the token; the others hold no data."""
 
 
 class Statistics(msgspec.Struct, frozen=True):
@@ -76,7 +76,7 @@ class Statistics(msgspec.Struct, frozen=True):
 
     Attributes:
         connections: How many clients are connected.
-        goals: How many goals they have under way.
+        goals: How many goals of these clients are under way.
         waiting: How many frames wait to be sent.
         dropped: How many frames the connected clients have lost because they were too slow.
     """
@@ -88,7 +88,7 @@ class Statistics(msgspec.Struct, frozen=True):
 
 
 class Bridge:
-    """An ASGI app over a node; made by `open_bridge`.
+    """An ASGI app over a node. `open_bridge` makes one.
 
     Attributes:
         is_open: Whether it takes connections.
@@ -106,7 +106,7 @@ class Bridge:
         self._left = shared.tasks.signal()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one request; called by an ASGI server, or by an app around this one."""
+        """Serve one request. An ASGI server, or an app around this one, calls this."""
         if scope["type"] == "websocket":
             await self._connect(WebSocket(scope, receive, send))
         elif scope["type"] == "http":
@@ -127,9 +127,9 @@ class Bridge:
         )
 
     async def aclose(self) -> None:
-        """Take no more connections, and end the existing ones.
+        """Take no more connections, and end the existing connections.
 
-        Each client gets the frames that must still arrive and a close frame, and has `FAREWELL`
+        Each client gets the frames that must still arrive, and a close frame. It has `FAREWELL`
         seconds to take them. Clients that wait for a goal or a call are told that they will not
         hear of it.
         """
@@ -178,7 +178,7 @@ class Bridge:
         self.refusals.note(bytes(refusal.body).decode().rstrip(), anyio.current_time())
 
     def _refusal(self, websocket: WebSocket) -> Response | None:
-        """The response to a client that is refused; None if it may connect."""
+        """The response to a refused client; None if the client may connect."""
         if _path(websocket) != "/":
             return _text(404, "rosbridge is at the path /")
         problem = self._problem(websocket)
@@ -189,7 +189,7 @@ class Bridge:
         return None
 
     def _problem(self, asked: HTTPConnection) -> str:
-        """Why a client is refused; empty if it is not."""
+        """Why a client is refused; empty if it may connect."""
         scheme, _, token = asked.headers.get("authorization", "").partition(" ")
         return self._access.problem(
             host=asked.headers.get("host", ""),
@@ -227,8 +227,8 @@ async def open_bridge(
     Args:
         node: The node to serve, on any kind of graph.
         hosts: Host names that clients may use, besides IP addresses and loopback names.
-        origins: Origins (``https://example.com``) whose pages may connect, besides the server's
-            own and those of loopback hosts.
+        origins: The origins (``https://example.com``) of pages that may connect, besides the
+            server's own origin and those of loopback hosts.
         token: The token that clients must send: ``?token=…``, or ``Authorization: Bearer …``.
         limits: How much clients may ask for.
         cancel_on_disconnect: Whether a client that disconnects cancels its goals.
@@ -242,7 +242,7 @@ async def open_bridge(
 
 
 def _path(asked: HTTPConnection) -> str:
-    """The path below the one that the bridge is mounted at."""
+    """The part of the path below the path where the bridge is mounted."""
     path: str = asked.scope["path"]
     return path.removeprefix(asked.scope.get("root_path", "")) or "/"
 

@@ -1,8 +1,8 @@
-"""One client's connection: a task that reads, a task that writes, and what the client has open.
+"""Serves one client: a task reads, a task writes, and the connection knows what is open.
 
-`turtleact.web.protocol` has the rules; this module carries them out on the node. The reader never
-waits for the writer: outgoing frames go into a mailbox, and a client that reads nothing for
-`PATIENCE` is disconnected. A slow client therefore slows nobody else down.
+`turtleact.web.protocol` has the rules. This module carries them out on the node. The reader never
+waits for the writer: outgoing frames go into a mailbox. A client that reads nothing for `PATIENCE`
+seconds is disconnected. A slow client therefore slows nobody else down.
 
 Source: rosbridge v2; ASGI, "HTTP and WebSocket message format".
 """
@@ -42,10 +42,10 @@ PATIENCE: Final = 2.0
 """A client that reads nothing for this long (s) is disconnected."""
 
 SLOWEST: Final = 2**16
-"""… plus the time that the previous frame takes at this rate (bytes/s)."""
+"""The time to send the previous frame at this rate (bytes/s) is added to `PATIENCE`."""
 
 GONE: Final = (OSError, WebSocketDisconnect, RuntimeError)
-"""The exceptions of sending to a client that has gone; they differ between servers."""
+"""The exceptions of sending to a client that has gone. They differ between servers."""
 
 GOING_AWAY: Final = 1001
 TRY_AGAIN_LATER: Final = 1013
@@ -55,7 +55,7 @@ class Connection:
     """One client.
 
     Args:
-        shared: What all connections share.
+        shared: The objects that all connections share.
         websocket: The connection, not accepted yet.
 
     Attributes:
@@ -78,7 +78,7 @@ class Connection:
         self._group: TaskGroup | None = None
 
     async def run(self) -> None:
-        """Serve the client until its connection ends or the bridge is closed."""
+        """Serve the client until the connection ends or the bridge is closed."""
         try:
             async with anyio.create_task_group() as group:
                 self._group = group
@@ -97,7 +97,7 @@ class Connection:
             self._shared.budget.hold(self, 0)  # last: closing may still have kept frames
 
     def close(self) -> None:
-        """Send what must still arrive, then a close frame, and end."""
+        """Send the frames that must still arrive and a close frame, then end."""
         # From here on nothing that may be dropped is taken (`put`), so the writer comes to an end
         # as soon as it has sent what must arrive, and then sends the close frame.
         self._is_closing = True
@@ -124,14 +124,14 @@ class Connection:
         self._filled.fire()
 
     def shrink(self) -> int:
-        """Hold less, since all clients hold too much; return how much this one still holds."""
+        """Hold less, because all clients together hold too much. Return how much is still held."""
         if self.mailbox.shed():
             return self.mailbox.size
         self.let_go("too much data waits for all clients, and most of it for this one")
         return 0
 
     def let_go(self, reason: str) -> None:
-        """End at once, without a close frame: the client would not read it."""
+        """End at once, without a close frame, because the client would not read it."""
         if self._group is None or self._group.cancel_scope.cancel_called:
             return
         logger.warning(
@@ -147,7 +147,7 @@ class Connection:
         self._group.cancel_scope.cancel()
 
     async def _accept(self) -> bool:
-        """Accept the connection; False if the client has gone already."""
+        """Accept the connection. Return False if the client has gone already."""
         try:
             await self._websocket.accept()
         except GONE:
@@ -175,7 +175,7 @@ class Connection:
         self._end()
 
     async def _send(self, frame: Frame) -> None:
-        """Send a frame; end if the client is gone, or takes nothing."""
+        """Send a frame. If the client is gone or takes nothing, end the connection."""
         # Servers take a frame while the previous one is still being sent. So this mostly waits for
         # the previous frame, whose size tells how long that may take.
         with anyio.move_on_after(PATIENCE + self._last_size / SLOWEST) as scope:
@@ -194,7 +194,7 @@ class Connection:
         cast("TaskGroup", self._group).cancel_scope.cancel()
 
     def _release(self, now: float) -> float:
-        """Send throttled messages whose time has come; returns when the next one is due."""
+        """Send the throttled messages that are due. Return when the next one is due."""
         due = math.inf
         for throttle, _, _ in self._readers.values():
             message = throttle.release(now)
@@ -226,7 +226,7 @@ class Connection:
             self.keep(cast("Say", effect).frame)
 
     async def _perform(self, effect: Effect) -> None:
-        """Carry out an effect; the client is told about its mistakes."""
+        """Carry out an effect. The client is told of its mistakes."""
         match effect:
             case Say(frame):
                 self.keep(frame)
@@ -373,7 +373,7 @@ def _response(said: CallService, values: object, *, is_result: bool) -> str:
 def _place_of(
     what: Reader | Writer | operations.AdvertiseService | operations.AdvertiseAction,
 ) -> tuple[str, str]:
-    """The kind and key under which the protocol knows this."""
+    """The kind and key under which the protocol knows this object."""
     match what:
         case Reader():
             return "reader", what.key

@@ -1,8 +1,8 @@
-"""Errors of goals as HTTP responses, for apps made with Starlette or FastAPI.
+"""Turns errors of goals into HTTP responses, for apps made with Starlette or FastAPI.
 
-The bodies have FastAPI's shape: ``{"detail": "text"}``, and for a goal that does not fit its type a
-list of objects with ``loc``, ``msg`` and ``type``. So clients that understand FastAPI's validation
-errors understand these.
+The bodies of the responses have FastAPI's form ``{"detail": "text"}``. If a goal does not fit its
+type, ``detail`` is a list of objects with ``loc``, ``msg`` and ``type``. Clients that understand
+FastAPI's validation errors therefore understand these.
 
 Source: FastAPI, "Handling Errors", and its ``HTTPValidationError``; RFC 9110, section 15.5.
 """
@@ -39,10 +39,10 @@ part_pattern = re.compile(r"[^.\[\]]+")
 
 
 def add_error_handlers(app: Starlette) -> None:
-    """Let an app answer goals that fail with the right HTTP status instead of 500.
+    """Make an app answer failed goals with the right HTTP status instead of 500.
 
-    The errors in `STATUS_CODES` become JSON responses, in all routes of the app; apps mounted in it
-    have handlers of their own. Routes of WebSockets still raise these errors.
+    The errors in `STATUS_CODES` become JSON responses, in all routes of the app. Apps that are
+    mounted in it have handlers of their own. Routes of WebSockets still raise these errors.
 
     Args:
         app: An app of Starlette or FastAPI that has not started yet.
@@ -63,7 +63,7 @@ def location(path: str) -> list[str | int]:
     """The place of a value in the request's body, as FastAPI writes it.
 
     Args:
-        path: The path of an `InvalidGoal`; its first word is the name of the whole message.
+        path: The path of an `InvalidGoal`. Its first word is the name of the whole message.
 
     >>> location("goal.targets[1].x")
     ['body', 'targets', 1, 'x']

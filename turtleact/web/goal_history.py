@@ -1,8 +1,8 @@
-"""The goals that the page shows: those that run, and the last ones that have ended.
+"""Keeps the goals that the page shows: running goals, and the last goals that have ended.
 
-The history only records what `watching` tells it. Each change gets the next revision, so a page can
-ask for what is newer than the revision it knows. Times are seconds of the graph's clock, except
-that `GoalRecord.at` is a time of day. Pure.
+The history only records the news from `watching`. Each change gets the next revision number. A page
+asks for the changes after the revision that it knows. Times are seconds of the graph's clock,
+except that `GoalRecord.at` is a time of day. This module does no I/O.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ MOST_ACTIVE: Final = 500
 """How many running goals are kept."""
 
 REJECTED: Final = "REJECTED"
-"""What the page shows for a rejected goal. ROS has no such status."""
+"""The status that the page shows for a rejected goal. ROS has no such status."""
 
 MOST_POINTS: Final = 64
 """The maximum number of points of a plot."""
 
 
 class Series:
-    """The values of a number over time, thinned out as they become many.
+    """The values of a number over time. If there are many, some are left out.
 
     The first and the newest value are always kept.
     """
@@ -44,7 +44,7 @@ class Series:
         self._spacing = 0.0
 
     def add(self, time: float, value: float) -> None:
-        """Add a value; ``time`` never decreases."""
+        """Add a value. ``time`` must never decrease."""
         points, time = self.points, round(time, 3)
         is_close = len(points) > 1 and time - points[-2][0] < self._spacing
         if is_close or (points and time <= points[-1][0]):
@@ -59,16 +59,16 @@ class GoalRecord:
     """The record of one goal.
 
     Attributes:
-        id: Its id in hexadecimal; a rejected goal has one, too.
+        id: The goal's id in hexadecimal. A rejected goal has one, too.
         action: The name of its action.
         type: The full name of the action's type.
         accepted: When it was accepted.
         at: When it was accepted, as a time of day (s since the epoch).
         status: The name of its status, or `REJECTED`.
-        request: The goal, shortened; None if nobody in this process knows it.
+        request: The goal message, shortened; None if nobody in this process knows it.
         result: Its result, shortened; None before its end.
         reason: Why it was aborted or rejected.
-        duration: How long it took; None while it runs, or if its end was not seen.
+        duration: How long the goal took; None while it runs, or if nobody saw its end.
         revision: When it last changed.
         has_ended: Whether it has ended.
         is_paused: Whether it is paused.
@@ -101,18 +101,18 @@ class GoalRecord:
             self._series.setdefault(path, Series()).add(now - self.accepted, value)
 
     def shorten(self) -> None:
-        """Keep only an excerpt of the newest feedback, because the message may be large."""
+        """Keep only an excerpt of the newest feedback, because the feedback may be large."""
         if isinstance(self._feedback, Message):
             self._feedback = excerpt(self._feedback)
 
     def told(self) -> msgspec.Raw:
-        """The record as the page gets it, as JSON; made once for all pages."""
+        """The record as JSON for the page. It is made once for all pages."""
         if self._told[0] != self.revision:
             self._told = self.revision, msgspec.Raw(msgspec.json.encode(self.plain()))
         return self._told[1]
 
     def plain(self) -> dict[str, object]:
-        """The record in plain values."""
+        """The record as plain values."""
         self.shorten()
         series: dict[str, Plain] = {
             path: [[time, value] for time, value in each.points]
@@ -138,10 +138,10 @@ class GoalRecord:
 
 
 class Changes(msgspec.Struct, frozen=True):
-    """What has changed since a revision.
+    """The changes since a revision.
 
     Attributes:
-        goals: The goals that are new or different, the latest change first.
+        goals: The goals that are new or have changed, the latest change first.
         dropped: The ids of goals that are no longer kept.
         is_complete: Whether nothing is missing. If False, too many goals were dropped since then,
             and the page must ask for everything.
@@ -153,10 +153,10 @@ class Changes(msgspec.Struct, frozen=True):
 
 
 class GoalHistory:
-    """The goals of all actions, those of the latest change last.
+    """The goals of all actions. The goal that changed last is the last.
 
     Args:
-        revise: Returns the next revision; called at each change.
+        revise: A function that returns the next revision. It is called at each change.
     """
 
     def __init__(self, revise: Callable[[], int]) -> None:
@@ -174,7 +174,7 @@ class GoalHistory:
         return self._active.get(id) or self._ended.get(id)
 
     def change(self, record: GoalRecord) -> None:
-        """Note that a record is new or has changed; the oldest is dropped if there are too many."""
+        """Note that a record is new or has changed. If there are too many, drop the oldest."""
         # Taken out and put in again, so that the record changed last is the last one.
         self._active.pop(record.id, None)
         self._ended.pop(record.id, None)
@@ -201,7 +201,7 @@ class GoalHistory:
         self.change(record)
 
     def since(self, revision: int) -> Changes:
-        """What has changed after a revision."""
+        """Return the changes after a revision."""
         goals: list[GoalRecord] = []
         for kept in (self._active, self._ended):
             newest_first = reversed(kept.values())

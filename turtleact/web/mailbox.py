@@ -1,13 +1,13 @@
-"""What waits to be sent to one client, and how much all clients may hold: pure.
+"""Keeps the frames that wait for one client, and limits the memory of all clients.
 
-Time comes in as ``now=``.
+This module has no clock: time comes in as ``now=``.
 
-- What a client has asked for is kept in order and never dropped: responses, results, goals. A
+- The responses, results and goals that a client has asked for are kept in order and never dropped.
+A
   client that lets too much of it pile up is disconnected (`Mailbox.is_overfull`).
-- Only the newest messages of a topic, and the newest feedback, are kept; `Mailbox.dropped` counts
-  the others.
-- `Budget` bounds the memory of all clients together. Without it, each client could stay below its
-  own limits while a hundred of them take a gigabyte.
+- Of topics and feedback, only the newest messages are kept. `Mailbox.dropped` counts the others.
+- `Budget` bounds the memory of all clients together. Without the budget, a hundred clients could
+stay below their own limits and still take a gigabyte together.
 
 Source: rosbridge v2, ``throttle_rate`` and ``queue_length`` of ``subscribe``.
 """
@@ -26,30 +26,30 @@ MOST_OF_ONE: Final = 32
 """The maximum number of frames that wait for one topic or goal."""
 
 MOST_DROPPABLE: Final = 4 * 2**20
-"""Most bytes that wait and may be dropped; the newest frame stays, whatever its size."""
+"""The maximum number of waiting bytes that may be dropped. The newest frame always stays."""
 
 MOST_KEPT: Final = 1024
 """The maximum number of waiting frames that must not be dropped."""
 
 MOST_KEPT_BYTES: Final = 32 * 2**20
-"""Most bytes that wait and must not be dropped."""
+"""The maximum number of waiting bytes that must not be dropped."""
 
 
 class Holder(Protocol):
     """Something that holds memory for a client."""
 
     def shrink(self) -> int:
-        """Hold less, or disconnect the client; return how much it still holds (bytes)."""
+        """Hold less, or disconnect the client. Return how much it still holds (bytes)."""
 
 
 class Budget:
     """How much memory all clients together may hold.
 
-    If it is exceeded, the client that holds the most must give some up, not the client that asked
-    last. Otherwise a few clients could fill the budget and shut out all others.
+    If this is exceeded, the client that holds the most must give some memory up, not the client
+    that asked last. Otherwise a few clients could fill the budget and shut out all others.
 
     Args:
-        most: How much that is (bytes).
+        most: The limit (bytes).
 
     Attributes:
         held: How much is held now (bytes).
@@ -73,7 +73,7 @@ class Budget:
         self._holders: dict[Holder, int] = {}
 
     def hold(self, holder: Holder, size: int) -> None:
-        """Note how much a holder holds from now on (bytes)."""
+        """Record how much a holder holds from now on (bytes)."""
         self._set(holder, size)
         # Shrinking may take a holder several turns: first it drops what may be dropped, then it is
         # let go. It counts as smaller after each, so that this ends.
@@ -107,12 +107,12 @@ class Mailbox:
 
     @property
     def size(self) -> int:
-        """How much waits (bytes of CBOR, characters of JSON)."""
+        """The size of all waiting frames (bytes of CBOR, characters of JSON)."""
         return self._kept_bytes + self._droppable_bytes
 
     @property
     def is_overfull(self) -> bool:
-        """Whether so much is waiting that the client cannot be reading any more."""
+        """Whether so much is waiting that the client must have stopped reading."""
         return len(self._kept) > MOST_KEPT or self._kept_bytes > MOST_KEPT_BYTES
 
     def keep(self, frame: Frame) -> None:
@@ -121,7 +121,7 @@ class Mailbox:
         self._kept_bytes += len(frame)
 
     def put(self, source: str, frame: Frame) -> None:
-        """Put in a frame that may be dropped for newer ones of its source, or of any source."""
+        """Put in a frame that may be dropped in favour of newer frames of its own or any source."""
         line = self._droppable.setdefault(source, deque())
         line.append((next(self._order), frame))
         self._droppable_bytes += len(frame)
@@ -133,7 +133,7 @@ class Mailbox:
             self._drop(self._oldest())
 
     def take(self) -> Frame | None:
-        """The next frame, in the order of arrival; None if there is none."""
+        """Take the next frame, in the order of arrival; None if no frame waits."""
         # Frames are numbered in the order of their arrival, whichever queue they wait in. So a
         # client never sees a result before feedback that came earlier.
         source = self._oldest() if self._droppable else None
@@ -148,19 +148,19 @@ class Mailbox:
         return frame
 
     def forget(self, source: str) -> None:
-        """Drop the frames of a source that nobody wants any more, without counting them."""
+        """Drop all frames of a source, because nobody wants them any more. Do not count them."""
         for _, frame in self._droppable.pop(source, ()):
             self._droppable_bytes -= len(frame)
 
     def shed(self) -> bool:
-        """Drop everything that may be dropped and count it; False if there was nothing."""
+        """Drop and count everything that may be dropped. Return False if there was nothing."""
         dropped = sum(map(len, self._droppable.values()))
         self.dropped += dropped
         self.drop_all()
         return dropped > 0
 
     def drop_all(self) -> None:
-        """Leave only what must arrive."""
+        """Drop all frames except those that must arrive."""
         for source in list(self._droppable):
             self.forget(source)
 
@@ -181,7 +181,7 @@ class Mailbox:
 
 
 class Throttle:
-    """How often a client wants a topic's messages, and which early messages it gets later.
+    """Decides when a client gets a topic's messages, and which early messages it gets later.
 
     Args:
         topic: The topic, as the client spells it.
@@ -189,10 +189,10 @@ class Throttle:
     Attributes:
         topic: The topic.
         interval: Least time between two messages (s).
-        queue_length: How many early messages wait for their time, the newest ones; if 0, they are
-            dropped.
-        compression: How the messages are written.
-        due: When the next one that waits may go; None if none does.
+        queue_length: How many early messages, the newest ones, wait for their time. If 0, early
+            messages are dropped.
+        compression: The form in which messages are written.
+        due: When the next waiting message may be sent; None if no message waits.
     """
 
     __slots__ = ("_last", "_waiting", "compression", "due", "interval", "queue_length", "topic")
@@ -207,14 +207,14 @@ class Throttle:
         self._waiting: deque[Rendering] = deque()
 
     def adjust(self, interval: float, queue_length: int, compression: Compression) -> None:
-        """Change the settings; the newest ``queue_length`` waiting messages keep waiting."""
+        """Change the settings. The newest ``queue_length`` waiting messages keep waiting."""
         self.interval, self.queue_length, self.compression = interval, queue_length, compression
         while len(self._waiting) > queue_length:
             self._waiting.popleft()
         self._reckon()
 
     def offer(self, message: Rendering, now: float) -> Rendering | None:
-        """Take a message that has come; returns the one to send now, if any."""
+        """Take a message that has arrived. Return the message to send now, if there is one."""
         if not self._waiting and (self._last is None or now >= self._last + self.interval):
             self._last = now
             return message

@@ -1,6 +1,6 @@
-"""Messages and replies as frames, JSON text or CBOR bytes, and clients' values as messages.
+"""Converts messages and replies to frames of JSON or CBOR, and clients' values to messages.
 
-What JSON cannot express is written the way rosbridge does, in both directions:
+Values that JSON cannot express are written and read as in rosbridge:
 
 - ``uint8[]`` and ``char[]`` are base64 text; a list of numbers is accepted, too.
 - NaN and infinity are null; null is read as NaN where a floating-point number belongs.
@@ -12,8 +12,8 @@ What JSON cannot express is written the way rosbridge does, in both directions:
 CBOR has bytes, and tags for lists of numbers. Large values are checked in a thread, so that other
 clients do not wait: a million numbers take seconds.
 
-The server never sends an operation that the client has not asked for, because the libraries fail on
-operations they do not know.
+The server never sends an operation that the client has not asked for, because client libraries fail
+on operations that they do not know.
 
 Source: rosbridge_library ``message_conversion.py`` and ``cbor_conversion.py``; RFC 8746, section 2;
 ``ROSBRIDGE_PROTOCOL.md`` of rosbridge_suite, version 2; PNG 1.2.
@@ -76,10 +76,10 @@ TYPED_ARRAYS = {
     "float32": (85, "f"),
     "float64": (86, "d"),
 }
-"""The tag of a list of such numbers, little-endian, and how `struct` writes one of them."""
+"""For each type of number: the tag of a little-endian list, and the code of `struct`."""
 
 LARGE: Final = 2000
-"""How many values can be checked in a few milliseconds."""
+"""This many values can be checked in a few milliseconds."""
 
 Frame: TypeAlias = str | bytes
 Compression = Literal["none", "png", "cbor", "cbor-raw"]
@@ -91,21 +91,21 @@ beyond_ascii = re.compile(r"[^\x00-\x7f]")
 
 
 def request(op: str, **members: object) -> str:
-    """A frame as JSON text, its members in this order."""
+    """Make a frame as JSON text, with its members in this order."""
     return ENCODER.encode({"op": op, **members}).decode()
 
 
 def reply(op: str, id: Id, **members: object) -> str:
-    """A frame that answers a request; it repeats the request's id, if there was one."""
+    """Make a frame that answers a request. It repeats the request's id, if there was one."""
     if id is not None:
         members["id"] = id
     return request(op, **members)
 
 
 def png(text: str) -> str:
-    """A frame inside a picture: the bytes of its pixels are the text, padded with line breaks.
+    """Put a frame into a picture: the bytes of its pixels are the text, padded with line breaks.
 
-    Clients decode it byte by byte as Latin-1, so the text inside is ASCII.
+    Clients decode the picture byte by byte as Latin-1, so the text inside is ASCII.
     """
     data = beyond_ascii.sub(_escaped, text).encode()
     width = max(1, math.isqrt(len(data) // 3))
@@ -123,11 +123,11 @@ def png(text: str) -> str:
 
 
 class Rendering:
-    """A topic's message and its frames; each frame is made once for all clients.
+    """A topic's message and its frames. Each frame is made once for all clients.
 
     Args:
         message: The message.
-        now: The time (ns since the epoch), which ``cbor-raw`` tells.
+        now: The time (ns since the epoch), which ``cbor-raw`` frames contain.
     """
 
     __slots__ = ("_made", "_message", "_now")
@@ -138,7 +138,7 @@ class Rendering:
         self._made: dict[tuple[Compression, str], Frame] = {}
 
     def frame(self, compression: Compression, topic: str) -> Frame:
-        """The ``publish`` frame; the topic is spelled as its client has spelled it."""
+        """The ``publish`` frame. It spells the topic as the client does."""
         key = (compression, topic)
         made = self._made.get(key)
         if made is None:
@@ -147,7 +147,7 @@ class Rendering:
 
 
 def json_values(message: Message) -> object:
-    """The value that msgspec encodes as the JSON of a message; often the message itself."""
+    """The value that msgspec encodes as a message's JSON. Often it is the message itself."""
     convert = _writer(type(message), is_json=True)
     return message if convert is None else convert(message)
 
@@ -159,11 +159,12 @@ def cbor_values(message: Message) -> dict[str, object]:
 
 
 def message_from(cls: type[M], values: object, *, root: str) -> M:
-    """The message with a client's values; fields that are left out keep their defaults.
+    """Make a message with a client's values. Fields that are left out keep their defaults.
 
     Args:
         cls: The class.
-        values: An object by field names, or a list of the fields in their order; None for nothing.
+        values: An object by field names, or a list of the fields in their order. None for all
+            defaults.
         root: The first word of the path in errors.
 
     Raises:
@@ -187,7 +188,7 @@ def message_from(cls: type[M], values: object, *, root: str) -> M:
 
 
 async def read_message(cls: type[M], values: object, *, root: str) -> M:
-    """Like `message_from`, but other clients are served meanwhile.
+    """Do what `message_from` does, but serve other clients meanwhile.
 
     Raises:
         InvalidMessage: with the path of the first value or name that does not fit.
@@ -198,7 +199,7 @@ async def read_message(cls: type[M], values: object, *, root: str) -> M:
 
 
 def is_large(values: object) -> bool:
-    """Whether there are more than `LARGE` values in objects and lists.
+    """Whether objects and lists hold more than `LARGE` values.
 
     >>> is_large({"x": [1] * 100}), is_large({"x": {"y": [1] * 3000}})
     (False, True)
@@ -245,7 +246,7 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
 
 
 def _escaped(found: re.Match[str]) -> str:
-    """A character as JSON escapes it, in UTF-16."""
+    """The JSON escape of a character, in UTF-16."""
     units = struct.unpack(">2H", found[0].encode("utf-16-be").rjust(4, b"\x00"))
     return "".join(f"\\u{unit:04x}" for unit in cast("tuple[int, ...]", units) if unit)
 
@@ -255,7 +256,7 @@ def _escaped(found: re.Match[str]) -> str:
 
 @functools.cache
 def _writer(cls: type[Message], *, is_json: bool) -> Convert | None:
-    """Converts a message to plain values; None if JSON can encode it as it is."""
+    """Return a function that makes plain values of a message; None if none is needed."""
     converters = [
         (field, _field_writer(field, nested, is_json=is_json))
         for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
@@ -299,7 +300,7 @@ def _typed_array(tag: int, code: str, numbers: list[float]) -> cbor2.CBORTag:
 
 @functools.cache
 def _reader(cls: type[Message]) -> Convert | None:
-    """Converts a client's values to those of ROS; None if they need no conversion."""
+    """Return a function that converts a client's values to those of ROS; None if none is needed."""
     converters = {
         field.name: change
         for field, nested in zip(fields(cls), nested_classes(cls), strict=True)

@@ -1,7 +1,8 @@
-"""Metrics on a port, for Prometheus to read.
+"""Serves metrics on a port, where Prometheus reads them.
 
 On a loopback address, a request must name this machine as its host, so that no page of another site
-can read the metrics through DNS rebinding. On other addresses everybody who can reach the port can.
+can read the metrics through DNS rebinding. On other addresses, everybody who can reach the port can
+read them.
 
 Source: Prometheus, "Exposition formats", text format 0.0.4.
 """
@@ -32,15 +33,15 @@ FORBIDDEN: Final = (
 )
 
 MOST_CONNECTIONS: Final = 32
-"""How many connections there may be at once."""
+"""The maximum number of connections at a time."""
 
 
 @asynccontextmanager
 async def open_metrics(text: Callable[[], str], host: str, port: int) -> AsyncIterator[str]:
-    """Serve a text at ``/metrics`` for the length of a block; gives its address.
+    """Serve a text at ``/metrics`` for the length of a block. The block gets the address.
 
     Args:
-        text: Returns all metrics.
+        text: A function that returns all metrics.
         host: The address or name to bind.
         port: The port, 1 to 65535, or 0 for any free one.
 

@@ -1,12 +1,12 @@
-"""Names and types: as clients of rosbridge spell them, and what the graph says about them.
+"""Reads names and types as clients of rosbridge spell them, and looks them up on the graph.
 
-A name comes with or without its leading slash, a type as ``pkg/Name``, ``pkg/msg/Name`` or, from
-DDS, ``pkg::msg::dds_::Name_``. `Directory` reads the endpoints of the graph as they are now, hidden
-ones too, and keeps nothing.
+A name comes with or without its leading slash. A type comes as ``pkg/Name``, ``pkg/msg/Name`` or,
+from DDS, ``pkg::msg::dds_::Name_``. `Directory` reads the current endpoints of the graph, including
+hidden ones, and stores nothing.
 
 Source: rosbridge v2; the ROS 2 article "Topic and Service name mapping to DDS"; rosapi
-``proxy.py``; rosbridge_library ``publishers.py`` and ``subscribers.py`` for what happens to a type
-that is left out or differs from the graph's.
+``proxy.py``; rosbridge_library ``publishers.py`` and ``subscribers.py`` for types that are left out
+or differ from the graph's.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ Kind = Literal["msg", "srv", "action"]
 Interface = type[Message] | type[Service] | type[Action]
 
 LONGEST = 255
-"""Longest name of a topic, service, action or type, as in DDS (characters)."""
+"""The maximum length of the name of a topic, service, action or type, as in DDS (characters)."""
 
 TOPIC_KINDS: tuple[EndpointKind, ...] = ("publisher", "subscription")
 SERVICE_KINDS: tuple[EndpointKind, ...] = ("service",)
 
 ALWAYS = {"/rosout": "rcl_interfaces/msg/Log"}
-"""Topics that every graph of ROS 2 has, as its nodes log there, and their types."""
+"""Topics that every graph of ROS 2 has, because its nodes log there, with their types."""
 
 
 def absolute(name: str) -> str:
     """The absolute form of the name of a topic, service or action.
 
     Raises:
-        InvalidName: if it breaks ROS 2's rules, or is longer than `LONGEST`.
+        InvalidName: if the name breaks ROS 2's rules, or is longer than `LONGEST`.
 
     >>> absolute("turtle1/pose")
     '/turtle1/pose'
@@ -61,7 +61,7 @@ def absolute(name: str) -> str:
 
 
 def type_name(spelled: str, kind: Kind) -> str:
-    """The full name of a type; an unknown spelling stays as it is.
+    """The full name of a type. An unknown spelling is returned unchanged.
 
     >>> type_name("turtlesim/Pose", "msg"), type_name("turtlesim::msg::dds_::Pose_", "msg")
     ('turtlesim/msg/Pose', 'turtlesim/msg/Pose')
@@ -75,22 +75,22 @@ def type_name(spelled: str, kind: Kind) -> str:
 
 
 def message_class(spelled: str) -> type[Message]:
-    """The class of a message.
+    """The class of a message with this type name.
 
     Raises:
-        UnknownInterface: if there is none of that name.
-        InvalidInterface: if the file that holds it is malformed.
+        UnknownInterface: if there is no interface with that name.
+        InvalidInterface: if the file of the interface is malformed.
     """
     return cast("type[Message]", _class(spelled, "msg", Message))
 
 
 def service_class(spelled: str) -> type[Service]:
-    """The class of a service; raises as `message_class` does."""
+    """The class of a service with this type name. The errors are those of `message_class`."""
     return cast("type[Service]", _class(spelled, "srv", Service))
 
 
 def action_class(spelled: str) -> type[Action]:
-    """The class of an action; raises as `message_class` does."""
+    """The class of an action with this type name. The errors are those of `message_class`."""
     return cast("type[Action]", _class(spelled, "action", Action))
 
 
@@ -105,13 +105,13 @@ class Directory:
         self._transport = transport
 
     def find(self, kinds: tuple[EndpointKind, ...], name: str = "") -> Iterator[Endpoint]:
-        """The endpoints of these kinds; with a name, only those with that name."""
+        """The endpoints of these kinds. With a name, only the endpoints with that name."""
         for endpoint in self._transport.endpoints(name):
             if endpoint.kind in kinds:
                 yield endpoint
 
     def types(self, kinds: tuple[EndpointKind, ...], name: str) -> list[str]:
-        """The types that a name has, sorted."""
+        """The types that a name has on the graph, sorted."""
         return sorted({endpoint.type_name for endpoint in self.find(kinds, name)})
 
     def is_latched(self, topic: str) -> bool:
@@ -126,11 +126,11 @@ class Directory:
 
         Args:
             topic: Its absolute name.
-            spelled: The type as the client spells it; empty if it gives none.
+            spelled: The type as the client spells it; empty if the client gives no type.
 
         Raises:
-            InvalidOption: if the client gives no type and the graph knows none or several, or if
-                the graph only knows others.
+            InvalidOption: if the client gives no type and the graph has no type or several, or if
+                the graph has only other types.
             UnknownInterface: if there is no such type.
         """
         types = self.types(TOPIC_KINDS, topic)
@@ -153,7 +153,7 @@ class Directory:
 
         Args:
             service: Its absolute name.
-            spelled: The type as the client spells it; empty if it gives none.
+            spelled: The type as the client spells it; empty if the client gives no type.
 
         Raises:
             ServerUnavailable: if the client gives no type and nobody serves the service.

@@ -1,8 +1,9 @@
 """The operations of rosbridge v2 that a client may send, one class each.
 
-A frame is JSON text. Unknown members are ignored; an unknown operation is an error. Pure.
+A frame is JSON text. Unknown members are ignored. An unknown operation is an error. This module
+does no I/O.
 
-Source: ``ROSBRIDGE_PROTOCOL.md`` of rosbridge_suite, version 2; what its clients really send.
+Source: ``ROSBRIDGE_PROTOCOL.md`` of rosbridge_suite, version 2; the frames that its clients send.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ __all__ = [
 ]
 
 Id: TypeAlias = str | int | float | None
-"""The id that a client gives an operation; None if it gives none."""
+"""The id that a client gives an operation; None without an id."""
 
 Arguments: TypeAlias = dict[str, Any] | list[Any] | None
 
@@ -49,7 +50,7 @@ class Base(msgspec.Struct, tag_field="op", frozen=True, kw_only=True):
 
 
 class SetLevel(Base, tag="set_level", frozen=True, kw_only=True):
-    """The least severity of the ``status`` frames that the client wants."""
+    """The client sets the least severity of the ``status`` frames that it wants."""
 
     level: str | None = None
 
@@ -70,7 +71,7 @@ class Unadvertise(Base, tag="unadvertise", frozen=True, kw_only=True):
 
 
 class Publish(Base, tag="publish", frozen=True, kw_only=True):
-    """A message for a topic."""
+    """The client publishes a message to a topic."""
 
     topic: str
     msg: dict[str, Any] | None = None
@@ -83,9 +84,9 @@ class Subscribe(Base, tag="subscribe", frozen=True, kw_only=True):
 
     Attributes:
         topic: Its name.
-        type: Its type; that of the graph if left out.
-        throttle_rate: Least time between two messages (ms).
-        queue_length: How many messages that come too early are kept; 0 keeps none.
+        type: The topic's type. If left out, it is the type on the graph.
+        throttle_rate: The least time between two messages (ms).
+        queue_length: How many messages that come too early are kept; with 0, none.
         compression: ``none``, ``png``, ``cbor`` or ``cbor-raw``.
     """
 
@@ -97,13 +98,13 @@ class Subscribe(Base, tag="subscribe", frozen=True, kw_only=True):
 
 
 class Unsubscribe(Base, tag="unsubscribe", frozen=True, kw_only=True):
-    """The client ends a subscription; without an id, all those of the topic."""
+    """The client ends a subscription. Without an id, it ends all its subscriptions of the topic."""
 
     topic: str
 
 
 class CallService(Base, tag="call_service", frozen=True, kw_only=True):
-    """A request; ``timeout`` is how long the client waits (s)."""
+    """The client calls a service. ``timeout`` is how long it waits (s)."""
 
     service: str
     type: str | None = None
@@ -133,7 +134,7 @@ class ServiceResponse(Base, tag="service_response", frozen=True, kw_only=True):
 
 
 class SendActionGoal(Base, tag="send_action_goal", frozen=True, kw_only=True):
-    """A goal.
+    """The client sends a goal.
 
     Attributes:
         action: The name of the action.
@@ -154,7 +155,7 @@ class SendActionGoal(Base, tag="send_action_goal", frozen=True, kw_only=True):
 
 
 class CancelActionGoal(Base, tag="cancel_action_goal", frozen=True, kw_only=True):
-    """The client cancels a goal; ``id`` is that of its ``send_action_goal``."""
+    """The client cancels a goal. ``id`` is the id of its ``send_action_goal``."""
 
     action: str
 
@@ -173,14 +174,14 @@ class UnadvertiseAction(Base, tag="unadvertise_action", frozen=True, kw_only=Tru
 
 
 class ActionFeedback(Base, tag="action_feedback", frozen=True, kw_only=True):
-    """Feedback of a goal that the client serves."""
+    """The client publishes feedback of a goal that it serves."""
 
     action: str | None = None
     values: Arguments = None
 
 
 class ActionResult(Base, tag="action_result", frozen=True, kw_only=True):
-    """The end of a goal that the client serves; ``result`` is false if it has failed."""
+    """The client ends a goal that it serves. ``result`` is false if the goal has failed."""
 
     action: str | None = None
     values: Arguments | str = None
@@ -208,10 +209,10 @@ Operation: TypeAlias = (
 )
 
 MOST_NESTED: Final = 100_000
-"""The maximum number of objects and lists in a frame; a million take seconds to read."""
+"""The maximum number of objects and lists in a frame. Reading a million takes seconds."""
 
 half_pattern = re.compile(r"[\ud800-\udfff]|\\u[dD][89a-fA-F]")
-"""Finds what may be half a surrogate pair, plain or escaped."""
+"""A pattern that finds text that may be half a surrogate pair, plain or escaped."""
 
 DECODER: msgspec.json.Decoder[Operation] = msgspec.json.Decoder(Operation)
 
@@ -229,7 +230,7 @@ class Malformed(msgspec.Struct, frozen=True):
 
 
 def parse(frame: str | bytes) -> Operation | Malformed:
-    """The operation in a frame, or what is wrong with it.
+    """Return the operation in a frame, or a description of what is wrong with the frame.
 
     >>> parse('{"op": "unsubscribe", "topic": "/pose"}').topic
     '/pose'
@@ -259,7 +260,7 @@ def _is_sound(frame: str) -> bool:
 
 
 def _second_look(frame: str, first: ValueError | RecursionError) -> Operation | Malformed:
-    """Accept NaN, which Python's own JSON writes; otherwise say what is wrong."""
+    """Accept NaN, which Python's own JSON writes. Otherwise return what is wrong."""
     try:
         members = json.loads(frame)
     except (ValueError, RecursionError):

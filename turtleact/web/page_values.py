@@ -1,8 +1,8 @@
-"""What the page shows of messages: plain values of bounded size, numbers to plot, and forms.
+"""Prepares messages for the page: plain values of limited size, numbers to plot, and forms.
 
-A message may hold a million numbers, and the page shows a few of them. So nothing here looks at
-more than it returns. `form` describes an action's fields, so that the page can ask for a goal and
-label values; `turtleact.interfaces.comments` has the comments.
+A message may hold a million numbers, but the page shows only a few. So the functions here look at
+no more values than they return. `form` describes an action's fields, so that the page can ask for a
+goal and label values. `turtleact.interfaces.comments` has the comments.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MOST_VALUES: Final = 400
 """An excerpt holds at most this many numbers and texts."""
 
 CHARACTERS: Final = 20
-"""So many characters of a text count as one more value."""
+"""Each group of this many characters of a text counts as one more value."""
 
 LONGEST_TEXT: Final = 1000
 """The maximum length of a text in an excerpt (characters)."""
@@ -42,7 +42,7 @@ MOST_PLOTTED: Final = 6
 """The maximum number of numbers that are plotted for a goal."""
 
 LARGEST_EXACT: Final = 2**53
-"""JavaScript rounds whole numbers beyond this one, so they are written as text."""
+"""JavaScript rounds whole numbers beyond this limit, so they are written as text."""
 
 NUMBERS: Final = frozenset(
     {"float32", "float64", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"}
@@ -52,7 +52,7 @@ Described: TypeAlias = dict[str, Any]
 
 
 def excerpt(message: Message) -> Plain:
-    """The values of a message as JSON can write them; long lists and texts are cut.
+    """The values of a message in a form for JSON. Long lists and texts are cut.
 
     A cut list ends with a text that says how many values are missing.
 
@@ -64,7 +64,7 @@ def excerpt(message: Message) -> Plain:
 
 
 def numbers_in(message: Message) -> Iterator[tuple[str, float]]:
-    """Up to `MOST_PLOTTED` numbers outside of lists, by path; the outermost come first."""
+    """Yield up to `MOST_PLOTTED` numbers outside of lists, with their paths, outermost first."""
     for path, attributes in _paths(type(message)):
         value: Any = message
         for attribute in attributes:
@@ -75,8 +75,8 @@ def numbers_in(message: Message) -> Iterator[tuple[str, float]]:
 def form(action: type[Action]) -> Described:
     """The fields of an action's goal, result and feedback.
 
-    Each field has ``name``, ``type``, ``default`` and ``comment``, and where they apply ``array``
-    (``form`` and ``size``), ``longest``, ``least`` and ``most``, and ``fields``.
+    Each field has ``name``, ``type``, ``default`` and ``comment``. Where they apply, it also has
+    ``array`` (``form`` and ``size``), ``longest``, ``least``, ``most`` and ``fields``.
     """
     parts: dict[str, type[Message]] = {
         "goal": action.Goal,
@@ -124,7 +124,7 @@ class _Cutter:
 
 
 def _first(values: Sequence[object], count: int) -> list[object]:
-    """The first values of a list, of bytes, or of an array as decoded messages hold it."""
+    """The first values of a list, of bytes, or of an array in a decoded message."""
     some = values[: max(0, count)]
     return cast("list[object]", some.tolist()) if hasattr(some, "tolist") else list(some)
 

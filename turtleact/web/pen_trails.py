@@ -1,7 +1,8 @@
-"""The lines that turtles have drawn, for every page that opens later.
+"""Keeps the lines that turtles have drawn, for every page that opens later.
 
-They are made from poses, because no topic has the drawing of a turtle. So the only known pens are
-those that web clients have set, and if another program clears the drawing, the lines stay. Pure.
+The lines are made from poses, because no topic has the drawing of a turtle. Only pens that web
+clients have set are known. If another program clears the drawing, the lines stay. This module does
+no I/O.
 
 Source: turtlesim ``turtle.cpp`` for the first pen.
 """
@@ -19,13 +20,13 @@ from turtleact.geometry import distance
 __all__ = ["FIRST_PEN", "MOST_LINES", "MOST_POINTS", "Pen", "PenTrails", "Tail"]
 
 MOST_LINES: Final = 128
-"""The lines of this many turtles are kept, those of turtles that are gone included."""
+"""The lines of this many turtles are kept, including turtles that are gone."""
 
 MOST_POINTS: Final = 2000
-"""The maximum number of points of one turtle's line; the oldest are dropped."""
+"""The maximum number of points of one turtle's line. The oldest points are dropped."""
 
 DETOUR: Final = 0.00003
-"""How much longer the turtle's way between two points may be than the straight line (m)."""
+"""The turtle's way between two points may be longer than the straight line by this much (m)."""
 
 LONGEST: Final = 0.3
 """The maximum length of a straight piece (m), so that a long arc is not taken for a line."""
@@ -36,8 +37,8 @@ class Pen(msgspec.Struct, frozen=True):
 
     Attributes:
         colour: Its colour, as CSS writes it.
-        width: Its width in pixels of turtlesim's window, which is 500 pixels wide.
-        is_off: Whether it draws nothing.
+        width: The pen's width in pixels of turtlesim's window, which is 500 pixels wide.
+        is_off: Whether the pen is off, so that it draws nothing.
     """
 
     colour: str
@@ -49,14 +50,14 @@ FIRST_PEN: Final = Pen("#b3b8ff", 3)
 LIFTED: Final = Pen("", 0, is_off=True)
 
 Point: TypeAlias = tuple[int, float, float, Pen]
-"""The revision, a place (m), and the pen that drew the piece of line that ends there."""
+"""The revision, a place (m), and the pen that drew the line to that place."""
 
 
 class Tail(msgspec.Struct, frozen=True):
     """The new end of a line.
 
     Attributes:
-        is_whole: Whether this is the whole line, and replaces what the page has.
+        is_whole: Whether this is the whole line. It then replaces the line that the page has.
         points: Places, each with its pen.
     """
 
@@ -68,7 +69,7 @@ class PenTrails:
     """The lines of all turtles.
 
     Args:
-        revise: Returns the next revision; called at each change.
+        revise: A function that returns the next revision. It is called at each change.
     """
 
     def __init__(self, revise: Callable[[], int]) -> None:
@@ -80,18 +81,18 @@ class PenTrails:
         self._line(name).follow((x, y), self._revise)
 
     def set_pen(self, name: str, pen: Pen) -> None:
-        """Draw with another pen from now on."""
+        """Give a turtle another pen from now on."""
         line = self._line(name)
         line.turn(self._revise)
         line.pen = pen
 
     def lift(self, name: str) -> None:
-        """Record that a turtle is gone: a new turtle of the same name starts a new line."""
+        """Record that a turtle is gone. A new turtle of the same name starts a new line."""
         if name in self._lines:
             self._lines[name].lift()
 
     def clear(self) -> None:
-        """Erase all lines; pens stay as they are."""
+        """Erase all lines. The pens stay unchanged."""
         for name, line in self._lines.items():
             self._lines[name] = _Line(self._revise())
             self._lines[name].pen = line.pen
@@ -119,7 +120,7 @@ class _Line:
     """One turtle's line.
 
     Attributes:
-        pen: What it draws with.
+        pen: The pen that draws the line.
     """
 
     def __init__(self, revision: int) -> None:
@@ -149,7 +150,7 @@ class _Line:
             self._add(here, revise)
 
     def turn(self, revise: Callable[[], int]) -> None:
-        """Make the present place a point."""
+        """Make the turtle's current place a point of the line."""
         if self._here is not None:
             self._add(self._here, revise)
 

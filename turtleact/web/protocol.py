@@ -1,15 +1,15 @@
 """rosbridge's rules for one connection, without I/O: frames in, effects out.
 
 A `Protocol` knows what a client has opened and under which ids, how much the client may open, and
-what it wants to be told. It knows no graph, no loop and no time. The effects that it returns must
-be carried out in order.
+which status messages the client wants. A `Protocol` knows no graph, no loop and no time. Carry out
+the effects that it returns in order.
 
 - Several subscriptions of one topic, with different ids, share one subscription on the graph. The
   shortest ``throttle_rate`` and the newest ``compression`` apply to all of them.
 - Without an id, ``unsubscribe`` and ``unadvertise`` end everything that the client has opened for
   the topic.
-- Only clients that have sent ``set_level`` get ``status``: the libraries fail on operations that
-  they do not expect.
+- Only clients that have sent ``set_level`` get ``status`` frames, because client libraries fail on
+operations that they do not expect.
 
 Source: ``ROSBRIDGE_PROTOCOL.md`` of rosbridge_suite, version 2, and its ``capabilities/``.
 """
@@ -51,9 +51,9 @@ class Delivery(msgspec.Struct, frozen=True):
     """How a client wants the messages of a topic.
 
     Attributes:
-        interval: Least time between two of them (s).
-        queue_length: How many that come too early are kept.
-        compression: How they are written.
+        interval: The least time between two messages (s).
+        queue_length: How many messages that come too early are kept.
+        compression: The form in which messages are written.
     """
 
     interval: float = 0.0
@@ -62,7 +62,7 @@ class Delivery(msgspec.Struct, frozen=True):
 
 
 class Reader(msgspec.Struct, frozen=True):
-    """A topic that a client subscribes to; the key is its name in the client's spelling."""
+    """A topic that a client subscribes to. The key is its name in the client's spelling."""
 
     key: str
     type: str
@@ -71,7 +71,7 @@ class Reader(msgspec.Struct, frozen=True):
 
 
 class Writer(msgspec.Struct, frozen=True):
-    """A topic that a client publishes to; the key is its name in the client's spelling."""
+    """A topic that a client publishes to. The key is its name in the client's spelling."""
 
     key: str
     type: str
@@ -129,13 +129,14 @@ Effect: TypeAlias = Open | Shut | Adjust | Do | Say
 
 
 class Protocol:
-    """One client, as rosbridge sees it.
+    """The state of one client by rosbridge's rules.
 
     Args:
-        most_opened: How many subscriptions, advertisements, services and actions it may have open.
+        most_opened: How many subscriptions, advertisements, services and actions the client may
+            have open.
 
     Attributes:
-        level: The status messages it wants: 0 none, 1 errors, 2 warnings, 3 all.
+        level: The status messages that the client wants: 0 none, 1 errors, 2 warnings, 3 all.
     """
 
     def __init__(self, most_opened: int = 256) -> None:
@@ -147,7 +148,7 @@ class Protocol:
         self._served: set[tuple[str, str]] = set()
 
     def receive(self, frame: str | bytes) -> list[Effect]:
-        """The effects of a frame."""
+        """Take a frame, and return its effects."""
         said = parse(frame)
         if isinstance(said, operations.Malformed):
             return self.complain(f"not understood: {said.problem}", said.id)
@@ -175,13 +176,13 @@ class Protocol:
         return [Do(said)]
 
     def complain(self, problem: str, id: Id = None, *, level: str = "error") -> list[Effect]:
-        """Tell the client what is wrong, if it wants to know."""
+        """Tell the client what is wrong, if it wants such messages."""
         if self.level < LEVELS[level]:
             return []
         return [Say(reply("status", id, level=level, msg=problem))]
 
     def forget(self, kind: str, key: str) -> None:
-        """Note that something could not be opened."""
+        """Record that something could not be opened."""
         if kind == "reader":
             self._opened -= len(self._readers.pop(key, ()))
         elif kind == "writer":
@@ -261,7 +262,7 @@ class Protocol:
         return [Shut("writer", said.topic)]
 
     def _publish(self, said: operations.Publish) -> list[Effect]:
-        """Publish; a topic that was not advertised is advertised now, without an id."""
+        """Publish a message. If its topic was not advertised, advertise it now, without an id."""
         if said.topic in self._writers:
             return [Do(said)]
         if not self._may_open():
@@ -302,7 +303,7 @@ class Protocol:
 
 
 def _merged(wishes: dict[Id, Delivery]) -> Delivery:
-    """One delivery for several subscriptions of a topic, given in the order of their making."""
+    """Merge the deliveries of several subscriptions of a topic, given in the order of creation."""
     return Delivery(
         min(each.interval for each in wishes.values()),
         max(each.queue_length for each in wishes.values()),
@@ -311,5 +312,5 @@ def _merged(wishes: dict[Id, Delivery]) -> Delivery:
 
 
 def _amount(number: float | None) -> float:
-    """A number from a client: at least 0, and 0 for NaN and None."""
+    """Turn a number from a client into one of at least 0. NaN and None become 0."""
     return 0.0 if number is None or math.isnan(number) else max(float(number), 0.0)

@@ -1,11 +1,11 @@
-"""rosapi: what clients ask of the graph, of its interfaces, and of parameters.
+"""Answers rosapi's services: questions about the graph, its interfaces, and parameters.
 
-Its services are answered here, for web clients only; they are not on the graph. Type names are
-those of ROS 2 (``pkg/msg/Name``), typedefs those of rosapi.
+The services are for web clients only, and are not on the graph. Type names are those of ROS 2
+(``pkg/msg/Name``). Typedefs are those of rosapi.
 
-A parameter with a colon in its name, ``/turtlesim:background_b``, belongs to a node, whose services
-are called. All other parameters belong to the clients, and last as long as the bridge. Values are
-JSON text.
+A parameter with a colon in its name, ``/turtlesim:background_b``, belongs to a node; the parameter
+services of the node are called. All other parameters belong to the clients, and exist as long as
+the bridge. Values are JSON text.
 
 Source: rosapi ``rosapi_node.py``, ``proxy.py``, ``params.py``, ``objectutils.py`` and
 ``stringify_field_types.py``, and ``rosapi_msgs``; package ``rcl_interfaces`` of ROS 2 Jazzy.
@@ -62,7 +62,7 @@ Values: TypeAlias = dict[str, Any]
 Answer: TypeAlias = Callable[..., Values | Awaitable[Values]]
 
 DISTRO: Final = "jazzy"
-"""The distribution whose interfaces ship."""
+"""The ROS distribution of the built-in interfaces."""
 
 Req = TypeVar("Req", bound=Message)
 Res = TypeVar("Res", bound=Message)
@@ -72,7 +72,7 @@ MOST_PARAMETERS: Final = 1000
 LONGEST_PARAMETER: Final = 2**16
 
 FIELDS: Final = {number: field.name for number, field in enumerate(fields(ParameterValue))}
-"""Which field holds a value, by the numbers of ``ParameterType``."""
+"""The field that holds a value, by the numbers of ``ParameterType``."""
 
 KINDS: Final[dict[int, tuple[bool, type]]] = {
     ParameterType.PARAMETER_BOOL: (False, bool),
@@ -85,8 +85,10 @@ KINDS: Final[dict[int, tuple[bool, type]]] = {
     ParameterType.PARAMETER_DOUBLE_ARRAY: (True, float),
     ParameterType.PARAMETER_STRING_ARRAY: (True, str),
 }
-"""For each kind of value, whether it is a list, and the type of its items; likelier kinds come
-first."""
+"""For each kind of value, whether it is a list, and the type of its items.
+
+Likelier kinds come first.
+"""
 
 PROBLEM: Final = "expected true, false, a number, text, or a list of one of these"
 
@@ -98,7 +100,7 @@ class Rosapi:
 
     Args:
         node: A node of the graph to describe.
-        directory: Knows its endpoints.
+        directory: The directory of the graph's endpoints.
         parameters: Gets and sets parameters.
     """
 
@@ -138,7 +140,7 @@ class Rosapi:
         }
 
     async def call(self, service: str, args: object) -> Values | None:
-        """Return the values of a response; None if the service is not one of rosapi's.
+        """Return the values of a response; None if the service does not belong to rosapi.
 
         Args:
             service: The name as a client spells it, with or without the leading slash.
@@ -170,7 +172,10 @@ class Rosapi:
         return {"topics": list(topics), "types": [types[0] for types in topics.values()]}
 
     def _topics_and_raw_types(self) -> Values:
-        """Without ``/rosout``, Foxglove and Lichtblick mistake the graph for one of ROS 1."""
+        """Include ``/rosout``.
+
+        Without it, Foxglove and Lichtblick take the graph for one of ROS 1.
+        """
         listed = self._topics()
         for topic, type in ALWAYS.items():
             if topic not in listed["topics"]:
@@ -253,18 +258,18 @@ class Rosapi:
 
 
 class Ask(Protocol):
-    """Calls a service."""
+    """A function that calls a service."""
 
     async def __call__(self, name: str, service_type: ServiceType[Req, Res], request: Req) -> Res:
-        """Call the service of a name and type."""
+        """Call the service with a name and type."""
 
 
 class Parameters:
     """Gets and sets parameters.
 
     Args:
-        node: Its graph has the nodes.
-        ask: Calls the parameter services of those nodes.
+        node: A node on the graph.
+        ask: A function that calls the parameter services of other nodes.
     """
 
     def __init__(self, node: Node, ask: Ask) -> None:
@@ -273,14 +278,14 @@ class Parameters:
         self._own: dict[str, str] = {}
 
     async def get(self, name: str, default: str) -> Values:
-        """``get_param``."""
+        """Answer ``get_param``."""
         value = await self._value(name)
         if value is None:
             return {"value": default or "null", "successful": bool(default)}
         return {"value": value, "successful": True}
 
     async def set(self, name: str, value: str) -> Values:
-        """``set_param``."""
+        """Answer ``set_param``."""
         if ":" in name:
             return await self._set_of_node(name, value)
         if name not in self._own and len(self._own) >= MOST_PARAMETERS:
@@ -292,11 +297,11 @@ class Parameters:
         return {"successful": True, "reason": ""}
 
     async def has(self, name: str) -> Values:
-        """``has_param``."""
+        """Answer ``has_param``."""
         return {"exists": await self._value(name) is not None}
 
     async def delete(self, name: str) -> Values:
-        """``delete_param``."""
+        """Answer ``delete_param``."""
         if await self._value(name) is None:
             return {"successful": False, "reason": "there is no such parameter"}
         if ":" in name:
@@ -305,7 +310,7 @@ class Parameters:
         return {"successful": True, "reason": ""}
 
     async def names(self) -> Values:
-        """``get_param_names``; a node that does not answer is left out."""
+        """Answer ``get_param_names``. A node that does not answer is left out."""
         found = sorted(self._own)
         for service, types in self._node.graph().services.items():
             if not service.endswith(LIST) or ListParameters.type_name not in types:
@@ -330,10 +335,10 @@ class Parameters:
         return msgspec.json.encode(list(value) if isinstance(value, bytes) else value).decode()
 
     async def _held(self, name: str) -> ParameterValue:
-        """A node's parameter; not set if the node has none of that name.
+        """The value of a node's parameter. It is "not set" if the node has no such parameter.
 
         Raises:
-            TurtleactError: if there is no answer.
+            TurtleactError: if the node does not answer.
         """
         node, _, parameter = name.partition(":")
         service = absolute(f"{node}/get_parameters")
@@ -364,7 +369,7 @@ def short_name(type_name: str) -> str:
 
 
 def typedefs(cls: type[Message]) -> list[dict[str, object]]:
-    """A message and all messages in it, each once, the outermost first."""
+    """The typedefs of a message and all messages in it, each once, the outermost first."""
     return [_typedef(each) for each in _with_nested(cls)]
 
 
@@ -426,7 +431,7 @@ def _get_ros_version() -> Values:
 
 
 def _as_parameter(value: object, declared: int) -> ParameterValue:
-    """A parameter value, of the declared kind if JSON leaves the kind open.
+    """Make a parameter value. If JSON leaves its kind open, it gets the declared kind.
 
     Raises:
         InvalidMessage: if no parameter can have this value.

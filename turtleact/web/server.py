@@ -1,13 +1,13 @@
-"""A node on a port: uvicorn around a bridge, for the length of a block.
+"""Serves a node on a port for the length of a block: runs uvicorn around a bridge.
 
 This module needs asyncio or uvloop, because uvicorn does. On trio, mount a bridge into another ASGI
-server. Here, uvicorn's protocols trust their clients less than usual:
+server. Here, uvicorn's protocols are stricter with clients than usual:
 
 - A client that connects and sends no whole request is disconnected, and the number of connections
   is limited. Otherwise anybody could use up all connections that the process may have.
-- The app can cut off a client that does not read. A client that does not answer a ping is gone,
-  unless it is still sending: its answer then arrives after the rest.
-- A text that is not UTF-8 is the client's mistake, so the log gets one line and no traceback.
+- The app can cut off a client that does not read. A client that does not answer a ping counts as
+gone, unless it is still sending: then its answer comes after the rest.
+- A text that is not UTF-8 is the client's mistake, so the log gets one line without a traceback.
 
 Source: uvicorn ``h11_impl.py`` and ``websockets_sansio_impl.py``; RFC 6455, section
 8.1.
@@ -59,19 +59,19 @@ PORT: Final = 9090
 """rosbridge's own port."""
 
 ROOM: Final = 50
-"""Connections that may still ask for the page when `Limits.connections` clients are connected."""
+"""Additional connections for requests of the page when `Limits.connections` clients are there."""
 
 READ_AHEAD: Final = 2**14
-"""How much a client may send ahead (bytes); others wait while this is processed."""
+"""How much a client may send ahead (bytes). Other clients wait while this is processed."""
 
 LAST_ORDERS: Final = 2
-"""How long uvicorn waits for requests that are under way when it ends (s)."""
+"""When uvicorn ends, it waits this long for requests that are under way (s)."""
 
 REQUEST_WITHIN: Final = 10.0
 """How long a client may take to send its request (s)."""
 
 LINGER: Final = 1.0
-"""How long the server still reads, and drops, a client's data after disconnecting it (s)."""
+"""After disconnecting a client, the server still reads and drops its data for this time (s)."""
 
 OVERHEAD: Final = 64
 """The memory that Python uses for each part of a message, besides its contents (bytes)."""
@@ -89,7 +89,7 @@ class Web(msgspec.Struct, frozen=True):
         host: The address that it is bound to.
         port: The port.
         token: The token that clients must send; empty if none is needed.
-        bridge: The app it serves.
+        bridge: The app that it serves.
     """
 
     host: str
@@ -99,13 +99,13 @@ class Web(msgspec.Struct, frozen=True):
 
     @property
     def url(self) -> str:
-        """The address of the page; with ``ws:`` instead of ``http:``, that of rosbridge."""
+        """The address of the page. With ``ws:`` instead of ``http:``, it is that of rosbridge."""
         query = f"?token={quote(self.token, safe='')}" if self.token else ""
         return f"{address_of(self.host, self.port)}{query}"
 
 
 ANY: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  # told, not bound
-"""The address for a browser on this machine if all addresses are bound."""
+"""The address that a browser on this machine uses if all addresses are bound."""
 
 
 @asynccontextmanager
@@ -120,24 +120,25 @@ async def open_web(
     limits: Limits | None = None,
     cancel_on_disconnect: bool = False,
 ) -> AsyncIterator[Web]:
-    """Serve a node on a port; the server listens when the block begins.
+    """Serve a node on a port. The server listens when the block begins.
 
     At the end of the block, every client gets the frames that must still arrive and a close frame.
 
     Args:
         node: The node to serve.
-        host: The address or name to bind; other machines can reach it unless it is a loopback one.
+        host: The address or name to bind. Other machines can reach it unless it is a loopback
+            address.
         port: The port, 1 to 65535, or 0 for any free one.
-        token: The token that clients must send. If left out, none is needed on a loopback address;
-            elsewhere one is made for this run.
-        hosts: As for `open_bridge`; ``host`` is among them.
+        token: The token that clients must send. If left out, no token is needed on a loopback
+            address. On any other address, a token is made for this run.
+        hosts: As for `open_bridge`. ``host`` is always among them.
         origins: As for `open_bridge`.
         limits: As for `open_bridge`.
         cancel_on_disconnect: As for `open_bridge`.
 
     Raises:
         InvalidOption: if the host or the port cannot be bound, or if the token is empty and the
-            host is not a loopback one.
+            host is not a loopback address.
         TurtleactError: if the event loop is not asyncio's or uvloop's.
     """
     if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
@@ -164,17 +165,17 @@ async def open_web(
 
 
 class Config(http_server.Config):
-    """uvicorn's configuration, through which its protocols reach what belongs to the app.
+    """uvicorn's configuration. Its protocols find the budget and the refusals of the app here.
 
     Args:
         app: The app.
-        refusals: Where refused connections are counted.
+        refusals: The counter of refused connections.
         limit_concurrency: How many connections may be open.
         ws_max_size: The longest message of a WebSocket (bytes).
 
     Attributes:
-        refusals: As given.
-        budget: The memory of all WebSockets; only needed if the app has any.
+        refusals: The argument ``refusals``.
+        budget: The memory of all WebSockets. It is needed only if the app has WebSockets.
     """
 
     budget: Budget
@@ -199,10 +200,10 @@ class Config(http_server.Config):
 
 
 class _Log(logging.Logger):
-    """What uvicorn's protocols log about one connection.
+    """The log of uvicorn's protocols for one connection.
 
-    They log each request that they refuse, in words of their own; those are counted, like all
-    refusals. Bugs are logged as they are.
+    The protocols log each request that they refuse. These lines are counted, like all refusals.
+    Bugs are logged unchanged.
     """
 
     def __init__(self, refusals: Refusals) -> None:
@@ -221,7 +222,7 @@ class _Log(logging.Logger):
 class Http(H11Protocol):
     """An HTTP connection, for one request.
 
-    At most ``limit_concurrency`` are open, including those that have become a `Socket`.
+    At most ``limit_concurrency`` connections are open, including those that have become a `Socket`.
     """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
@@ -241,7 +242,7 @@ class Http(H11Protocol):
 
 
 class Socket(WebSocketsSansIOProtocol):
-    """A WebSocket.
+    """The WebSocket of one client.
 
     Everything held for its client counts towards the budget of all clients: the part of a message
     that has arrived, messages that the app has not finished, and data that the client has not
@@ -269,7 +270,7 @@ class Socket(WebSocketsSansIOProtocol):
         await super().run_asgi()
 
     def data_received(self, data: bytes) -> None:
-        """Read on."""
+        """Read the data that has arrived."""
         if self._is_let_go:
             return
         self._heard_at = self.loop.time()
@@ -277,7 +278,7 @@ class Socket(WebSocketsSansIOProtocol):
         self._count()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Note the end."""
+        """Record that the connection has ended."""
         super().connection_lost(exc)
         self._budget.hold(self, 0)
 
@@ -287,7 +288,7 @@ class Socket(WebSocketsSansIOProtocol):
         self._count()
 
     def shrink(self) -> int:
-        """End the connection: all clients together hold too much, and this one holds the most."""
+        """End the connection, because all clients hold too much, and this one holds the most."""
         logger.warning("a web client was disconnected: %s", TOO_MUCH)
         self._is_let_go = True
         self.frames = []
@@ -307,12 +308,12 @@ class Socket(WebSocketsSansIOProtocol):
         return 0
 
     def handle_text(self, event: Frame) -> None:
-        """Take the first part of a text, or all of it."""
+        """Take a text or its first part."""
         self._fragments = _cost(event)
         super().handle_text(event)
 
     def handle_bytes(self, event: Frame) -> None:
-        """Take the first part of a binary message, or all of it."""
+        """Take a binary message or its first part."""
         self._fragments = _cost(event)
         super().handle_bytes(event)
 
@@ -329,7 +330,7 @@ class Socket(WebSocketsSansIOProtocol):
         return cast("Message", await super().receive())
 
     async def send(self, message: Message) -> None:  # type: ignore[override]  # likewise
-        """Send what the app sends."""
+        """Send a message of the app."""
         await super().send(message)  # type: ignore[arg-type]  # likewise
         if message["type"] == "websocket.http.response.body":
             # A refusal is an answer to the handshake, too. uvicorn does not see it that way, and
@@ -338,7 +339,7 @@ class Socket(WebSocketsSansIOProtocol):
         self._count()
 
     def _count(self) -> None:
-        """Note how much is held for the client."""
+        """Record how much memory is held for the client."""
         if not (self._is_let_go or self.disconnected or self.transport.is_closing()):
             incoming = len(self.conn.reader.buffer) + self._fragments + self._unread
             self._budget.hold(self, incoming + self._unsent())
@@ -369,7 +370,7 @@ class Socket(WebSocketsSansIOProtocol):
             super().keepalive_timeout()
 
     def send_receive_event_to_app(self) -> None:
-        """Hand a message to the app; a text that is not UTF-8 ends the connection."""
+        """Hand a message to the app. A text that is not UTF-8 ends the connection."""
         self._unread += self._fragments
         self._fragments = 0
         is_read = self.curr_msg_data_type == "text" and not self.close_sent
@@ -389,7 +390,7 @@ def address_of(host: str, port: int) -> str:
 
 
 def _cost(part: Frame) -> int:
-    """The memory used for a part of a message (bytes); many tiny parts use much, too."""
+    """The memory used for a part of a message (bytes). Many tiny parts use much memory, too."""
     return len(part.data) + OVERHEAD
 
 

@@ -1,4 +1,4 @@
-"""The services and actions that one client serves: requests go out, answers come back.
+"""Serves the services and actions of one client: sends requests to it, and takes its answers.
 
 On the graph, the bridge is the server. Each request and each goal is sent to the client with an id,
 and waits until the client answers or leaves.
@@ -43,7 +43,7 @@ class Server(Protocol):
     """A server that was opened on the node."""
 
     async def aclose(self) -> None:
-        """Serve no more."""
+        """Stop serving."""
 
 
 class Serving:
@@ -75,7 +75,7 @@ class Serving:
         self._servers["service", said.service] = server
 
     def serve_action(self, said: AdvertiseAction) -> None:
-        """Serve an action; raises as `serve_service` does."""
+        """Serve an action. The errors are those of `serve_service`."""
         action_type = cast("ActionType[Message, Message, Message]", action_class(said.type))
 
         async def execute(goal: Message, handle: ServerGoalHandle[Any, Any, Any]) -> Message:
@@ -85,7 +85,10 @@ class Serving:
         self._servers["action", said.action] = server
 
     def withdraw(self, kind: str, name: str) -> Server:
-        """Stop serving something and return its server; closing it answers all waiting calls."""
+        """Stop serving something, and return its server.
+
+        Closing the server answers waiting calls.
+        """
         # First the questions are given up, so that closing the server does not wait for answers.
         for question in self._asked.values():
             if question.about == (kind, name):
@@ -93,17 +96,17 @@ class Serving:
         return self._servers.pop((kind, name))
 
     def answer(self, said: ServiceResponse | ActionResult) -> bool:
-        """Take the client's answer; return False if it was not asked."""
+        """Take the client's answer. Return False if nobody asked the client."""
         question = self._asked.get(str(said.id))
         if question is not None:
             question.answer(said)
         return question is not None
 
     async def take_feedback(self, said: ActionFeedback) -> None:
-        """Publish the client's feedback; it is dropped if the goal has ended.
+        """Publish the client's feedback. If the goal has ended, drop it.
 
         Raises:
-            TurtleactError: if it does not fit the action.
+            TurtleactError: if the feedback does not fit the action.
         """
         question = self._asked.get(str(said.id))
         if question is not None:
@@ -128,7 +131,7 @@ class Serving:
         service_type: ServiceType[Message, Message],
         message: Message,
     ) -> Message:
-        """Let the client answer a request."""
+        """Send a request to the client, and return its answer."""
         name = said.service
         question = self._ask("service", name, "service_request")
         try:
@@ -153,7 +156,7 @@ class Serving:
         goal: Message,
         handle: ServerGoalHandle[Any, Any, Any],
     ) -> Message:
-        """Let the client carry out a goal; this is the body of the action."""
+        """Let the client carry out a goal. This is the body of the action."""
         name = said.action
         question = self._ask("action", name, "action_goal")
         feedback_type = cast("type[Message]", action_type.Feedback)
@@ -211,8 +214,8 @@ class _Question:
 
     Attributes:
         id: Its id in frames.
-        about: Which service or action it is for.
-        said: The answer; None until there is one.
+        about: The service or action that the question is for.
+        said: The client's answer; None until it has come.
         is_lost: Whether no answer will come.
         take_feedback: Takes the values of feedback, if this is a goal.
     """
@@ -226,30 +229,30 @@ class _Question:
         self._changed = changed
 
     def answer(self, said: ServiceResponse | ActionResult) -> None:
-        """Take the answer; the first one counts."""
+        """Take an answer. The first answer counts."""
         if self.said is None:
             self.said = said
         self._changed.fire()
 
     def lose(self) -> None:
-        """Note that there will be no answer."""
+        """Record that no answer will come."""
         self.is_lost = True
         self._changed.fire()
 
     async def wait(self) -> None:
-        """Wait for the answer, or until there will be none. Cancelling: safe."""
+        """Wait until the answer has come, or will never come. Cancelling: safe."""
         while self.said is None and not self.is_lost:
             await self._changed.wait()
 
 
 async def _no_feedback(_values: object) -> None:
-    """A service has none."""
+    """Do nothing, because a service has no feedback."""
 
 
 async def _result(
     said: ServiceResponse | ActionResult | None, result_type: type[Message]
 ) -> Message:
-    """Turn the client's answer into what the body does: return a result, or raise an error.
+    """Turn the client's answer into the outcome of the body: return a result, or raise an error.
 
     Raises:
         Abort: if the client has gone or has failed, or if its answer does not fit the action.

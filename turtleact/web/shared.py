@@ -1,14 +1,15 @@
-"""What all clients of a bridge share: the node, the topics they read, their goals and services.
+"""Holds what all clients of a bridge share: the node, topics, goals and services.
 
 - A topic is subscribed to once, however many clients read it, and each frame is made once
-  (`Feeds`). A latched topic gets a new subscription for each client, because only a new one gets
-  the messages that the publishers keep.
+  (`Feeds`). A latched topic gets a new subscription for each client, because only a new
+  subscription gets the messages that the publishers keep.
 - Clients of services and actions are kept open for the next web client (`Pool`).
-- Each goal is followed to its end (`Goals`). It continues when its client disconnects, unless
-  `cancel_on_disconnect` is set. Clients come and go during a goal, and may cancel it from another
-  connection. Web clients choose the ids of their goals themselves, so two may choose the same: a
-  cancel means the client's own goal of that id, otherwise the only goal of that id that anybody has
-  sent. A cancel that comes before the server has accepted the goal is remembered.
+- Each goal is followed to its end (`Goals`). A goal continues when its client disconnects, unless
+`cancel_on_disconnect` is set. Clients come and go during a goal, and may cancel the goal from
+another connection. Web clients choose the ids of their goals themselves, so two clients may choose
+the same id. A cancel is for the client's own goal of that id. If the client has no such goal, it is
+for the only goal of that id that anybody has sent. A cancel that comes before the server has
+accepted the goal is remembered.
 
 Source: rosbridge_library ``capabilities/action_*.py``; its issues 1003, 1013, 1139 and 1152.
 """
@@ -60,21 +61,24 @@ Req = TypeVar("Req", bound=Message)
 Res = TypeVar("Res", bound=Message)
 
 ANSWER: Final = 5.0
-"""How long a node may take to answer about its parameters (s)."""
+"""How long to wait for a node's answer about its parameters (s)."""
 
 Deliver: TypeAlias = Callable[[Rendering], None]
 
 DEPTH = 32
-"""How many messages wait for the task that hands them to all clients."""
+"""How many messages may wait for the task that hands them to all clients."""
 
 MOST_IDLE: Final = 64
-"""How many idle ones are kept open. Opening one announces it on the whole graph."""
+"""How many idle clients of services and actions are kept open.
+
+Opening one announces it on the whole graph.
+"""
 
 MOST_GOALS: Final = 1024
 """The maximum number of goals followed at once, including those of disconnected clients."""
 
 TRACE: Final = 512
-"""The most characters of a client's trace that are passed on."""
+"""The maximum number of characters of a client's trace that are passed on."""
 
 NO_SERVER: Final = "No action server available"
 CLOSING: Final = "The server is closing: you will not hear of this goal any more"
@@ -88,11 +92,11 @@ class Limits(msgspec.Struct, frozen=True):
         connections: How many clients may be connected.
         opened: How many subscriptions, advertisements, services and actions one client may have.
         calls: How many service calls of one client may be under way.
-        message_size: Longest message that a client may send (bytes).
-        memory: How much all clients together may make the server hold (bytes): messages that have
-            not arrived in full or not been read yet, and frames that wait to be sent. If it is
-            exceeded, the client that holds the most loses its waiting topic messages and feedback.
-            If it has none, it is disconnected.
+        message_size: The longest message that a client may send (bytes).
+        memory: How much memory the server may hold for all clients together (bytes). This includes
+            messages that have not arrived completely or have not been read yet, and frames that
+            wait to be sent. If the limit is exceeded, the client that holds the most loses its
+            waiting topic messages and feedback. A client without any is disconnected.
     """
 
     connections: int = 100
@@ -106,7 +110,7 @@ class Shared:
     """What the connections share.
 
     Args:
-        node: What is served.
+        node: The node that is served.
         limits: How much clients may ask for.
         cancel_on_disconnect: Whether a client's goals are canceled when it disconnects.
     """
@@ -129,7 +133,7 @@ class Shared:
         """Call a service of rosapi, the page or the graph, and return its response's values.
 
         Raises:
-            TurtleactError: if there is no response.
+            TurtleactError: if no response comes.
         """
         values = await self.rosapi.call(said.service, said.args)
         if values is None:
@@ -157,7 +161,7 @@ class Shared:
             return cast("Res", await client.call(request, timeout))
 
     async def aclose(self) -> None:
-        """Close all that was opened."""
+        """Close everything that was opened."""
         await self.watch.aclose()
         await self.goals.aclose()
         await self._clients.aclose()
@@ -168,11 +172,11 @@ class Feed:
 
     Args:
         subscription: Its messages.
-        reader: The first reader; it gets messages that have already come.
+        reader: The first reader. It gets the messages that have already come.
         now: The time (ns since the epoch).
 
     Attributes:
-        readers: All of them.
+        readers: All readers of the topic.
     """
 
     def __init__(
@@ -201,8 +205,8 @@ class Feeds:
     """The topics that clients read.
 
     Args:
-        node: Where they are subscribed to.
-        directory: Knows which of them are latched.
+        node: The node that subscribes to them.
+        directory: Knows which topics are latched.
     """
 
     def __init__(self, node: Node, directory: Directory) -> None:
@@ -232,7 +236,7 @@ class Feeds:
         return feed
 
     async def leave(self, feed: Feed, deliver: Deliver) -> None:
-        """Stop delivering; the last reader to leave closes the feed."""
+        """Stop delivering to a reader. The last reader that leaves closes the feed."""
         feed.readers.remove(deliver)
         if not feed.readers:
             # Before the await: a client that joins while this feed closes must open a new one.
@@ -252,7 +256,7 @@ C = TypeVar("C", bound=Closing)
 
 
 class Pool(Generic[K, C]):
-    """Things that are opened once and shared by their users.
+    """A pool of things that are opened once and shared by their users.
 
     Args:
         open: Opens the thing for a key.
@@ -265,7 +269,7 @@ class Pool(Generic[K, C]):
 
     @asynccontextmanager
     async def use(self, key: K) -> AsyncIterator[C]:
-        """The thing for a key; it stays open at least for the length of the block."""
+        """Give a block the thing for a key. It stays open at least for the length of the block."""
         # Taken out and put in again, so that the one used last stands last. No await lies between:
         # nobody else can open a second one for the key.
         held = self._held.pop(key, None)
@@ -282,7 +286,7 @@ class Pool(Generic[K, C]):
                 await self._tidy()
 
     async def aclose(self) -> None:
-        """Close all."""
+        """Close all things in the pool."""
         held, self._held = self._held, {}
         for each in held.values():
             await each.aclose()
@@ -295,7 +299,7 @@ class Pool(Generic[K, C]):
 
 
 class Teller(Protocol):
-    """The client that gets the frames of a goal."""
+    """The part of a connection that gets the frames of a goal."""
 
     def keep(self, frame: str) -> None:
         """Send a frame that must arrive."""
@@ -315,7 +319,7 @@ class Goals:
         cancel_on_disconnect: Whether a client's goals are canceled when it disconnects.
 
     Attributes:
-        watch: Called with each goal that was sent, if a page watches.
+        watch: Called with each goal that was sent, if a page watches goals.
     """
 
     def __init__(self, node: Node, *, cancel_on_disconnect: bool = False) -> None:
@@ -333,11 +337,11 @@ class Goals:
     def client(
         self, name: str, action_type: ActionType[Message, Message, Message]
     ) -> AbstractAsyncContextManager[Client]:
-        """A client of an action, for the length of a block."""
+        """Give a block a client of an action."""
         return self._clients.use((name, action_type))
 
     def send(self, said: SendActionGoal, teller: Teller) -> None:
-        """Send a goal and report on it; its end is always reported."""
+        """Send a goal, and report on it. Its end is always reported."""
         if said.id is not None and self._own(said.id, teller) is not None:
             _tell_failure(
                 said, teller, f"a goal of the id '{said.id}' is under way: use another id"
@@ -351,7 +355,7 @@ class Goals:
             sent.following = Background(self._follow(sent), f"goal {said.id} of a web client")
 
     def cancel(self, said: CancelActionGoal, teller: Teller) -> str:
-        """Cancel a goal; returns the problem, or an empty string."""
+        """Cancel a goal. Return the problem, or an empty string."""
         sent = self._own(said.id, teller)
         if sent is None:
             found = [each for each in self._sent.values() if each.said.id == said.id]
@@ -447,9 +451,9 @@ class _Sent:
     """One goal.
 
     Attributes:
-        number: Different from the numbers of all other goals of the bridge.
-        said: What its client has sent for it.
-        teller: Its client; None once that has gone.
+        number: The number of the goal, which no other goal of the bridge has.
+        said: The operation with which its client has sent it.
+        teller: Its client; None after the client has gone.
         goal_id: Its 16 bytes.
         following: The task that follows it.
         is_over: Whether its client was told that nothing more will follow.
@@ -467,7 +471,10 @@ class _Sent:
         self._is_canceled = False
 
     def accept(self, handle: ClientGoalHandle[Message, Message]) -> None:
-        """Note that the server has accepted the goal; the client may have canceled it meanwhile."""
+        """Record that the server has accepted the goal.
+
+        The client may have canceled it meanwhile.
+        """
         self._handle = handle
         if self._is_canceled:
             handle.cancel_nowait()

@@ -1,19 +1,19 @@
-"""What the page watches: the goals of all actions, the trails of turtles, and the graph.
+"""Watches the graph for the page: the goals of all actions, and the trails of turtles.
 
-The server keeps all of this, so that it survives a reload and is the same in every browser. It
-begins when the first page asks, and continues until the bridge is closed. Programs that only use
-rosbridge cost nothing extra.
+The server keeps all of this, so that it survives a reload and is the same in every browser.
+Watching begins when the first page asks, and continues until the bridge is closed. For programs
+that only use rosbridge, it costs nothing.
 
 A page asks by calling services that only web clients can call, like those of rosapi:
 
-- ``/turtleact/web/watch`` answers with what is new after a revision, and waits if nothing is. A
-  slow page therefore asks less often, and nothing piles up for it.
+- ``/turtleact/web/watch`` answers with the news after a revision, and waits if there is none. A
+slow page therefore asks less often, and nothing piles up for it.
 - ``/turtleact/web/form`` describes an action's type.
 - ``/turtleact/web/clear_trails`` wipes the trails off.
 - ``/turtleact/web/set_paused`` pauses or resumes a goal.
 
-Each goal is followed as any other client would follow it: it is attached to when it appears on its
-action's status topic.
+Each goal is followed as any other client would follow it: this module attaches to the goal when it
+appears on its action's status topic.
 """
 
 from __future__ import annotations
@@ -62,25 +62,25 @@ __all__ = [
 ]
 
 PACE: Final = 0.1
-"""A page gets news at most once in this time (s)."""
+"""A page gets news at most once per this time (s)."""
 
 PATIENCE: Final = 1.0
-"""A page gets an answer at least once in this time (s), so that it knows the time."""
+"""A page gets an answer at least once per this time (s), so that it knows the time."""
 
 REACHED_WITHIN: Final = 5.0
-"""How long it may take to reach the server of a goal (s, by the graph's clock)."""
+"""How long to try to reach the server of a goal (s, by the graph's clock)."""
 
 MOST_ACTIONS: Final = 200
-"""How many actions are watched."""
+"""At most this many actions are watched."""
 
 MOST_FOLLOWED: Final = 256
-"""How many goals are followed at once; of all others, only the status is known."""
+"""At most this many goals are followed at a time. Of all other goals, only the status is known."""
 
 MOST_TURTLES: Final = 64
-"""How many turtles' trails are kept."""
+"""The trails of at most this many turtles are kept."""
 
 MOST_REQUESTS: Final = 64
-"""How many goals may be sent before their status arrives."""
+"""The maximum number of goals that were sent but have no status yet."""
 
 FORGOTTEN: Final = "its server has forgotten it"
 
@@ -94,10 +94,10 @@ AnyEvent: TypeAlias = Event[Message, Message]
 
 
 class OpenClient(Protocol):
-    """Opens a client of an action, or shares one that is open."""
+    """A function that opens a client of an action, or shares an open one."""
 
     def __call__(self, name: str, action_type: Any) -> AbstractAsyncContextManager[Client]:  # noqa: ANN401  # any action
-        """The client of the action of a name and type, for the length of a block."""
+        """Give a block the client of the action with a name and type."""
 
 
 class Watch:
@@ -138,11 +138,11 @@ class Watch:
 
     @property
     def is_watching(self) -> bool:
-        """Whether a page has asked."""
+        """Whether a page has asked for news, so that watching has begun."""
         return self._looked_at > -math.inf
 
     async def call(self, service: str, args: object) -> Values | None:
-        """The values of a response; None if that is no service for pages.
+        """Return the values of a response; None if the service is not for pages.
 
         Raises:
             InvalidMessage: if an argument does not fit.
@@ -159,7 +159,7 @@ class Watch:
     # called by other parts of the bridge
 
     def note_request(self, goal_id: bytes, request: Message) -> None:
-        """Record a goal that a web client has sent, as remote servers do not tell its message."""
+        """Record a web client's goal, because remote servers do not send its message."""
         if not self.is_watching:
             return
         record = self.history.find(goal_id.hex())
@@ -172,12 +172,12 @@ class Watch:
             del self._requests[next(iter(self._requests))]
 
     def note_rejection(self, action: tuple[str, str], request: Message, reason: str) -> None:
-        """Note that a goal of a web client was rejected.
+        """Record that a goal of a web client was rejected.
 
         Args:
             action: The name and the type of the action.
             request: The goal.
-            reason: Why.
+            reason: Why the goal was rejected.
         """
         if self.is_watching:
             record = GoalRecord(new_goal_id().hex(), *action, accepted=self._now(), at=time.time())
@@ -185,7 +185,7 @@ class Watch:
             self.history.end(record, REJECTED)
 
     def note_call(self, service: str, request: Any) -> None:  # noqa: ANN401  # any request
-        """Note that a web client has called a service: some change what turtles have drawn."""
+        """Note that a web client has called a service, because some services change the drawing."""
         if service == "/reset":
             self.trails.reset()
         elif service == "/clear":
@@ -208,7 +208,10 @@ class Watch:
     # the services
 
     async def _watch(self, args: Values) -> Values:
-        """News after a revision; everything, if it is 0 or from another session."""
+        """Return the news after a revision.
+
+        If it is 0 or from another session, return everything.
+        """
         since = args.get("since", 0)
         if not isinstance(since, int):
             raise InvalidMessage("args.since", "expected a whole number")
@@ -244,7 +247,7 @@ class Watch:
         return {}
 
     async def _set_paused(self, args: Values) -> Values:
-        """Pause or resume the goal ``id``, as ``is_paused`` says."""
+        """Pause or resume the goal with the id ``id``, as ``is_paused`` says."""
         handle = self._handles.get(str(args.get("id")))
         if handle is None:
             raise TurtleactError("nobody follows such a goal")
@@ -254,7 +257,7 @@ class Watch:
     # looking around
 
     def _look(self) -> None:
-        """Follow what is new on the graph, unless somebody has looked a moment ago."""
+        """Follow new actions and turtles on the graph, unless the last look was a moment ago."""
         now = anyio.current_time()
         if now - self._looked_at < PATIENCE:
             return
@@ -319,11 +322,11 @@ class Watch:
     def _take_statuses(
         self, action: tuple[str, str], message: GoalStatusArray, known: set[str]
     ) -> set[str]:
-        """Take what an action says about its goals, and return their ids.
+        """Take a status message of an action's goals, and return the goals' ids.
 
         Args:
             action: The name and the type of the action.
-            message: What it says.
+            message: The status message.
             known: The ids of the last message. Goals that the history has dropped are not taken up
                 again.
         """
@@ -361,7 +364,7 @@ class Watch:
                 self.history.change(record)
 
     def _lose(self, ids: set[str], reason: str) -> None:
-        """Note that no more will be heard of these goals, except for those that are followed."""
+        """Record that no more news of these goals will come, except of goals that are followed."""
         for id in ids - self._following.keys():
             record = self.history.find(id)
             if record is not None and not record.has_ended:
@@ -452,10 +455,11 @@ class _Action:
     """An action whose goals are watched.
 
     Args:
-        node: Subscribes to its status.
+        node: The node that subscribes to its status.
         key: Its name and type.
-        take: Called with each message about its goals and the ids of the last one; returns the ids.
-        take_paused: Called with the ids that are known, and those of the paused goals.
+        take: Called with each status message and the ids of the message before. Returns the new
+            ids.
+        take_paused: Called with the known ids and the ids of the paused goals.
 
     Attributes:
         known: The ids of the last message.
