@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextvars
+import os
 import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 import anyio
@@ -20,6 +21,7 @@ from opentelemetry.trace import StatusCode
 import turtleact
 from turtleact import Abort, GoalAborted, GoalCanceled, GoalRejected, Reject, ServerUnavailable
 from turtleact.goal_wire import GoalNote
+from turtleact.interfaces.standard import Fibonacci
 from turtleact.node import local_server_of
 from turtleact.observers import FeedbackLost
 from turtleact.telemetry import instrument, new_traces
@@ -457,23 +459,6 @@ async def test_a_goal_whose_coroutine_is_thrown_away_ends_its_span(collector, ca
     assert "Failed to detach" not in caplog.text
 
 
-GOALS = 1_000
-
-
-async def test_each_of_many_goals_has_two_spans_that_end(collector):
-    with exporting_to(collector) as provider:
-        async with lab(provider, count) as made:
-            for _ in range(GOALS // 50):
-                async with anyio.create_task_group() as group:
-                    for _ in range(50):
-                        group.start_soon(made.client.send_goal, goal(1))
-    sent = {each.span_id: each for each in collector.named("send_goal /count")}
-    executed = collector.named("execute /count")
-    assert len(sent) == len(executed) == GOALS
-    assert {each.parent_span_id for each in executed} == set(sent)
-    assert all(sent[each.parent_span_id].trace_id == each.trace_id for each in executed)
-
-
 SERVE = """
 import sys, anyio, turtleact
 from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
@@ -485,7 +470,8 @@ from turtleact.telemetry import instrument
 
 async def main(address, url):
     provider = TracerProvider(resource=Resource({"service.name": "the server"}))
-    provider.add_span_processor(BatchSpanProcessor(OTLPSpanExporter(url)))
+    batches = BatchSpanProcessor(OTLPSpanExporter(url), max_queue_size=50_000)
+    provider.add_span_processor(batches)
     async with (
         turtleact.open_zenoh(mode="router", listen=[address], domain=0) as graph,
         turtleact.open_node("far", transport=graph) as node,
@@ -501,7 +487,13 @@ async def main(address, url):
             return await inner.send_goal(request)
 
         node.action_server(Fibonacci, "inner", act)
+        async def check(request):
+            if request.order < 0:
+                raise turtleact.Abort("below zero")
+            return Fibonacci.Result()
+
         node.action_server(Fibonacci, "outer", outer)
+        node.action_server(Fibonacci, "check", check)
         print("ready", flush=True)
         await anyio.to_thread.run_sync(sys.stdin.read)
     provider.shutdown()
@@ -510,8 +502,10 @@ anyio.run(main, *sys.argv[1:])
 """
 
 
-async def test_nested_goals_in_two_processes_are_one_trace_over_zenoh(collector, free_address):
-    command = [sys.executable, "-c", SERVE, free_address, f"{collector.url}/v1/traces"]
+@asynccontextmanager
+async def traced_process(collector: Collector, address: str):
+    """A node that is connected to another process; all spans have arrived at the end."""
+    command = [sys.executable, "-c", SERVE, address, f"{collector.url}/v1/traces"]
     with (
         subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -521,16 +515,20 @@ async def test_nested_goals_in_two_processes_are_one_trace_over_zenoh(collector,
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         async with (
-            turtleact.open_zenoh([free_address], domain=0) as graph,
+            turtleact.open_zenoh([address], domain=0) as graph,
             turtleact.open_node("near", transport=graph) as node,
         ):
             instrument(node, tracer_provider=provider)
-            Fibonacci = turtleact.interfaces.standard.Fibonacci
-            client = node.action_client(Fibonacci, "outer")
-            for order in range(3):
-                answer = await client.send_goal(Fibonacci.Goal(order=order))
-                assert answer.sequence == [order]
+            yield node
         await anyio.to_thread.run_sync(process.communicate, "")
+
+
+async def test_nested_goals_in_two_processes_are_one_trace_over_zenoh(collector, free_address):
+    async with traced_process(collector, free_address) as node:
+        client = node.action_client(Fibonacci, "outer")
+        for order in range(3):
+            answer = await client.send_goal(Fibonacci.Goal(order=order))
+            assert answer.sequence == [order]
     names = ["send_goal /outer", "execute /outer", "send_goal /inner", "execute /inner"]
     chains = list(zip(*map(collector.named, names), strict=True))
     assert len(chains) == 3
@@ -540,3 +538,31 @@ async def test_nested_goals_in_two_processes_are_one_trace_over_zenoh(collector,
         assert [each.parent_span_id for each in chain[1:]] == [each.span_id for each in chain[:-1]]
         assert values(chain[1].attributes)["ros.domain_id"] == 0
     assert {each["service.name"] for each in collector.resources} >= {"the server"}
+
+
+GOALS = int(os.environ.get("TRACED_GOALS", "500"))
+AT_ONCE, FAILS = 50, 10
+
+
+async def test_each_of_many_goals_has_a_span_in_both_processes(collector, free_address):
+    async with traced_process(collector, free_address) as node:
+        client = node.action_client(Fibonacci, "check")
+
+        async def send(number: int) -> None:
+            for order in range(number, GOALS, AT_ONCE):
+                with suppress(GoalAborted):
+                    await client.send_goal(Fibonacci.Goal(order=order if order % FAILS else -1))
+
+        async with anyio.create_task_group() as group:
+            for number in range(AT_ONCE):
+                group.start_soon(send, number)
+    sent = {each.span_id: each for each in collector.named("send_goal /check")}
+    executed = {each.parent_span_id: each for each in collector.named("execute /check")}
+    assert len(collector.spans) == 2 * GOALS
+    assert len(sent) == GOALS
+    assert executed.keys() == sent.keys()
+    for span_id, span in sent.items():
+        assert span.trace_id == executed[span_id].trace_id
+        assert span.end_time_unix_nano > span.start_time_unix_nano
+    said = Counter(failed(each) for each in collector.spans if each.status.code == ERROR)
+    assert said == {(ERROR, "below zero", "GoalAborted", "below zero"): 2 * GOALS // FAILS}
