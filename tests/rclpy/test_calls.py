@@ -123,7 +123,7 @@ def test_a_client_of_turtleact_uses_a_service_of_rclpy(others, node, executor):
         await client.wait_for_service(timeout=5)
         return await client.call(OurAddTwoInts.Request(a=4, b=4), timeout=5)
 
-    asked = loop.start(ask())
+    asked = loop.start(ask)
     while not asked.done():
         executor.spin_once(timeout_sec=0.01)
     assert asked.result().sum == 8
@@ -144,7 +144,7 @@ def test_a_client_of_turtleact_sends_a_goal_to_rclpy(others, node, executor):
             feedback = [list(each.sequence) async for each in goal]
             return feedback, list((await goal.result()).sequence)
 
-    asked = node.connection.loop.start(ask())
+    asked = node.connection.loop.start(ask)
     while not asked.done():
         executor.spin_once(timeout_sec=0.01)
     assert asked.result() == ([[8]], [9])

@@ -227,9 +227,9 @@ def test_the_event_loop_is_used_from_any_thread():
     assert loop.call(lambda: loop.call(lambda: loop.is_here))
     with pytest.raises(ZeroDivisionError):
         loop.call(lambda: 1 // 0)
-    assert loop.run(sleep(0)) == 0
+    assert loop.run(lambda: sleep(0)) == 0
     with pytest.raises(TimeoutError):
-        loop.run(sleep(60), timeout=0.01)
+        loop.run(lambda: sleep(60), timeout=0.01)
     called = threading.Event()
     began = time.monotonic()
     loop.post_later(0.01, called.set)

@@ -100,7 +100,7 @@ class CallEnd:
         with self._lock:
             is_sent = self._caller.ask(request, ended) is not None
         if not is_sent:  # a server that was seen may not be reachable yet
-            self._connection.loop.start(call())
+            self._connection.loop.start(call)
 
     def close(self) -> None:
         """Leave the graph when all calls under way have ended."""

@@ -202,8 +202,8 @@ class Connection:
         self._watchers: dict[Callable[[], object], None] = {}
         self._watching: asyncio.Task[None] | None = None
         self._opened = open_transport(domain)
-        self._transport = loop.run(self._open())
-        self._exploring = loop.start(self._explore())
+        self._transport = loop.run(self._open)
+        self._exploring = loop.start(self._explore)
 
     async def _open(self) -> Transport:
         return await self._opened.__aenter__()
@@ -232,7 +232,7 @@ class Connection:
     def close(self) -> None:
         """Leave the graph. Endpoints that do not close in time are left behind."""
         with contextlib.suppress(TimeoutError):
-            self.loop.run(self._close(), CLOSING)
+            self.loop.run(self._close, CLOSING)
 
     @property
     def changes(self) -> int:

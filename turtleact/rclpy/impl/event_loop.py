@@ -9,13 +9,14 @@ import asyncio
 import threading
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 from turtleact.tasks import new_event_loop
 
 __all__ = ["EventLoop"]
 
 T = TypeVar("T")
+BeginCoroutine: TypeAlias = "Callable[[], Coroutine[object, object, T]]"
 
 SHORTEST = 0.001
 """Delays shorter than this (s) are skipped."""
@@ -26,6 +27,7 @@ class EventLoop:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
+        self._is_ready = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
 
@@ -61,29 +63,37 @@ class EventLoop:
         else:
             loop.call_soon_threadsafe(loop.call_later, delay, function)
 
-    def run(self, coroutine: Coroutine[object, object, T], timeout: float | None = None) -> T:
-        """Run a coroutine in the loop and wait for its end.
+    def run(self, begin: BeginCoroutine[T], timeout: float | None = None) -> T:
+        """Run the coroutine that ``begin()`` returns in the loop, and wait for its end.
 
         Raises:
             TimeoutError: if the coroutine has not ended in time. It is then cancelled.
         """
-        running = self.start(coroutine)
+        running = self.start(begin)
         try:
             return running.result(timeout)
         except BaseException:
             running.cancel()
             raise
 
-    def start(self, coroutine: Coroutine[object, object, T]) -> Future[T]:
-        """Run a coroutine in the loop and return its future."""
-        return asyncio.run_coroutine_threadsafe(coroutine, self._running())
+    def start(self, begin: BeginCoroutine[T]) -> Future[T]:
+        """Run the coroutine that ``begin()`` returns in the loop, and return its future."""
+        loop = self._running()  # first: a KeyboardInterrupt in it would leave a coroutine unused
+        return asyncio.run_coroutine_threadsafe(begin(), loop)
 
     def _running(self) -> asyncio.AbstractEventLoop:
-        with self._lock:
-            if self._loop is None:
-                loop = self._loop = new_event_loop()
-                self._thread = threading.Thread(
-                    target=loop.run_forever, name="turtleact-loop", daemon=True
-                )
-                self._thread.start()
-            return self._loop
+        if not self._is_ready.is_set():
+            with self._lock:
+                if not self._is_ready.is_set():
+                    # The loop is made in its own thread: a KeyboardInterrupt in the main thread
+                    # can then leave no half-made loop behind, and none without a thread.
+                    threading.Thread(target=self._run, name="turtleact-loop", daemon=True).start()
+                    self._is_ready.wait()
+        assert self._loop is not None  # noqa: S101  # it is ready
+        return self._loop
+
+    def _run(self) -> None:
+        self._thread = threading.current_thread()
+        self._loop = new_event_loop()
+        self._is_ready.set()
+        self._loop.run_forever()
