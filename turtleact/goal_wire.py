@@ -1,11 +1,19 @@
-"""Encodes two things about goals for the wire: notes, and the messages of the status topic.
+"""Goals on the wire: what ROS 2 has no field for, pauses, and the bytes of the status topic.
 
 - A note carries facts for which ROS 2 has no field. It travels as a short JSON text attached to a
-request
-  or a response. Other ROS 2 programs do not see it.
+  request or a response. Other ROS 2 programs do not see it.
+- Nodes of turtleact pause goals by a service and topics that ROS 2 does not have:
+
+  ========================  ========================  =========================================
+  ``…/_action/set_paused``  `SetPaused`               pauses or resumes one goal
+  ``…/_action/paused``      `PausedGoals`             all goals that are paused, at each change
+  ``NAME/pause``            ``std_srvs/srv/Trigger``  pauses all goals, for users of ROS 2
+  ``NAME/resume``           ``std_srvs/srv/Trigger``  resumes them
+  ========================  ========================  =========================================
+
 - A server that ends thousands of goals within its ``result_timeout`` publishes all their states at
-  each change. The functions here take 0.1 us per goal to write and 0.3 us to read: a tenth of the
-  time of the general codec.
+  each change. `write_states` takes 0.1 us per goal and `read_states` 0.3 us: a tenth of the time of
+  the general codec.
 
 Source: action_msgs/msg/GoalStatusArray; OMG DDS-XTypes 1.3, 7.4.3 (plain CDR).
 """
@@ -18,9 +26,21 @@ from typing import Final, TypeAlias
 
 import msgspec
 
+from turtleact.interfaces import Message, Service, bool_, float64, string
+from turtleact.interfaces.standard import UUID
 from turtleact.summaries import encodable
 
-__all__ = ["GoalNote", "State", "pack_state", "read_states", "write_states"]
+__all__ = [
+    "GoalNote",
+    "PausedGoals",
+    "SetPaused",
+    "State",
+    "pack_state",
+    "paused_topic",
+    "read_states",
+    "set_paused_service",
+    "write_states",
+]
 
 
 class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -79,7 +99,6 @@ LONGEST_REASON = 1000
 LARGEST = 4096
 """The maximum size of a note, in bytes. Half a note would be useless, so the reason is cut."""
 
-
 State: TypeAlias = tuple[int, int, int]
 """When the goal was accepted (seconds, then nanoseconds), and the number of its state."""
 
@@ -133,3 +152,51 @@ def read_states(data: bytes) -> dict[bytes, State] | None:
     for goal_id, seconds, rest, number in ENTRY.iter_unpack(data[begin:end]):
         states[goal_id] = seconds, rest, number
     return states
+
+
+class SetPaused(Service, type_name="turtleact_interfaces/srv/SetPaused"):
+    """Pauses or resumes one goal."""
+
+    class Request(Message):
+        """Which goal, and what to do with it.
+
+        Attributes:
+            goal_id: The goal.
+            is_paused: Whether to pause the goal (true) or to resume it (false).
+            timeout: How long its body may take to stand still (s).
+        """
+
+        goal_id: UUID = UUID()
+        is_paused: bool_ = True
+        timeout: float64 = 5.0
+
+    class Response(Message):
+        """Whether the request was carried out.
+
+        Attributes:
+            success: Whether the goal is now paused, or resumed, as requested.
+            message: Why the request failed; empty if it did not.
+        """
+
+        success: bool_ = False
+        message: string = ""
+
+
+class PausedGoals(Message, type_name="turtleact_interfaces/msg/PausedGoals"):
+    """The goals of an action that are paused.
+
+    Attributes:
+        goal_ids: Their ids.
+    """
+
+    goal_ids: list[UUID] = []
+
+
+def set_paused_service(action: str) -> str:
+    """Return the name of an action's service that pauses and resumes goals."""
+    return f"{action}/_action/set_paused"
+
+
+def paused_topic(action: str) -> str:
+    """Return the name of the topic that lists an action's paused goals."""
+    return f"{action}/_action/paused"

@@ -13,7 +13,7 @@ import pytest
 
 from turtleact import open_node
 from turtleact.commands import live, send_goal
-from turtleact.goal_pausing import SetPaused
+from turtleact.goal_wire import SetPaused
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.tasks import Background
 

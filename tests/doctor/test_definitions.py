@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import turtleact
-from turtleact.doctor.definitions import described_fields, own_fields
+from turtleact.doctor.snapshot import described_fields, own_fields
 from turtleact.interfaces import get_interface, implied, load_interface, type_hash
 from turtleact.interfaces.standard import GoalStatusArray, Point
 from turtleact.transports import MemoryTransport

@@ -21,8 +21,14 @@ import anyio
 from turtleact.body import ActionType
 from turtleact.errors import PauseRefused
 from turtleact.goal import CancelCode, Goal, GoalStatus
-from turtleact.goal_pausing import PausedGoals, SetPaused, paused_topic, set_paused_service
-from turtleact.goal_wire import State, read_states
+from turtleact.goal_wire import (
+    PausedGoals,
+    SetPaused,
+    State,
+    paused_topic,
+    read_states,
+    set_paused_service,
+)
 from turtleact.interfaces import (
     GOAL_ID,
     Action,

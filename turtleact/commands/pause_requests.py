@@ -1,7 +1,7 @@
 """Asks servers to pause or resume goals, and which goals are paused, whoever sent them.
 
 ROS 2 has no pauses. Servers of turtleact offer a service and a topic for them, as soon as somebody
-asks; see `turtleact.goal_pausing`.
+asks; see `turtleact.goal_wire`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import anyio
 
 from turtleact.clock import within
 from turtleact.errors import PauseRefused, ServiceTimeout
-from turtleact.goal_pausing import PausedGoals, SetPaused, paused_topic, set_paused_service
+from turtleact.goal_wire import PausedGoals, SetPaused, paused_topic, set_paused_service
 from turtleact.interfaces.standard import UUID
 from turtleact.transports import QoS
 

@@ -22,7 +22,6 @@ import anyio
 import msgspec
 
 from turtleact.doctor.checks import HASHED
-from turtleact.doctor.definitions import described_fields, own_fields
 from turtleact.doctor.snapshot import (
     Answer,
     EndpointSeen,
@@ -31,6 +30,8 @@ from turtleact.doctor.snapshot import (
     Report,
     Router,
     Snapshot,
+    described_fields,
+    own_fields,
 )
 from turtleact.errors import TurtleactError
 from turtleact.fault_reports import ADVICE, TOPIC

@@ -25,7 +25,7 @@ from turtleact.errors import TurtleactError
 if TYPE_CHECKING:
     from mcp.types import CallToolRequestParams
 
-    from turtleact.mcp.request import Request
+    from turtleact.mcp.replies import Request
 
 __all__ = ["Confirmation"]
 

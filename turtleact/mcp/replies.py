@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
+from mcp.server.context import ServerRequestContext
 from mcp.types import CallToolResult, TextContent
 
 from turtleact.errors import GoalAborted, GoalCanceled
@@ -17,7 +18,10 @@ if TYPE_CHECKING:
     from turtleact.client import Outcome
     from turtleact.interfaces import Action, Message
 
-__all__ = ["LONGEST_TEXT", "answer", "data_of", "failure", "goal_schema", "one_line"]
+__all__ = ["LONGEST_TEXT", "Request", "answer", "data_of", "failure", "goal_schema", "one_line"]
+
+Request: TypeAlias = ServerRequestContext[Any, Any]
+"""A request of a client, and the way back to it."""
 
 LONGEST_TEXT: Final = 100_000
 """A model gets at most this many characters of JSON as text. A program gets everything as data."""

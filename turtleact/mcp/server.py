@@ -40,10 +40,9 @@ from mcp.types import (
 
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import Action, Message
-from turtleact.mcp.board import Board
 from turtleact.mcp.catalogue import Catalogue, Entry
 from turtleact.mcp.confirmation import Confirmation
-from turtleact.mcp.goals import Goals
+from turtleact.mcp.goals import Board, Goals
 from turtleact.mcp.greeting import INSTRUCTIONS, NAME
 from turtleact.mcp.offer import Limits, Names, Offer
 from turtleact.mcp.replies import failure
@@ -57,7 +56,7 @@ if TYPE_CHECKING:
     from mcp.server.models import InitializationOptions
     from mcp.server.session import ServerSession
 
-    from turtleact.mcp.request import Request
+    from turtleact.mcp.replies import Request
     from turtleact.node import Node
 
 __all__ = ["McpServer", "open_mcp"]

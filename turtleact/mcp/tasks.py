@@ -47,9 +47,8 @@ if TYPE_CHECKING:
 
     from turtleact.client import ClientGoalHandle
     from turtleact.interfaces import Action, Message
-    from turtleact.mcp.board import Board
-    from turtleact.mcp.goals import AnyClient, Goals
-    from turtleact.mcp.request import Request
+    from turtleact.mcp.goals import AnyClient, Board, Goals
+    from turtleact.mcp.replies import Request
 
 __all__ = ["EXTENSION", "TASK_IDS", "Tasks", "declares_tasks", "require_tasks"]
 

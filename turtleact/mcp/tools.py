@@ -27,9 +27,8 @@ if TYPE_CHECKING:
 
     from turtleact.client import ClientGoalHandle
     from turtleact.interfaces import Service
-    from turtleact.mcp.board import Board, HeldGoal
     from turtleact.mcp.catalogue import Catalogue
-    from turtleact.mcp.goals import Goals
+    from turtleact.mcp.goals import Board, Goals, HeldGoal
     from turtleact.mcp.offer import Offer
     from turtleact.node import Node
     from turtleact.services import ServiceClient, ServiceType

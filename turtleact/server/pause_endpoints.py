@@ -1,4 +1,4 @@
-"""Opens the endpoints with which other processes pause goals; see `turtleact.goal_pausing`.
+"""Opens the endpoints with which other processes pause goals; see `turtleact.goal_wire`.
 
 These endpoints are declared only when another process has an endpoint of the same name.
 """
@@ -12,7 +12,7 @@ import anyio
 
 from turtleact.errors import PauseRefused, TurtleactError
 from turtleact.goal import Goal, GoalStatus
-from turtleact.goal_pausing import PausedGoals, SetPaused, paused_topic, set_paused_service
+from turtleact.goal_wire import PausedGoals, SetPaused, paused_topic, set_paused_service
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import UUID
 from turtleact.interfaces.standard.std_srvs.srv import Trigger

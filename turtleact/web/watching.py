@@ -38,7 +38,7 @@ from turtleact.client import (
 from turtleact.errors import InvalidMessage, TurtleactError, UnknownGoal, UnknownInterface
 from turtleact.goal import GoalStatus, status_of
 from turtleact.goal_id import new_goal_id
-from turtleact.goal_pausing import PausedGoals, paused_topic
+from turtleact.goal_wire import PausedGoals, paused_topic
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.standard import GoalStatusArray
 from turtleact.node import Node
