@@ -151,6 +151,22 @@ async def test_a_result_that_comes_first_waits_for_the_acceptance():
     assert sent.status is GoalStatus.SUCCEEDED
 
 
+async def test_a_result_is_handled_in_its_turn_after_the_feedback_before_it():
+    server = Server()
+    goals, sent = follow(server)
+    message = SUCCEEDED.message
+    server.asked.came = Reply(message, GoalNote(feedback=1).write())
+    server.asked.is_over = True  # a thread has brought it; the loop has not come to it yet
+    server.sent.come(ACCEPTED)
+    remote = goals.by_id[bytes(16)]
+    assert remote.task is None
+    assert not sent.ended
+    remote.received = 1
+    server.asked.come(server.asked.came)
+    assert remote.task is None
+    assert sent.status is GoalStatus.SUCCEEDED
+
+
 async def test_why_a_request_has_failed_is_asked_once_all_is_known_that_came_with_it(monkeypatch):
     monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 0.0)
     server = Server()

@@ -105,6 +105,7 @@ class RemoteGoal(msgspec.Struct, eq=False):
         is_accepted: Whether the server has accepted it.
         is_abandoned: Whether the goal must be canceled as soon as it is accepted.
         is_awaited: Whether somebody waits for the goal's acceptance.
+        is_answered: Whether the event loop has got the reply to the request for the goal's result.
         is_observed: Whether observers have heard of the goal.
         note: The note to send with the goal.
         received: How many feedback messages have arrived.
@@ -120,6 +121,7 @@ class RemoteGoal(msgspec.Struct, eq=False):
     is_accepted: bool = False
     is_abandoned: bool = False
     is_awaited: bool = False
+    is_answered: bool = False
     is_observed: bool = False
     note: str = ""
     received: int = 0
@@ -267,10 +269,15 @@ class RemoteGoals:
         asked = remote.asked = endpoints.get_result.ask(implied.get_result.Request(goal_id))
         if asked is None:
             return False
-        on_reply = partial(self._on_reply, remote)
-        sent.tell(on_reply)
-        asked.tell(on_reply)
+        sent.tell(partial(self._on_reply, remote))
+        asked.tell(partial(self._on_result, remote))
         return True
+
+    def _on_result(self, remote: RemoteGoal) -> None:
+        # A thread may have brought this reply long ago, while the feedback before it was still in
+        # line for the event loop. Only now has the loop handled that feedback.
+        remote.is_answered = True
+        self._on_reply(remote)
 
     def _on_reply(self, remote: RemoteGoal) -> None:
         """Handle the replies that have arrived. Start a task if something must be awaited.
@@ -292,7 +299,7 @@ class RemoteGoals:
             if asked is None or remote.is_abandoned:
                 self._follow_in_task(remote)
                 return
-            if not asked.is_over:
+            if not remote.is_answered:
                 return
             reply = asked.take()
             note = GoalNote.read(reply.note)
