@@ -259,6 +259,7 @@ class _Driving:
             speeds = self._order.linear * linear, self._order.angular * angular
             self._commands.publish(Twist(Vector3(x=speeds[0]), Vector3(z=speeds[1])))
         elif key in HEADINGS:
+            # Not awaited: the next key may ask for another heading, which preempts this rotation.
             self._tasks.start_soon(self._rotate, HEADINGS[key])
         elif key == CANCEL and self._rotation is not None:
             self._rotation.cancel_nowait()
@@ -280,6 +281,8 @@ class _Driving:
 
     async def _watch(self) -> None:
         """Quit when the turtle is gone."""
+        # A reset takes the turtle off the graph for a moment. So it has gone only if it is missing
+        # and nothing else changes on the graph for `GONE` seconds.
         while True:
             with anyio.move_on_after(math.inf if self._is_there() else GONE) as missing:
                 await self._node.transport.wait_for_change()

@@ -126,6 +126,7 @@ class Outlet:
         except BlockingIOError:
             return False
         finally:
+            # A signal that came while text was being written takes effect now, between two texts.
             self.is_writing = False
             due, self.due = self.due, None
             if due is not None:
@@ -249,6 +250,8 @@ class Region:
                 self._silence()
             yield
         finally:
+            # The handlers are the last to go: until then a signal still gives the terminal back
+            # first. `restore` writes through the outlet, so that is closed after it.
             self._is_held = False
             self.restore()
             self._outlet = None
@@ -258,6 +261,8 @@ class Region:
 
     def restore(self) -> None:
         """Give the terminal back as it was; never blocks, and may be called at any moment."""
+        # Noted as done before it is done: a signal handler may call this in the middle of it, and
+        # must not do it a second time.
         is_drawn, self._is_drawn = self._is_drawn, False
         modes, self._modes = self._modes, None
         with suppress(OSError):  # if it is gone, there is nothing to give back
@@ -276,6 +281,7 @@ class Region:
         if self._outlet is not None and self._outlet.is_writing:
             self._outlet.due = partial(self._follow, number, None)
             return
+        # For SIGTSTP the process stops inside `raise_signal`, and the next line runs after SIGCONT.
         self.restore()
         signal.signal(number, signal.SIG_DFL)
         signal.raise_signal(number)

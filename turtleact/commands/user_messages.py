@@ -76,6 +76,7 @@ async def publish(node: Node, order: Order) -> int:
     text, source = order.text
     tree = tree_of(Document(text, "message", source, allow_nonfinite=True))
 
+    # Made anew each time, as `now` and `auto` stand for the time of each message.
     def make() -> Message:
         timed = _timed(tree, message_type, node.clock.now())
         return from_dict(message_type, timed, root="message")  # type: ignore[arg-type]  # it checks that
@@ -97,6 +98,7 @@ async def publish(node: Node, order: Order) -> int:
         publisher.publish(message)
         if count == order.times:
             return 0
+        # By a schedule that begins with the first message, so that delays do not add up.
         await node.clock.sleep_until(start + count / order.rate)
 
 

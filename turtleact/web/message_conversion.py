@@ -62,6 +62,7 @@ Convert = Callable[[Any], object]
 BASE64 = frozenset({"uint8", "char"})
 FLOATS = frozenset({"float32", "float64"})
 TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
+# As in ROS 1. Clients that were written for it still send these names.
 TIME_SPELLINGS = {"secs": "sec", "nsecs": "nanosec"}
 
 TYPED_ARRAYS = {
@@ -193,6 +194,8 @@ async def read_message(cls: type[M], values: object, *, root: str) -> M:
     Raises:
         InvalidMessage: with the path of the first value or name that does not fit.
     """
+    # A large message takes seconds to check. Counting its values first takes little, and most
+    # messages are small: a thread for each would cost more than the check.
     if is_large(values):
         return await to_thread.run_sync(functools.partial(message_from, cls, values, root=root))
     return message_from(cls, values, root=root)
@@ -261,6 +264,7 @@ def _writer(cls: type[Message], *, is_json: bool) -> Convert | None:
         (field, _field_writer(field, nested, is_json=is_json))
         for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
     ]
+    # The usual case: msgspec then writes the message itself, without a dict for each level.
     if is_json and all(c is None and f.name == f.attribute for f, c in converters):
         return None
 
@@ -338,6 +342,7 @@ def _each(element: Convert, values: object) -> object:
 
 
 def _number(value: object) -> object:
+    # JSON has no NaN. As in rosbridge, it is written as null, so null means NaN on the way back.
     return math.nan if value is None else value
 
 

@@ -183,6 +183,7 @@ class ActionFeedback(Base, tag="action_feedback", frozen=True, kw_only=True):
 class ActionResult(Base, tag="action_result", frozen=True, kw_only=True):
     """The client ends a goal that it serves. ``result`` is false if the goal has failed."""
 
+    # roslib leaves out ``values`` and sends ``result: false`` for a goal that has failed.
     action: str | None = None
     values: Arguments | str = None
     status: int | None = None

@@ -194,6 +194,8 @@ class Protocol:
     def _set_level(self, said: operations.SetLevel) -> list[Effect]:
         level = LEVELS.get(said.level or "none")
         if level is None:
+            # Otherwise the client would not hear of its mistake: it may not have asked for errors
+            # yet.
             self.level = max(self.level, LEVELS["error"])
             return self.complain(f"no level '{said.level}': say {', '.join(LEVELS)}", said.id)
         self.level = level
@@ -281,6 +283,7 @@ class Protocol:
         said: operations.AdvertiseService | operations.AdvertiseAction,
     ) -> list[Effect]:
         if (kind, name) in self._served:
+            # A client that has reloaded its page advertises again, perhaps with another type.
             return [Shut(kind, name), Open(said)]
         if not self._may_open():
             return self._refuse(said.id)
