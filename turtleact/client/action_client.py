@@ -542,6 +542,11 @@ class _Relay(GoalObserver):
         self._client = client
         self._observers = observers
 
+    @property
+    def wants_acceptance(self) -> bool:
+        """Whether an observer of the client does."""
+        return self._observers.want_acceptance
+
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Called after a goal has changed its state."""
         if goal.sender is self._client:

@@ -28,8 +28,8 @@ BOUNDS: Final = (
 INTERVAL: Final = 0.5
 """How often the lag of the event loop is measured (s)."""
 
-NAMES: Final = {status: status.name.lower() for status in GoalStatus}
-"""The names of states in measurements."""
+NAMES: Final = tuple(status.name.lower() for status in GoalStatus)
+"""The names of states in measurements, by number."""
 
 AnyServer = ActionServer[Any, Any, Any]
 AnyClient = ActionClient[Any, Any, Any]
@@ -96,6 +96,11 @@ class _ServerMeter(GoalObserver):
         self._measurements = measurements
         for goal in local_server_of(server).held():
             self._move(GoalStatus.UNKNOWN, goal.status)
+
+    @property
+    def wants_acceptance(self) -> bool:
+        """No: a goal that starts at once never waits."""
+        return False
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Called after a goal has changed its state."""

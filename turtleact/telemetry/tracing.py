@@ -173,13 +173,21 @@ class _Spans(GoalObserver):
         self.records.setdefault(goal_id, record)
         return record
 
-    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
+    @property
+    def wants_acceptance(self) -> bool:
+        """No: a goal that starts at once gets the event when it starts."""
+        return False
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Called after a goal has changed its state."""
         record = self.records.get(goal.id)
         if record is None:
             return
-        if after is GoalStatus.ACCEPTED:
+        if before is GoalStatus.UNKNOWN:
             record.is_accepted = True
+            record.span.add_event("accepted")
+        if after is GoalStatus.ACCEPTED:
+            return
         if after.is_active:
             record.span.add_event(after.name.lower())
             return
@@ -256,7 +264,7 @@ class _ServerSpans(_Spans):
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Called after a goal has changed its state."""
-        if after is GoalStatus.ACCEPTED:
+        if before is GoalStatus.UNKNOWN:
             self._begin(goal)
         if self.records:
             super().goal_changed(goal, before, after)
