@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from turtleact.commands.output import duration, note, say, say_names
+from turtleact.commands.output import duration, note, say, say_names, say_table
 from turtleact.interfaces import to_json
 from turtleact.interfaces.conversion import to_dict
 from turtleact.interfaces.text import flow
@@ -80,9 +80,7 @@ def print_goals(path: Path, name: str | None, *, as_json: bool) -> int:
     if as_json:
         say("".join(f"{_json_line(each)}\n" for each in found))
     elif found:
-        rows = [HEADINGS, *map(_goal_row, found)]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        say_names("".join(f"{_aligned(row, widths)}\n" for row in rows))
+        say_table([HEADINGS, *map(_goal_row, found)])
     else:
         note("the bag has no goals")
     return 0
@@ -254,10 +252,6 @@ def _moment(stamp: int) -> str:
     day = f"{time.strftime('%b', at)} {at.tm_mday:2d} {at.tm_year}"
     clock = f"{time.strftime('%H:%M:%S', at)}.{stamp % 10**9:09d}"
     return f"{day} {clock} ({_seconds(stamp)})"
-
-
-def _aligned(row: tuple[str, ...], widths: list[int]) -> str:
-    return "  ".join(map(str.ljust, row, widths)).rstrip()
 
 
 def _goal_row(goal: RecordedGoal) -> tuple[str, ...]:

@@ -174,7 +174,7 @@ async def until_interrupted(
         # The task group is around the opening and closing, too, so a signal cancels whichever of
         # them runs. If the act was cancelled, no status is set.
         async with anyio.create_task_group() as beside:
-            beside.start_soon(_heed_interrupts, interrupts, beside.cancel_scope)
+            beside.start_soon(interrupts.cancel_at_signal, beside.cancel_scope)
             async with AsyncExitStack() as stack:
                 with interrupts.beginning():
                     it = await stack.enter_async_context(opened)
@@ -318,11 +318,6 @@ def not_in_world(name: str, served: Iterable[str]) -> ServerUnavailable:
     there = f"did you mean '{near}'?" if near else f"it serves {_some(served)};"
     hint = f"{there} --embedded, --speed and --seed use no other server"
     return ServerUnavailable(name, "the embedded world does not serve it", hint=hint)
-
-
-async def _heed_interrupts(interrupts: Interrupts, scope: anyio.CancelScope) -> None:
-    await interrupts.wait(1)
-    scope.cancel()
 
 
 def _some(names: list[str]) -> str:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import anyio
@@ -25,7 +25,7 @@ import anyio
 from turtleact.client import Outcome
 from turtleact.clock import within
 from turtleact.commands.graph import interface_class, not_served
-from turtleact.commands.output import duration, note, say, say_names
+from turtleact.commands.output import duration, note, say, say_names, say_table
 from turtleact.commands.pause_requests import follow_paused, paused_goals, set_paused
 from turtleact.commands.transcript import Followed
 from turtleact.errors import (
@@ -233,8 +233,7 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
     if as_json:
         say("".join(f"{_as_json(node, goal, now)}\n" for goal in goals))
     elif goals:
-        rows = [HEADINGS, *(_row(node, goal, now) for goal in goals)]
-        say_names("".join(f"{line}\n" for line in _aligned(rows)))
+        say_table([HEADINGS, *(_row(node, goal, now) for goal in goals)])
     elif not silent:
         note("no server in reach holds a goal")
     if silent:
@@ -524,12 +523,6 @@ def _clients(node: Node, action: str) -> list[str]:
             if each.kind == "client" and each.name == service
         }
     )
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        yield "  ".join(map(str.ljust, row, widths)).rstrip()
 
 
 async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     import socket
     from types import FrameType
 
+    import anyio
+
 __all__ = ["Interrupts", "leave", "signals"]
 
 
@@ -248,6 +250,11 @@ class Interrupts:
         while len(self.received) < count:
             self._changed.clear()
             await self._changed.wait()
+
+    async def cancel_at_signal(self, scope: anyio.CancelScope) -> None:
+        """Cancel a scope at the first signal. Cancelling: safe."""
+        await self.wait(1)
+        scope.cancel()
 
     def _arrive(self, number: int, _: FrameType | None) -> None:
         self.received.append(signal.Signals(number))

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from turtleact.commands.output import duration, note, say, say_names
+from turtleact.commands.output import duration, note, say, say_table
 from turtleact.errors import InvalidMessage, TurtleactError, UsageError
 from turtleact.goal import GoalStatus
 from turtleact.journal.database import find_goals, prune, read_goals
@@ -59,7 +58,7 @@ def print_goals(path: Path, name: str | None, since: int, *, as_json: bool) -> i
         else:
             rows = [_row(goal, now) for goal in goals]
             heading = [HEADINGS] if is_empty else []
-            say_names("".join(f"{line}\n" for line in _aligned([*heading, *rows], widths)))
+            say_table([*heading, *rows], widths)
         is_empty = False
     if is_empty and not as_json:
         note("the journal has no such goal" if action or since else "the journal has no goals")
@@ -165,14 +164,3 @@ def _time(moment: int) -> dict[str, int]:
 
 def _seconds(nanoseconds: int) -> float:
     return max(0, nanoseconds) / SECOND  # the clock may have been set back
-
-
-def _aligned(rows: Iterable[tuple[str, ...]], widths: list[int]) -> Iterator[str]:
-    """Align rows with those before them as far as possible; the widths grow."""
-    rows = list(rows)
-    widths[:] = [
-        max(width, *map(len, column))
-        for width, column in zip(widths, zip(*rows, strict=True), strict=True)
-    ]
-    for row in rows:
-        yield "  ".join(map(str.ljust, row, widths)).rstrip()

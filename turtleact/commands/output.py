@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterable, Sequence
 from typing import TextIO
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "say",
     "say_message",
     "say_names",
+    "say_table",
     "tell_exit",
 ]
 
@@ -47,6 +49,21 @@ def say_message(text: str) -> None:
 def say_names(text: str) -> None:
     """Print names of the graph, made printable."""
     say(printable(text))
+
+
+def say_table(rows: Iterable[Sequence[str]], widths: list[int] | None = None) -> None:
+    """Print rows of names in columns.
+
+    Args:
+        rows: The rows, at least one.
+        widths: The widths of the columns in what was printed before; they grow with these rows.
+    """
+    rows = list(rows)
+    widths = [0] * len(rows[0]) if widths is None else widths
+    columns = zip(*rows, strict=True)
+    widths[:] = [max(w, *map(len, column)) for w, column in zip(widths, columns, strict=True)]
+    lines = ("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+    say_names("".join(f"{line}\n" for line in lines))
 
 
 def counted(count: int, noun: str) -> str:

@@ -285,13 +285,8 @@ def _refused(taken: ActionConflict) -> TurtleactError:
 
 async def _until_signal(interrupts: Interrupts, running: Awaitable[None]) -> None:
     """Run something to its end, or cancel it when a signal comes."""
-
-    async def heed(scope: anyio.CancelScope) -> None:
-        await interrupts.wait(1)
-        scope.cancel()
-
     async with anyio.create_task_group() as beside:
-        beside.start_soon(heed, beside.cancel_scope)
+        beside.start_soon(interrupts.cancel_at_signal, beside.cancel_scope)
         await running
         beside.cancel_scope.cancel()
 

@@ -15,8 +15,7 @@ import math
 import secrets
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from functools import cache, partial
-from importlib import resources
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -36,7 +35,7 @@ from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import part_of
 from turtleact.recording.storage import Channel, Range
 from turtleact.web.access import Access, Refusals
-from turtleact.web.bridge import FILES, HEADERS
+from turtleact.web.bridge import FILES, HEADERS, page_file, plain_text
 from turtleact.web.server import READ_AHEAD, Config
 
 if TYPE_CHECKING:
@@ -97,23 +96,23 @@ class BagView:
         host, origin = asked.headers.get("host", ""), asked.headers.get("origin")
         problem = self._access.problem(host=host, origin=origin, token="")
         if problem:
-            return _text(403, problem)
+            return plain_text(403, problem)
         path = asked.url.path
         if path in self._answers:
             try:
                 async with self._reading:
                     found = await anyio.to_thread.run_sync(partial(self._answers[path], asked))
             except (BagError, ValueError) as error:
-                return _text(400, str(error))
+                return plain_text(400, str(error))
             content = msgspec.json.encode(found)  # unlike json, this writes null for NaN
             return Response(content, headers=HEADERS, media_type="application/json")
         if path in PAGE:
             name, media_type = PAGE[path]
-            return Response(_file("bag_page", name), headers=HEADERS, media_type=media_type)
+            return Response(page_file(name, "bag_page"), headers=HEADERS, media_type=media_type)
         if path in FILES:
             name, media_type = FILES[path]
-            return Response(_file("page", name), headers=HEADERS, media_type=media_type)
-        return _text(404, "the only page is at the path /")
+            return Response(page_file(name), headers=HEADERS, media_type=media_type)
+        return plain_text(404, "the only page is at the path /")
 
     # what the page asks for; in a thread
 
@@ -236,12 +235,3 @@ def _goal(goal: RecordedGoal, origin: int) -> dict[str, object]:
         "request": None if goal.goal is None else json.loads(to_json(goal.goal)),
         "result": None if goal.result is None else json.loads(to_json(goal.result)),
     }
-
-
-def _text(status: int, text: str) -> Response:
-    return Response(f"{text}\n", status, HEADERS, media_type="text/plain")
-
-
-@cache
-def _file(folder: str, name: str) -> bytes:
-    return resources.files("turtleact.web").joinpath(folder, name).read_bytes()

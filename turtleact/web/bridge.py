@@ -27,7 +27,7 @@ from turtleact.web.access import Access, Refusals
 from turtleact.web.connection import TRY_AGAIN_LATER, Connection
 from turtleact.web.shared import Limits, Shared
 
-__all__ = ["Bridge", "Statistics", "open_bridge"]
+__all__ = ["Bridge", "Statistics", "open_bridge", "page_file", "plain_text"]
 
 FAREWELL: Final = 2.0
 """When the bridge is closed, clients have this long to take their last frames (s)."""
@@ -180,12 +180,14 @@ class Bridge:
     def _refusal(self, websocket: WebSocket) -> Response | None:
         """The response to a refused client; None if the client may connect."""
         if _path(websocket) != "/":
-            return _text(404, "rosbridge is at the path /")
+            return plain_text(404, "rosbridge is at the path /")
         problem = self._problem(websocket)
         if problem:
-            return _text(403, problem)
+            return plain_text(403, problem)
         if not self.is_open or len(self._connections) >= self._shared.limits.connections:
-            return _text(503, f"{len(self._connections)} clients are connected: come back later")
+            return plain_text(
+                503, f"{len(self._connections)} clients are connected: come back later"
+            )
         return None
 
     def _problem(self, asked: HTTPConnection) -> str:
@@ -199,17 +201,17 @@ class Bridge:
 
     def _answer(self, asked: HTTPConnection) -> Response:
         if asked.scope["method"] not in ("GET", "HEAD"):
-            return _text(405, "only GET works here")
+            return plain_text(405, "only GET works here")
         found = FILES.get(_path(asked))
         if found is None:
-            return _text(404, "the only page is at the path /")
+            return plain_text(404, "the only page is at the path /")
         name, media_type = found
         problem = self._problem(asked) if media_type == "text/html" else ""
         if problem:
-            refusal = _text(403, problem)
+            refusal = plain_text(403, problem)
             self._note_refusal(refusal)
             return refusal
-        return Response(_file(name), media_type=media_type, headers=HEADERS)
+        return Response(page_file(name), media_type=media_type, headers=HEADERS)
 
 
 @asynccontextmanager
@@ -241,16 +243,18 @@ async def open_bridge(
         await bridge.aclose()
 
 
-def _path(asked: HTTPConnection) -> str:
-    """The part of the path below the path where the bridge is mounted."""
-    path: str = asked.scope["path"]
-    return path.removeprefix(asked.scope.get("root_path", "")) or "/"
-
-
-def _text(status: int, text: str) -> Response:
+def plain_text(status: int, text: str) -> Response:
+    """A response with a line of text."""
     return Response(f"{text}\n", status, HEADERS, media_type="text/plain")
 
 
 @cache
-def _file(name: str) -> bytes:
-    return resources.files("turtleact.web").joinpath("page", name).read_bytes()
+def page_file(name: str, folder: str = "page") -> bytes:
+    """A file of a page."""
+    return resources.files("turtleact.web").joinpath(folder, name).read_bytes()
+
+
+def _path(asked: HTTPConnection) -> str:
+    """The part of the path below the path where the bridge is mounted."""
+    path: str = asked.scope["path"]
+    return path.removeprefix(asked.scope.get("root_path", "")) or "/"
