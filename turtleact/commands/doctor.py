@@ -74,7 +74,10 @@ async def _open(reach: Reach) -> AsyncIterator[Node | Fault]:
 
 
 def _unreachable(problem: str) -> Fault:
-    advice = "start a router there, with 'turtleact serve' or rmw_zenohd, or give --connect"
+    advice = (
+        "start a router there, with 'turtleact serve' or rmw_zenohd, or give its address with "
+        "--connect"
+    )
     return Fault("no-router", (), problem.partition("; ")[0], advice)
 
 
