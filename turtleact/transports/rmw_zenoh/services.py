@@ -93,6 +93,7 @@ class WireService:
         self.under_way: dict[tuple[bytes, int], _Request] = {}
         self._named = named
         self._offers: tuple[_Offer, ...] = ()  # replaced, since threads of the session read it
+        self._is_threaded = False  # whether the first of them is
         self._declared: Declared | None = None
         self.is_open = True
         declare = self._declare if is_for_others else None
@@ -110,15 +111,19 @@ class WireService:
         """
         near = self.context.near.serve(self._named.endpoint, self.format, handler)
         offer = _Offer(self, near, handler)
-        self._offers += (offer,)
+        self._set_offers((*self._offers, offer))
         return offer
 
     def remove(self, offer: _Offer) -> None:
         """Remove a handler. A second call does nothing."""
         if offer in self._offers:
-            self._offers = tuple(each for each in self._offers if each is not offer)
+            self._set_offers(tuple(each for each in self._offers if each is not offer))
             if not self._offers:
                 self.close()
+
+    def _set_offers(self, offers: tuple[_Offer, ...]) -> None:
+        self._offers = offers
+        self._is_threaded = bool(offers) and offers[0].is_threaded
 
     def close(self) -> None:
         """Accept no more requests. Requests under way continue. A second call does nothing."""
@@ -151,8 +156,7 @@ class WireService:
 
     def _take(self, query: Query) -> None:
         """Receive a query; a thread of the session calls this."""
-        offers = self._offers
-        if offers and offers[0].is_threaded and self.context.is_open:
+        if self._is_threaded and self.context.is_open:
             self._begin(query)
         else:
             self.context.inbox.push(partial(self._begin, query))
@@ -174,9 +178,10 @@ class WireService:
         if not offers or not self.context.is_open:
             self.fail(query, self.closed())
             return
-        request = self.under_way[key] = _Request(self, offers[0], query, key)
-        if offers[0].observer is not None:
-            offers[0].observer.requested(query.payload, *key)
+        offer = offers[0]
+        request = self.under_way[key] = _Request(self, offer, query, key)
+        if offer.observer is not None:
+            offer.observer.requested(query.payload, *key)
         if beside.note:  # the handler's task inherits it from this context
             context = copy_context()
             context.run(REQUEST_NOTE.set, beside.note)
@@ -204,7 +209,7 @@ class _Request(msgspec.Struct, eq=False):
 
     def handle(self, message: object) -> None:
         """Have it answered: without a task, now or later, if the handler can do that."""
-        if self.offer.sync is None or not self._answer_nowait(message, self.offer.sync):
+        if not self._answer_nowait(message):
             service = self.service
             service.context.crew.run(self._answer(message), f"a request to {service.name}")
 
@@ -222,22 +227,30 @@ class _Request(msgspec.Struct, eq=False):
         except Exception as error:
             self.refuse(self._failure(error))
             return
-        if self._end():
-            gid, sequence = self.key
-            attachment = write_attachment(sequence, time.time_ns(), gid, reply.note)
-            service.context.outbox.post(partial(self.query.reply, payload, attachment))
-            if self.offer.observer is not None:
-                self.offer.observer.responded(payload, gid, sequence)
+        # Whoever removes the key answers: the handler, its failure or the closing transport, each
+        # perhaps in another thread.
+        if service.under_way.pop(self.key, None) is None:
+            return
+        gid, sequence = self.key
+        attachment = write_attachment(sequence, time.time_ns(), gid, reply.note)
+        service.context.outbox.post(partial(self.query.reply, payload, attachment))
+        if self.offer.observer is not None:
+            self.offer.observer.responded(payload, gid, sequence)
+        if not service.is_open:
+            service.leave_if_idle()
 
     def refuse(self, error: TurtleactError) -> None:
         """Answer it with an error, unless it was answered."""
-        if self._end():
-            self.service.fail(self.query, error)
+        service = self.service
+        if service.under_way.pop(self.key, None) is not None:
+            service.fail(self.query, error)
+            service.leave_if_idle()
 
-    def _answer_nowait(self, message: object, sync: SyncHandler) -> bool:
+    def _answer_nowait(self, message: object) -> bool:
         """Let the handler answer without a task, now or later; return False if it needs one."""
+        sync = self.offer.sync
         try:
-            return sync.reply_nowait(message, self.key[0], self.respond)
+            return sync is not None and sync.reply_nowait(message, self.key[0], self.respond)
         except Exception as error:
             self.refuse(self._failure(error))
             return True
@@ -253,19 +266,9 @@ class _Request(msgspec.Struct, eq=False):
         finally:
             # The user's code may cancel this task, as it may cancel any task of the loop. Some
             # requests can still be answered without it, such as that for the result of a goal.
-            sync = self.offer.sync if service.context.is_open else None
-            is_cut_off = self.key in service.under_way
-            if is_cut_off and (sync is None or not self._answer_nowait(message, sync)):
-                self.refuse(service.closed())
-
-    def _end(self) -> bool:
-        """Take it from the requests under way; return whether it was still there."""
-        # This decides who answers: the handler, its failure or the closing transport, each perhaps
-        # in another thread. Only one of them finds the key.
-        is_first = self.service.under_way.pop(self.key, None) is not None
-        if not self.service.is_open:
-            self.service.leave_if_idle()
-        return is_first
+            is_cut_off = service.context.is_open and self.key in service.under_way
+            if not (is_cut_off and self._answer_nowait(message)):
+                self.refuse(service.closed())  # does nothing if the request was answered
 
     def _failure(self, error: Exception) -> TurtleactError:
         """Turn a handler's exception into the error that its client gets."""
@@ -433,9 +436,7 @@ class WireCaller:
     def _leave_if_idle(self) -> None:
         if not self._is_open and not self._calls and not self._has_left:
             self._has_left = True
-            self._context.opened.discard(
-                self
-            )  # only now: calls under way must hear of lost servers
+            self._context.opened.discard(self)  # until now, its calls must hear of lost servers
             self.presence.close()
 
     def finish(self, call: WireCall) -> Reply:
