@@ -1,7 +1,7 @@
-"""The commands: modules with what they do, and `verbs`, which declares them for Typer.
+"""The commands: `verbs` declares them for Typer, and the other modules carry them out.
 
-These tables are all that ``turtleact --help`` and the completion of a verb need, so that neither
-has to import the verbs themselves.
+``turtleact --help`` and the completion of a verb need only these tables, so that neither has to
+import the verbs themselves.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ GROUPS: Final = {
     "bag": ("record", "info", "play", "goals", "convert", "view"),
     "journal": ("prune",),
 }
-"""The groups of verbs. ``ros2`` has them too, except ``journal``."""
+"""The groups of verbs. ``ros2`` has all of them except ``journal``."""
 
 VERBS: Final = {
     "send-goal": "Send a goal, follow it to its end and print the result.",
@@ -44,4 +44,4 @@ VERBS: Final = {
         if name != "journal"
     },
 }
-"""What each verb does, in the order of ``turtleact --help``."""
+"""A line about each verb, in the order of ``turtleact --help``."""

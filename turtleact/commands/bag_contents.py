@@ -1,6 +1,6 @@
-"""``bag info`` and ``bag goals``: what is in a bag, and what is missing from it.
+"""Implements ``bag info`` and ``bag goals``, which print what is in a bag.
 
-``bag info`` prints it as ``ros2 bag info`` does.
+``bag info`` prints the contents as ``ros2 bag info`` does, and says what is missing.
 
 Source: rosbag2 ``format_bag_metadata.cpp``, ``format_action_info.cpp``.
 """
@@ -30,18 +30,18 @@ if TYPE_CHECKING:
 __all__ = ["print_goals", "print_info"]
 
 INDENT = 19
-"""The width of the names at the left."""
+"""The width of the column of names at the left."""
 
 _SIZES = ("B", "KiB", "MiB", "GiB", "TiB")
 
 HEADINGS = ("id", "action", "state", "took", "feedback", "goal", "result", "reason")
 
 LONGEST = 40
-"""A goal or result is cut after so many characters in a table."""
+"""In a table, a goal or result is cut after this many characters."""
 
 
 def print_info(path: Path, *, verbose: bool, names_only: bool) -> int:
-    """Print what is in a bag; with ``verbose``, count requests and responses apart.
+    """Print what is in a bag. With ``verbose``, count requests and responses separately.
 
     Raises:
         BagError: if there is no bag.
@@ -95,7 +95,7 @@ class _Action(NamedTuple):
 
 
 class _Reading:
-    """What only the messages themselves tell: requests and responses, and sizes by topic."""
+    """The facts that only the messages show: requests and responses, and sizes by topic."""
 
     def __init__(self, bag: Bag) -> None:
         self.sizes: Counter[str] = Counter()
@@ -174,7 +174,7 @@ def _events(topic: BagTopic | None, reading: _Reading | None) -> str:
 
 
 def _actions_of(info: BagInfo) -> list[_Action]:
-    """The actions of a bag by name; several types may be served under one name."""
+    """The actions of a bag by name. One name may have several types."""
     found = dict[str, dict[str, BagTopic]]()
     types = dict[str, str]()
     for topic in info.topics:
@@ -188,7 +188,7 @@ def _actions_of(info: BagInfo) -> list[_Action]:
 
 
 def _remarks(info: BagInfo) -> list[str]:
-    """What a reader has to know: what is missing."""
+    """Sentences about what is missing in the bag."""
     remarks = []
     if not info.is_closed:
         remarks.append(
@@ -226,7 +226,7 @@ def _row(name: str, value: str) -> str:
 
 
 def _under(name: str, values: list[str], indent: int = INDENT) -> list[str]:
-    """Values below each other, with the name before the first."""
+    """Lines with a value each. The name is before the first value."""
     first, *others = values or [""]
     return [f"{name:<{indent - 1}} {first}", *(" " * indent + each for each in others)]
 

@@ -1,4 +1,4 @@
-"""``bag convert``: write bags anew, cut by time or topic.
+"""Implements ``bag convert``, which rewrites bags, cut by time or topic.
 
 Source: rosbag2 ``README.md``, the format of the options of output bags.
 """
@@ -30,7 +30,7 @@ LISTS: Final = {
     "exclude_topics": "exclude",
     "exclude_topic_types": "exclude_types",
 }
-"""Options that are lists, and what they are called in a `Selection`."""
+"""The options that are lists, and the names of their fields in `Selection`."""
 
 FLAGS: Final = ("all_topics", "all_services", "all_actions")
 
@@ -48,7 +48,7 @@ def cut(path: Path, offset: float, duration: float | None) -> tuple[int, int | N
     Args:
         path: The bag.
         offset: Where the part begins (s).
-        duration: Its length (s); None for the rest.
+        duration: The length of the part (s); None for the rest of the bag.
     """
     bag = Bag(path)
     bag.close()
@@ -57,10 +57,10 @@ def cut(path: Path, offset: float, duration: float | None) -> tuple[int, int | N
 
 
 def outputs_in(path: Path) -> list[Output]:
-    """The bags that a file of ``ros2 bag convert`` asks for.
+    """Read the output bags from a file for ``ros2 bag convert``.
 
     Raises:
-        UsageError: if it is not such a file, or asks for what is not there.
+        UsageError: if it is not such a file, or asks for something that turtleact does not have.
     """
     try:
         said = cast("Any", read_yaml(path.read_text(encoding="utf-8")))

@@ -1,4 +1,4 @@
-"""``bag record``, ``bag play`` and ``bag view``: bags in use, until a signal comes or they end."""
+"""Implements ``bag record``, ``bag play`` and ``bag view``, which run until a signal or the end."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 __all__ = ["PlayOrder", "RecordOrder", "has_display", "play_bag", "record_graph", "view_bag"]
 
 MOST_NAMED = 5
-"""How many topics a note about lost messages names."""
+"""A note about lost messages names at most this many topics."""
 
 PATIENCE = 10.0
-"""How long the bag may take to be closed after a signal (s)."""
+"""After a signal, closing the bag may take this long (s)."""
 
 FAILED = 1
 """The exit status if nothing could be played."""
@@ -39,7 +39,7 @@ class RecordOrder(NamedTuple):
         path: The folder to create.
         selection: The topics, services and actions.
         max_size: When to begin another file (bytes); 0 for never.
-        max_duration: Likewise (s).
+        max_duration: When to begin another file (s); 0 for never.
         capacity: How many bytes may wait to be written; 0 for the default.
         compression: How chunks are compressed.
     """
@@ -53,7 +53,7 @@ class RecordOrder(NamedTuple):
 
 
 def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> int:
-    """Record, and return the exit status: 0 if a signal has ended it, as for ``ros2 bag record``.
+    """Record until a signal comes, and return the exit status: 0, as for ``ros2 bag record``.
 
     Raises:
         BagError: if the bag cannot be created, or the disk is full.
@@ -86,7 +86,7 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
 
 
 async def tell(recording: Recording) -> None:
-    """Note each topic once it is recorded, until the recording ends early."""
+    """Print a note for each topic when its recording begins, until the recording ends early."""
     told = 0
     while not recording.is_over:
         for topic in recording.topics[told:]:
@@ -101,7 +101,7 @@ class PlayOrder(NamedTuple):
     Attributes:
         path: The bag.
         options: The options of `turtleact.recording.play`.
-        delay: How long to wait before (s).
+        delay: How long to wait before playing (s).
     """
 
     path: Path
@@ -153,7 +153,7 @@ def view_bag(path: Path, port: int, interrupts: Interrupts, *, is_opened: bool) 
 
 
 def has_display() -> bool:
-    """Whether a browser would open a window, instead of taking the terminal."""
+    """Whether a browser would open a window instead of using the terminal."""
     if sys.platform in ("win32", "darwin"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,9 +1,10 @@
-"""Completion by the Tab key: functions for Typer's ``autocompletion=``.
+"""Completes words for the Tab key: functions for Typer's ``autocompletion=``.
 
 Each function takes Typer's context, which holds the arguments typed so far, and the word that the
-user has begun. It returns the values that can stand there. Typer drops those that do not begin with
-that word, and talks to the shell. Each Tab looks everything up again and starts nothing. Errors are
-never shown on a line that is being typed: if anything goes wrong, nothing is offered.
+user has begun. The function returns the possible values. Typer drops the values that do not begin
+with that word, and talks to the shell. Each Tab looks everything up again and starts nothing. If
+anything goes wrong, nothing is offered, because an error would disturb the line that is being
+typed.
 """
 
 from __future__ import annotations
@@ -48,12 +49,12 @@ __all__ = [
 ]
 
 Candidates: TypeAlias = list[str] | list[tuple[str, str]]
-"""Values, or pairs of a value and a short description."""
+"""Possible values, or pairs of a value and a short description."""
 
 Complete: TypeAlias = Callable[[typer.Context, str], Candidates]
 
 SUFFIXES: Final = {"action": "action", "service": "srv", "topic": "msg"}
-"""What the kinds of interfaces are called in type names."""
+"""The words for the kinds of interfaces in type names."""
 
 EMBEDDED: Final = {
     "/command_turtle": ("patrol_interfaces/action/PatrolCommandInterface",),
@@ -69,7 +70,7 @@ EMBEDDED: Final = {
 """The actions, with their types, of the world that ``send-goal`` starts if it finds no graph."""
 
 LARGEST: Final = 100_000
-"""How many characters of a module are searched for actions."""
+"""Only this many characters of a module are searched for actions."""
 
 _DECLARING: Final = re.compile(r"\bturtleact\b")
 _FOR_BASH: Final = str.maketrans({each: f"\\{each}" for each in '"\\$`'})
@@ -89,7 +90,7 @@ def _silent(complete: Complete) -> Complete:
 
 
 def words(*known: str) -> Callable[[], list[str]]:
-    """Complete to one of these words."""
+    """Return a function that offers these words."""
     return lambda: list(known)
 
 
@@ -98,32 +99,32 @@ def words(*known: str) -> Callable[[], list[str]]:
 
 @_silent
 def actions(ctx: typer.Context, incomplete: str) -> Candidates:
-    """The actions in reach."""
+    """Offer the actions in reach."""
     return _as_begun(_types_by_name(ctx, "action"), incomplete)
 
 
 @_silent
 def topics(ctx: typer.Context, incomplete: str) -> Candidates:
-    """The topics on the graph."""
+    """Offer the topics on the graph."""
     return _as_begun(_types_by_name(ctx, "topic"), incomplete)
 
 
 @_silent
 def services(ctx: typer.Context, incomplete: str) -> Candidates:
-    """The services on the graph."""
+    """Offer the services on the graph."""
     return _as_begun(_types_by_name(ctx, "service"), incomplete)
 
 
 @_silent
 def nodes(ctx: typer.Context, incomplete: str) -> Candidates:
-    """The nodes on the graph that are not hidden."""
+    """Offer the nodes on the graph that are not hidden."""
     names = {name for name in _look(_reach(ctx)).nodes() if not is_hidden_node(name)}
     return _as_begun(sorted(names), incomplete)
 
 
 @_silent
 def parameters(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # Typer filters
-    """The parameters of the node that was typed before."""
+    """Offer the parameters of the node that was typed before."""
     from turtleact.commands import graph
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.node_parameters import names_of
@@ -140,7 +141,10 @@ def parameters(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG0
 
 @_silent
 def goal_ids(ctx: typer.Context, incomplete: str) -> Candidates:
-    """The goals that servers hold, newest first; after ``--all`` and ``--before`` the actions."""
+    """Offer the goals that servers hold, newest first.
+
+    After ``--all`` or ``--before``, offer actions.
+    """
     if ctx.params.get("all_") or ctx.params.get("before"):
         return _as_begun(_types_by_name(ctx, "action"), incomplete)
     from turtleact.commands import graph
@@ -163,7 +167,7 @@ def goal_ids(ctx: typer.Context, incomplete: str) -> Candidates:
 
 
 def types(kind: Kind, *, of_name: bool = True) -> Complete:
-    """The types of the name that was typed before, or else all interfaces of that kind."""
+    """Offer the types of the name that was typed before, or else all interfaces of the kind."""
 
     @_silent
     def complete(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
@@ -178,19 +182,19 @@ def types(kind: Kind, *, of_name: bool = True) -> Complete:
 
 @_silent
 def interfaces(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
-    """All interfaces."""
+    """Offer all interfaces."""
     return _interfaces(ctx)
 
 
 @_silent
 def packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
-    """All packages that have interfaces."""
+    """Offer all packages that have interfaces."""
     return sorted({name.partition("/")[0] for name in _interfaces(ctx)})
 
 
 @_silent
 def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
-    """A message with its default values, of the type that was typed before, on one line."""
+    """Offer a message of the type that was typed before, with default values, on one line."""
     from turtleact.commands.interfaces import first_message, make_found, make_known
     from turtleact.interfaces import get_interface, to_dict
     from turtleact.interfaces.text import flow
@@ -212,7 +216,7 @@ def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
 
 @_silent
 def targets(ctx: typer.Context, incomplete: str) -> Candidates:
-    """The modules and files in a folder that mention turtleact; after a colon, their actions.
+    """Offer modules and files in a folder that mention turtleact. After a colon, offer actions.
 
     Nothing is imported. Any function with a decorator called ``action`` counts.
     """
@@ -253,7 +257,7 @@ def _text(path: Path) -> str:
 
 @_silent
 def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
-    """The packages with something to run, and the Python files in the working directory."""
+    """Offer the packages with something to run, and the Python files in the working directory."""
     known = _runnable()
     files = sorted(each.name for each in Path().glob("*.py"))
     return [*sorted(name for name, programs in known.items() if programs), *files]
@@ -261,7 +265,7 @@ def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noq
 
 @_silent
 def executables(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
-    """The executables of the package that was typed before."""
+    """Offer the executables of the package that was typed before."""
     return list(_runnable().get(ctx.params["package"], ()))
 
 
@@ -275,7 +279,10 @@ def _runnable() -> dict[str, dict[str, Program | None]]:
 
 
 def _types_by_name(ctx: typer.Context, kind: Kind) -> dict[str, tuple[str, ...]]:
-    """The names of a kind with their types; without a graph, those of the embedded world."""
+    """The names of a kind with their types.
+
+    Without a graph, they are those of the embedded world.
+    """
     given = ctx.params
     embedded = EMBEDDED if kind == "action" else {}
     if given.get("embedded") or given.get("seed") or given.get("speed"):
@@ -288,7 +295,7 @@ def _types_by_name(ctx: typer.Context, kind: Kind) -> dict[str, tuple[str, ...]]
 
 
 def _as_begun(names: Iterable[str], begun: str) -> list[str]:
-    """Names as the user has begun to type them: with the first slash or without."""
+    """The names in the form that the user has begun: with the first slash or without it."""
     is_relative = begun != "" and not begun.startswith("/")
     return [name.removeprefix("/") if is_relative else name for name in names]
 
@@ -320,7 +327,7 @@ def _look(where: Reach) -> Graph:
     """The nodes and endpoints on the graph.
 
     Raises:
-        TurtleactError: if there is none in reach.
+        TurtleactError: if no graph is in reach.
     """
     from turtleact.commands.locks import mode_of
     from turtleact.transports.rmw_zenoh.session import census

@@ -1,8 +1,8 @@
-"""What a terminal can do on this system: on POSIX, or on Windows.
+"""Handles a terminal on this system, POSIX or Windows.
 
-`termios` and job control exist on POSIX only, `msvcrt` on Windows only. Both are imported when a
-terminal is used, so every module can be imported everywhere. The rest of turtleact asks a `Console`
-and does not know which system it runs on.
+`termios` and job control exist on POSIX only, `msvcrt` on Windows only. These modules are imported
+only when a terminal is used, so every module of turtleact can be imported everywhere. The rest of
+turtleact asks a `Console` and does not know which system it runs on.
 
 Source: the documentation of Python's ``termios`` and ``msvcrt``; Microsoft's "Console Virtual
 Terminal Sequences". The Windows part has been tested with a stand-in for ``msvcrt`` only.
@@ -32,13 +32,13 @@ CONTROL_CHARACTERS: Final = 6
 """Indices in the list of ``tcgetattr``: the local modes (such as ECHO), and VMIN and VTIME."""
 
 KEY_PERIOD: Final = 0.02
-"""How often to ask Windows for pressed keys (s), as they cannot wake an event loop."""
+"""How often to ask Windows for pressed keys (s), because keys cannot wake an event loop there."""
 
 SPECIAL: Final = "\x00\xe0"
-"""One of these comes before the code of a key without a character."""
+"""The codes that come before the code of a key without a character."""
 
 ARROWS: Final = {"H": b"\x1b[A", "P": b"\x1b[B", "M": b"\x1b[C", "K": b"\x1b[D"}
-"""The codes of the arrow keys, as the control sequences that other terminals send."""
+"""The codes of the arrow keys, with the control sequences that other terminals send for them."""
 
 CTRL_C: Final = "\x03"
 
@@ -48,39 +48,45 @@ VIRTUAL_TERMINAL: Final = 0x0004
 
 
 class Console(Protocol):
-    """What differs between systems. All streams are terminals unless a method says otherwise."""
+    """The operations that differ between systems.
+
+    Streams are terminals unless a method says otherwise.
+    """
 
     def can_move(self) -> bool:
         """Whether the terminal obeys control sequences."""
 
     def is_in_foreground(self, stream: TextIO) -> bool:
-        """Whether the process is in the foreground, or the terminal controls no process."""
+        """Whether the process is in the foreground. True if the terminal controls no process."""
 
     def reopen(self, stream: TextIO) -> int | None:
-        """Open the terminal a second time so that writing never waits; None if impossible."""
+        """Open the terminal a second time, so that writing never waits. None if impossible."""
 
     def takes_text(self, stream: TextIO) -> bool:
         """Whether writing to the terminal would not wait."""
 
     def silence(self, stream: TextIO, *, by_key: bool) -> object | None:
-        """Turn echo off: typed characters would tear a frame apart.
+        """Turn echo off, because typed characters would tear a frame apart.
 
         Args:
             stream: Where the user types.
             by_key: Whether each key arrives at once, instead of whole lines.
 
         Returns:
-            The modes as they were, for `give_back`; None if there is nothing to give back.
+            The earlier modes, for `give_back`; None if there is nothing to restore.
         """
 
     def give_back(self, stream: TextIO, modes: object) -> None:
-        """Undo `silence`. Nothing happens if the terminal is gone."""
+        """Undo `silence`. If the terminal is gone, do nothing."""
 
     async def wait_for_key(self, stream: TextIO) -> None:
         """Wait until something was typed. Cancelling: safe."""
 
     def typed(self, stream: TextIO) -> bytes:
-        """What was typed, with control sequences for the arrows; empty if the terminal is gone."""
+        """Read what was typed, with control sequences for the arrows.
+
+        Empty if the terminal is gone.
+        """
 
 
 class PosixConsole:
@@ -91,7 +97,7 @@ class PosixConsole:
         return os.environ.get("TERM", "") not in ("", "dumb", "unknown")
 
     def is_in_foreground(self, stream: TextIO) -> bool:
-        """Compare process groups."""
+        """Whether the process is in the terminal's foreground process group."""
         try:
             return os.tcgetpgrp(stream.fileno()) == os.getpgrp()
         except OSError:
@@ -110,7 +116,7 @@ class PosixConsole:
         return descriptor
 
     def takes_text(self, stream: TextIO) -> bool:
-        """Ask the system."""
+        """Whether writing to the terminal would not wait, as the system reports."""
         return bool(select.select([], [stream], [], 0)[1])
 
     def silence(self, stream: TextIO, *, by_key: bool) -> object | None:
@@ -139,11 +145,11 @@ class PosixConsole:
             termios.tcsetattr(stream, termios.TCSANOW, modes)
 
     async def wait_for_key(self, stream: TextIO) -> None:
-        """Let the event loop wait."""
+        """Let the event loop wait until something was typed."""
         await anyio.wait_readable(stream.fileno())
 
     def typed(self, stream: TextIO) -> bytes:
-        """Read what is there."""
+        """Read what was typed."""
         try:
             return os.read(stream.fileno(), 1024)
         except OSError:
@@ -151,13 +157,13 @@ class PosixConsole:
 
 
 class WindowsConsole:
-    """A console without job control. It echoes only what is read line by line."""
+    """A console without job control. It echoes only input that is read line by line."""
 
     def __init__(self) -> None:
         self._keyboard: Any = None
 
     def can_move(self) -> bool:
-        """Switch control sequences on, which an old console window does not do by itself."""
+        """Switch control sequences on, because an old console window does not do that by itself."""
         import ctypes
 
         kernel = getattr(getattr(ctypes, "windll", None), "kernel32", None)
@@ -173,21 +179,21 @@ class WindowsConsole:
         return True
 
     def reopen(self, _: TextIO) -> int | None:
-        """A console has no non-blocking mode."""
+        """Return None, because a console has no non-blocking mode."""
         return None
 
     def takes_text(self, _: TextIO) -> bool:
-        """Always true, because Windows cannot tell.
+        """Return True, because Windows cannot tell.
 
         Writing waits only while the user selects text in the window.
         """
         return True
 
     def silence(self, stream: TextIO, *, by_key: bool) -> object | None:
-        """Nothing to do: a key is echoed when it is read, and `typed` reads it without echo."""
+        """Do nothing: a key is echoed only when it is read, and `typed` reads keys without echo."""
 
     def give_back(self, stream: TextIO, modes: object) -> None:
-        """Nothing to do."""
+        """Do nothing, because `silence` has changed nothing."""
 
     async def wait_for_key(self, _: TextIO) -> None:
         """Poll, because a selector cannot wait for a console."""

@@ -1,4 +1,4 @@
-"""``doctor``: what is wrong with the graph, one line for each fault, with what to do about it."""
+"""Implements ``doctor``, which prints a line for each fault of the graph, with advice."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["fact_lines", "run"]
 
 HEALTHY, FAULTY = 0, 1
-"""Exit statuses."""
+"""The exit statuses without and with faults."""
 
 
 def run(reach: Reach, interrupts: Interrupts, *, as_json: bool, verbose: bool) -> int:
@@ -54,7 +54,7 @@ def run(reach: Reach, interrupts: Interrupts, *, as_json: bool, verbose: bool) -
 
 @asynccontextmanager
 async def _open(reach: Reach) -> AsyncIterator[Node | Fault]:
-    """Open a node on the graph, or give the fault that keeps it from being opened.
+    """Open a node on the graph. If that fails, give the block the fault instead.
 
     The node talks through the router only. It therefore also sees nodes that hang: the router shows
     them until their lease ends, while a peer would have to connect to them first.
@@ -82,7 +82,7 @@ def _unreachable(problem: str) -> Fault:
 
 
 def _print(faults: list[Fault], seen: Snapshot | None, *, as_json: bool) -> int:
-    """Print faults, and the facts of a snapshot; return the exit status."""
+    """Print faults and the facts of a snapshot, and return the exit status."""
     if as_json:
         lines = [json.dumps(_as_dict(each)) for each in faults]
         lines += [] if seen is None else [json.dumps({"facts": _facts(seen)})]
@@ -103,7 +103,7 @@ def _as_dict(fault: Fault) -> dict[str, object]:
 
 
 def _facts(snapshot: Snapshot) -> dict[str, object]:
-    """What the snapshot says about a graph, whether it is at fault or not."""
+    """The facts about a graph in a snapshot, faulty or not."""
     return {
         "domain": snapshot.domain,
         "domains in use": list(snapshot.domains),
@@ -127,7 +127,7 @@ def _sessions(snapshot: Snapshot) -> set[str]:
 
 
 def fact_lines(snapshot: Snapshot) -> Iterator[str]:
-    """The same facts, for people."""
+    """The facts about a graph as lines for people."""
     others = ", ".join(str(each) for each in snapshot.domains if each != snapshot.domain)
     if snapshot.domain is not None:
         yield f"domain: {snapshot.domain} (others in use: {others or 'none'})"

@@ -1,7 +1,8 @@
-"""``action echo`` and ``service echo``: the requests and responses of others.
+"""Implements ``action echo`` and ``service echo``, which print others' requests and responses.
 
-A client or server publishes them only with service introspection (`turtleact.introspection`).
-``action echo`` also prints the feedback and the status, which every action server publishes.
+A client or server publishes requests and responses only with service introspection
+(`turtleact.introspection`). ``action echo`` also prints the feedback and the status, which every
+action server publishes.
 
 Source: ros2cli ``ros2service/verb/echo.py`` and ``ros2action/verb/echo.py`` (Kilted).
 """
@@ -41,13 +42,13 @@ PARTS: Final = (
     "FEEDBACK_TOPIC",
     "STATUS_TOPIC",
 )
-"""What ``ros2 action echo`` calls the parts of an action."""
+"""The names of ``ros2 action echo`` for the parts of an action."""
 
 READ_QOS: Final = QoS(depth=1000)
-"""Messages that are kept while the output is stuck."""
+"""How many messages are kept while the output is stuck."""
 
 UNHEARD: Final = 1.0
-"""If nobody publishes events for so long, a note says so (s, by the clock of the graph)."""
+"""If nobody publishes events for this long, a note says so (s, by the clock of the graph)."""
 
 EVENTS: Final = {
     ServiceEventInfo.REQUEST_SENT: "REQUEST_SENT",
@@ -60,7 +61,7 @@ DONE: Final = 0
 
 
 class Order(NamedTuple):
-    """What the user wants.
+    """The user's choice of what to print.
 
     Attributes:
         name: The action or service.
@@ -126,7 +127,7 @@ async def echo_action(node: Node, order: Order) -> int:
 
 
 async def _print_all(node: Node, sources: Sequence[Source], style: Style) -> int:
-    """Print the messages of several topics in the order in which they come."""
+    """Print the messages of several topics in the order of their arrival."""
     send, receive = anyio.create_memory_object_stream[str](float("inf"))
 
     def show(source: Source, message: Any) -> bool:  # noqa: ANN401  # of any type
@@ -153,14 +154,17 @@ async def _print_all(node: Node, sources: Sequence[Source], style: Style) -> int
 
 
 async def _close_with(subscription: Subscription[Any], stream: Closeable) -> None:
-    """Close a stream when a subscription is closed. All its messages are taken elsewhere."""
+    """Close a stream when a subscription is closed.
+
+    The subscription's messages are taken elsewhere.
+    """
     async for _ in subscription:
         pass
     stream.close()
 
 
 async def _note_silence(node: Node, topics: Sequence[str]) -> None:
-    """Note once if nobody publishes any of the events."""
+    """Print a note if nobody publishes any of the events."""
     async with within(UNHEARD, node.clock):
         while not any(node.count_publishers(each) for each in topics):
             await node.transport.wait_for_change()

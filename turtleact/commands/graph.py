@@ -1,11 +1,11 @@
-"""The graph that a verb uses: how to reach it, what to ask of it, what it lacks, how the verb ends.
+"""Opens the graph that a verb uses, and explains what is missing on it.
 
 A verb is a coroutine function that takes a `Node` and returns the exit status. The node is hidden
 and opens nothing by itself.
 
-A command may find no router, an empty domain, or an action that nobody serves. A server that is off
-and one in another domain look the same from here, so the texts about that name what is in reach
-instead.
+A command may find no router, an empty domain, or an action that nobody serves. From here, a server
+that is off looks the same as a server in another domain. The messages about that therefore name
+what is in reach instead.
 """
 
 from __future__ import annotations
@@ -66,22 +66,22 @@ I = TypeVar("I", bound="Message | Service | Action")  # noqa: E741  # an interfa
 T = TypeVar("T")
 
 Look: TypeAlias = Callable[[Node], Awaitable[int]]
-"""A verb: looks at the graph and returns the exit status."""
+"""A verb: a function that looks at the graph and returns the exit status."""
 
 ROUTER = "tcp/localhost:7447"
 """Where a command looks for a router unless ``--connect`` says otherwise."""
 
 MOST_SHOWN = 10
-"""How many names are listed if none is like the one that was looked for."""
+"""How many names an error lists if none of them resembles the unknown name."""
 
 
 @asynccontextmanager
 async def open_transport(reach: Reach, mode: Mode | None = None) -> AsyncIterator[Transport]:
-    """Open the graph that other processes are on; it has been explored when the block begins.
+    """Open the graph of other processes. It has been explored when the block begins.
 
     Args:
-        reach: Which graph.
-        mode: How to join it; by default as `mode_of` says.
+        reach: The graph to open.
+        mode: How to join the graph. The default is that of `mode_of`.
 
     Raises:
         TurtleactError: if no graph is in reach.
@@ -104,7 +104,7 @@ async def open_transport(reach: Reach, mode: Mode | None = None) -> AsyncIterato
 
 @asynccontextmanager
 async def open_graph(reach: Reach, mode: Mode | None = None) -> AsyncIterator[Node]:
-    """Open a hidden node on that graph. Raises as `open_transport` does."""
+    """Open a hidden node on the graph in reach. The errors are those of `open_transport`."""
     async with (
         open_transport(reach, mode) as transport,
         open_node(f"_turtleact_cli_{os.getpid()}", transport=transport) as node,
@@ -115,16 +115,16 @@ async def open_graph(reach: Reach, mode: Mode | None = None) -> AsyncIterator[No
 async def enter_if_there(
     stack: AsyncExitStack, reach: Reach, opened: AbstractAsyncContextManager[T]
 ) -> T | None:
-    """Enter a graph, or return None if none is in reach and ``--connect`` names none.
+    """Enter a graph. If none is in reach and ``--connect`` names none, return None.
 
     Args:
         stack: Closes the graph.
         reach: Which graph.
-        opened: `open_transport` or `open_graph` of it.
+        opened: The result of `open_transport` or `open_graph` for the graph.
 
     Raises:
         UsageError: if the ``--config`` file is at fault.
-        TurtleactError: if the graph that ``--connect`` names is not there.
+        TurtleactError: if the graph that ``--connect`` names is not in reach.
     """
     try:
         return await stack.enter_async_context(opened)
@@ -142,7 +142,7 @@ def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
     If the domain has no nodes, a note says so first, because then most verbs print nothing.
 
     Raises:
-        TurtleactError: if no graph is in reach; and whatever the verb raises.
+        TurtleactError: if no graph is in reach. Errors of the verb are raised, too.
     """
 
     async def tell_and_look(node: Node) -> int:
@@ -157,17 +157,17 @@ async def until_interrupted(
     act: Callable[[T], Awaitable[int]],
     interrupts: Interrupts,
 ) -> int:
-    """Open something and act on it until the act ends or a signal cancels it.
+    """Open something, and act on it until the act ends or a signal cancels it.
 
     Args:
-        opened: A context manager. A signal cancels its opening and closing too; if the opening
+        opened: A context manager. A signal also cancels its opening and closing. If the opening
             ignores that, the process ends.
-        act: Called with what was opened; returns the exit status.
+        act: Called with the opened object. It returns the exit status.
         interrupts: The signals.
 
     Raises:
-        TurtleactError: if it cannot be opened, unless a signal came first; and whatever ``act``
-            raises.
+        TurtleactError: if opening fails, unless a signal came first. Errors of ``act`` are raised,
+            too.
     """
     status: int | None = None
     with interrupts.listening(asyncio.get_running_loop()):
@@ -192,11 +192,12 @@ def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
     Args:
         base: The kind that it must have: `Message`, `Service` or `Action`.
         type_name: The name of the interface.
-        where: What has this type on the graph; empty if the user typed the type.
+        where: The endpoint on the graph that has this type; empty if the user typed the type.
 
     Raises:
         UnknownInterface: if the user typed an unknown name.
-        TurtleactError: if the graph names an unknown type; the text says how to make it known.
+        TurtleactError: if the type is on the graph but not known here. The text says how to make it
+            known.
         InvalidInterface: if the interface is of another kind.
     """
     try:
@@ -220,13 +221,14 @@ def chosen_class(
 
     Args:
         node: A node on the graph.
-        kind: What has the name: an action, a service or a topic.
+        kind: The kind that has the name: an action, a service or a topic.
         base: As for `interface_class`.
         name: The full name.
-        type_name: The type, if the user typed one; else the first type on the graph counts.
+        type_name: The type that the user typed. If None, the first type on the graph counts.
 
     Raises:
-        TurtleactError: if neither gives a type, with the nearest name; and as `interface_class`.
+        TurtleactError: if neither gives a type. The error suggests the nearest name. Other errors
+            are those of `interface_class`.
     """
     if type_name is not None:
         return interface_class(base, type_name)
@@ -238,12 +240,12 @@ def chosen_class(
 
 
 def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str, str]) -> None:
-    """Note which nodes have different definitions of a type, and so do not hear each other.
+    """Print a note on nodes that do not hear each other because their definitions of a type differ.
 
     Args:
-        node: The node that looks; it does not count.
+        node: The node that looks. It is not compared.
         endpoints: The endpoints to compare.
-        known: Type hashes here that are compared too, by type name.
+        known: Type hashes of this process that are compared too, by type name.
     """
     from turtleact.doctor.checks import differing_definitions
     from turtleact.doctor.snapshot import EndpointSeen, Snapshot
@@ -255,13 +257,13 @@ def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str
 
 
 def no_router(reach: Reach) -> str:
-    """Say that there is no router where the nodes of this machine look for one."""
+    """Return the text for a missing router at the place where this machine's nodes look for one."""
     rest = "answers" if reach.config is None else "answers, or lets in this --config,"
     return f"no router {rest} at {ROUTER} ('turtleact serve' starts one)"
 
 
 async def note_empty(transport: Transport, reach: Reach) -> None:
-    """Tell the user if a domain has no nodes: most verbs print nothing then."""
+    """Tell the user if a domain has no nodes, because most verbs then print nothing."""
     from turtleact.transports import ZenohTransport  # an embedded world does without Zenoh
 
     if isinstance(transport, ZenohTransport) and all(map(is_hidden_node, transport.nodes())):
@@ -269,12 +271,12 @@ async def note_empty(transport: Transport, reach: Reach) -> None:
 
 
 async def none_in_domain(transport: Transport, reach: Reach, what: str = "nodes") -> str:
-    """Say that a domain has none of something, and in which domains there are nodes.
+    """Return the text for a domain that lacks something. It names domains that have nodes.
 
     Args:
         transport: The graph.
         reach: Which graph it is.
-        what: What the domain has none of.
+        what: The thing that the domain lacks.
     """
     from turtleact.transports import ZenohTransport
 
@@ -288,22 +290,22 @@ async def none_in_domain(transport: Transport, reach: Reach, what: str = "nodes"
 
 
 def world_started(why: str = "") -> str:
-    """Say that a command has started a world of its own.
+    """Return the text for a command that has started a world of its own.
 
     Args:
-        why: Why it has; empty if the user asked for one.
+        why: Why the command has started it; empty if the user asked for a world.
     """
     reason = f", because {why}" if why else ""
     return f"started an embedded world, which ends with this command{reason}"
 
 
 def not_served(name: str, served: Iterable[str], where: str = "in reach") -> ServerUnavailable:
-    """The error for an action that nobody serves; it asks for the server and says what is there.
+    """The error for an action that nobody serves. It names the actions that are served.
 
     Args:
         name: The full name of the action.
         served: The actions that are served.
-        where: Where they are.
+        where: Where these actions are.
     """
     if near := nearest(name, served := sorted(set(served))):
         hint = f"is your server running, or did you mean '{near}'?"
@@ -313,7 +315,7 @@ def not_served(name: str, served: Iterable[str], where: str = "in reach") -> Ser
 
 
 def not_in_world(name: str, served: Iterable[str]) -> ServerUnavailable:
-    """The error for an action that the embedded world lacks, if the user asked for that world."""
+    """The error for an action that the embedded world lacks, if the user wanted that world."""
     near = nearest(name, served := sorted(set(served)))
     there = f"did you mean '{near}'?" if near else f"it serves {_some(served)};"
     hint = f"{there} --embedded, --speed and --seed use no other server"

@@ -1,16 +1,16 @@
-"""Goals that others have sent: to list, cancel, pause, resume and watch them, and to await results.
+"""Lists, cancels, pauses, resumes and watches goals that others have sent.
 
-All of it goes through the endpoints of an action that any ROS 2 peer has: the status topic says
-which goals a server holds, ``cancel_goal`` cancels them, and ``get_result`` waits for their end.
-Only pauses need a server of turtleact; see `turtleact.commands.pause_requests`.
+All of this uses the endpoints that an action has in any ROS 2: the status topic shows which goals a
+server holds, ``cancel_goal`` cancels them, and ``get_result`` waits for their end. Only pauses need
+a server of turtleact; see `turtleact.commands.pause_requests`.
 
 A server publishes its status when a goal changes, and its last message is latched; a server that
 never had a goal may publish nothing. So the commands wait for latched messages, but not for long.
 A latched message may also outlive a server that hangs. Therefore the commands ask each server to
-cancel a goal that does not exist. A server that works answers that.
+cancel a goal that does not exist. A working server answers that request.
 
 Source: the ROS 2 design article "Actions"; action_msgs/srv/CancelGoal; rcl_action
-``action_server.c`` for what is published and when.
+``action_server.c`` for the contents and times of messages.
 """
 
 from __future__ import annotations
@@ -73,17 +73,20 @@ __all__ = [
 ]
 
 STATUS_QOS = QoS(depth=100, durability="transient_local")
-"""Each server of an action keeps one message, so there may be many at once."""
+"""The depth of subscriptions.
+
+Each server of an action keeps one message, so many may come at once.
+"""
 
 LATCHED_PATIENCE = 0.5
-"""How long latched messages are waited for (s, by the clock of the graph)."""
+"""How long to wait for latched messages (s, by the clock of the graph)."""
 
 ROUND_TRIPS = 5
-"""How many round trips to wait in addition: to find who keeps a latched message, and to ask for it,
-perhaps through a router."""
+"""How many round trips to wait in addition: to find the publisher of a latched message, and to ask
+for the message, perhaps through a router."""
 
 ANSWER = 2.0
-"""How long a server has to answer (s, by the clock of the graph)."""
+"""How long to wait for a server's answer (s, by the clock of the graph)."""
 
 
 class HeldGoal(NamedTuple):
@@ -95,7 +98,7 @@ class HeldGoal(NamedTuple):
         type_name: The type of the action.
         status: The state of the goal.
         stamp: When it was accepted (ns since the epoch, by the server's clock).
-        is_paused: Whether it is paused, if somebody has asked.
+        is_paused: Whether the goal is paused; False if that was not asked.
     """
 
     goal_id: bytes
@@ -107,11 +110,11 @@ class HeldGoal(NamedTuple):
 
 
 def served_actions(node: Node, name: str | None) -> dict[str, str]:
-    """The actions that are served, with their types; only one if a name is given.
+    """The served actions with their types. With a name, only that action.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
-        ServerUnavailable: if nobody serves an action of that name; the error suggests one.
+        ServerUnavailable: if nobody serves an action of that name. The error suggests another name.
     """
     found = types_by_name(node.transport.endpoints(), "action", hidden=True)
     served = {each: types[0] for each, types in found.items()}
@@ -149,7 +152,7 @@ async def held_goals(node: Node, actions: dict[str, str]) -> tuple[list[HeldGoal
 
 
 def silence(silent: list[str]) -> str:
-    """A sentence that names servers that do not answer."""
+    """A sentence with the names of servers that do not answer."""
     if len(silent) == 1:
         return f"server {silent[0]} does not answer"
     return f"servers {', '.join(silent)} do not answer"
@@ -164,10 +167,10 @@ def goals_in(message: GoalStatusArray, action: str, type_name: str) -> Iterable[
 
 
 def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
-    """The goal whose id begins with a text; None if there is none.
+    """Find the goal with an id that begins with a text; None if there is none.
 
     Raises:
-        UsageError: if there are several.
+        UsageError: if there are several such goals.
     """
     found = [goal for goal in goals if goal.goal_id.hex().startswith(wanted)]
     if len(found) > 1:
@@ -177,7 +180,7 @@ def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
 
 
 async def find_goal(node: Node, wanted: str) -> HeldGoal:
-    """The goal on the graph whose id begins with a text.
+    """Find the goal on the graph with an id that begins with a text.
 
     Prints a note if its server does not answer.
 
@@ -204,10 +207,10 @@ DONE, NOT_DONE, ABORTED, CANCELED = 0, 1, 4, 5
 HEADINGS = ("id", "action", "state", "age", "client")
 
 NOBODY = bytes(16)
-"""The id that stands for every goal in a cancel request."""
+"""The id that means every goal in a cancel request."""
 
 PATIENCE = 10.0
-"""How long a server has to answer a request to cancel (s, by the clock of the graph)."""
+"""How long to wait for the answer to a cancel request (s, by the clock of the graph)."""
 
 SILENT = "the server does not answer"
 
@@ -220,8 +223,8 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
 
     Args:
         node: A node on the graph.
-        name: The action; all if None.
-        as_json: Whether to print one JSON object a line.
+        name: The action; None for all actions.
+        as_json: Whether to print one JSON object per line.
 
     Raises:
         ServerUnavailable: if nobody serves an action of that name.
@@ -248,7 +251,7 @@ async def cancel(node: Node, wanted: Sequence[str]) -> int:
     """Cancel goals by the beginnings of their ids, and print the outcome for each.
 
     Raises:
-        UsageError: if a text fits several goals; then none is canceled.
+        UsageError: if a text fits several goals. No goal is then canceled.
     """
     goals, silent = await held_goals(node, served_actions(node, None))
     status = DONE
@@ -270,7 +273,7 @@ async def cancel_many(node: Node, name: str | None, before: int) -> int:
 
     Args:
         node: A node on the graph.
-        name: The action; all if None.
+        name: The action; None for all actions.
         before: The moment (ns since the epoch, by the servers' clocks); 0 for all goals.
 
     Raises:
@@ -310,7 +313,7 @@ async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedb
         node: A node on the graph.
         wanted: The beginning of the goal's id.
         transcript: Prints the goal.
-        hears_feedback: Whether to receive the feedback until then.
+        hears_feedback: Whether to receive the goal's feedback.
 
     Raises:
         UsageError: if the text fits several goals.
@@ -360,7 +363,7 @@ class WatchedGoal:
         goal_id: The 16 bytes of its id.
         status: Its last known state.
         last_feedback: The newest feedback; None before the first.
-        is_paused: Whether it is paused, as far as its server says.
+        is_paused: Whether the goal is paused, as far as its server says.
     """
 
     def __init__(self, node: Node, goal: HeldGoal) -> None:
@@ -372,7 +375,7 @@ class WatchedGoal:
         self.last_feedback: Message | None = None
 
     async def hear_feedback(self, messages: Subscription[Any], transcript: Transcript) -> None:
-        """Record each feedback message, and print it if that is wanted."""
+        """Record each feedback message. Print it if the user wants feedback."""
         async for message in messages:
             if message.goal_id.uuid == self.goal_id:
                 self.last_feedback = message.feedback
@@ -388,16 +391,16 @@ class WatchedGoal:
                     self.status = each.status
 
     async def hear_pauses(self) -> None:
-        """Record whether it is paused."""
+        """Record whether the goal is paused."""
         async for paused in follow_paused(self._node, self._action):
             self.is_paused = self.goal_id in paused
 
     async def pause(self) -> None:
-        """Pause the goal; raises as `set_paused`."""
+        """Pause the goal. The errors are those of `set_paused`."""
         await set_paused(self._node, self._action, self.goal_id, is_paused=True)
 
     async def resume(self) -> None:
-        """Let the goal go on; raises as `set_paused`."""
+        """Let the goal go on. The errors are those of `set_paused`."""
         await set_paused(self._node, self._action, self.goal_id, is_paused=False)
 
 
@@ -405,7 +408,7 @@ async def switch(node: Node, wanted: Sequence[str], *, is_paused: bool, timeout:
     """Pause or resume goals by the beginnings of their ids, and print the outcome for each.
 
     Raises:
-        UsageError: if a text fits several goals; then nothing is done.
+        UsageError: if a text fits several goals. No goal is then paused or resumed.
     """
     goals, silent = await held_goals(node, served_actions(node, None))
     status = DONE
@@ -423,7 +426,7 @@ async def switch(node: Node, wanted: Sequence[str], *, is_paused: bool, timeout:
 async def switch_all(node: Node, name: str | None, *, is_paused: bool, timeout: float) -> int:
     """Pause or resume all goals of an action, or of all actions, and print the outcome for each.
 
-    All of them are asked at the same time.
+    The requests for all goals are sent at the same time.
 
     Raises:
         ServerUnavailable: if nobody serves an action of that name.
@@ -467,7 +470,10 @@ async def _listen(
 
 
 def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
-    """Find the nodes that serve these actions; each comes with one of the actions it serves."""
+    """Find the nodes that serve these actions.
+
+    Each comes with one of the actions that it serves.
+    """
     services = {action_names(name).cancel_goal: name for name in actions}
     return {
         each.node: services[each.name]
@@ -477,7 +483,7 @@ def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
 
 
 async def _ask(node: Node, server: str, action: str, silent: set[str]) -> None:
-    """Ask a server to cancel a goal that does not exist, and record it if it does not answer."""
+    """Ask a server to cancel a goal that does not exist. Record servers that do not answer."""
     client = node.service_client(CancelGoal, action_names(action).cancel_goal)
     try:
         await client.call(CancelGoal.Request(GoalInfo(UUID(uuid.uuid4().bytes))), ANSWER)
@@ -526,7 +532,7 @@ def _clients(node: Node, action: str) -> list[str]:
 
 
 async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
-    """Ask for one goal to be canceled; return why it is not, or None if it is."""
+    """Ask a server to cancel one goal. Return why it is not canceled, or None if it is."""
     response = await _request(node, goal.action, goal.goal_id, 0)
     if response is None:
         return SILENT
@@ -541,7 +547,7 @@ async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
 async def _request(
     node: Node, action: str, goal_id: bytes, stamp: int
 ) -> CancelGoal.Response | None:
-    """A server's response to a cancel request; None if it does not answer."""
+    """Send a cancel request, and return the response; None if the server does not answer."""
     client = node.service_client(CancelGoal, action_names(action).cancel_goal)
     info = GoalInfo(UUID(goal_id), stamp_of(stamp))
     response: CancelGoal.Response | None = None
@@ -560,7 +566,7 @@ def _tell(goal_id: str, action: str, problem: str | None) -> None:
 
 
 async def _call(client: Any, action: str, request: Message, timeout: float | None = None) -> Any:  # noqa: ANN401  # of whatever type
-    """Call a service of an action; an error names the action."""
+    """Call a service of an action. Errors name the action."""
     try:
         return await client.call(request, timeout)
     except ServerUnavailable as error:
@@ -568,7 +574,7 @@ async def _call(client: Any, action: str, request: Message, timeout: float | Non
 
 
 async def _switch(node: Node, goal: HeldGoal, *, is_paused: bool, timeout: float) -> str:
-    """Pause or resume a goal and print the outcome; return why not, or nothing."""
+    """Pause or resume a goal, and print the outcome. Return why it failed, or an empty text."""
     problem = ""
     if goal.status.is_terminal:
         problem = f"it has ended {goal.status.name}"

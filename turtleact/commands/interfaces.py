@@ -1,7 +1,7 @@
-"""The verbs of ``interface``: list, show and print prototypes of interfaces.
+"""Implements the verbs of ``interface``, which list and show interfaces and print prototypes.
 
-They need no graph. Interfaces ship with turtleact, are in the folder of ``--interfaces``, belong to
-the sourced ROS workspace, or are found near the working directory.
+These verbs need no graph. Interfaces ship with turtleact, are in the folder of ``--interfaces``,
+belong to the sourced ROS workspace, or are found near the working directory.
 
 Source: ros2cli ``ros2interface/verb/*.py`` for what is printed, with the words of Jazzy.
 """
@@ -54,7 +54,7 @@ KINDS: Final = {"msg": "Messages", "srv": "Services", "action": "Actions"}
 """The kinds of interfaces, in the order of the lists."""
 
 LONGEST_LINE: Final = 2**12
-"""How many bytes of a pipe are read for a name; no name is longer."""
+"""At most this many bytes of a pipe are read for a name. No name is longer."""
 
 
 def make_known(folder: str | None, *, is_silent: bool = False) -> None:
@@ -65,7 +65,7 @@ def make_known(folder: str | None, *, is_silent: bool = False) -> None:
         is_silent: As for `make_found`.
 
     Raises:
-        InvalidInterface: if there is no such folder.
+        InvalidInterface: if the folder does not exist.
     """
     for module in ("actions", "sim.world_services"):  # they declare interfaces
         import_module(f"turtleact.{module}")
@@ -75,16 +75,16 @@ def make_known(folder: str | None, *, is_silent: bool = False) -> None:
 def make_found(folder: str | None, *, is_silent: bool = False) -> None:
     """Make known the interfaces of a folder, of the sourced workspace, and near this directory.
 
-    If there are several definitions, the first in this order counts. Built-in ones come last. The
-    first time that an interface near the working directory is used, a line on stderr says
-    where it was found.
+    If there are several definitions, the first in this order counts. Built-in definitions come
+    last. When an interface near the working directory is first used, a line on stderr says where it
+    was found.
 
     Args:
-        folder: As for `turtleact.interfaces.load_interfaces`; none if None.
+        folder: As for `turtleact.interfaces.load_interfaces`; None for no folder.
         is_silent: Whether to print no such line.
 
     Raises:
-        InvalidInterface: if there is no such folder.
+        InvalidInterface: if the folder does not exist.
     """
     load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     found = find_interfaces(Path())
@@ -124,7 +124,7 @@ def print_package(package: str, kinds: Sequence[str]) -> None:
     """Print the names of the interfaces in a package, of some kinds or of all kinds.
 
     Raises:
-        TurtleactError: if there is no such package; the error suggests the nearest name.
+        TurtleactError: if there is no such package. The error suggests the nearest name.
     """
     _check_package(package)
     say("".join(f"{name}\n" for name in _by_package(kinds).get(package, ())))
@@ -134,17 +134,17 @@ def print_prototype(type_name: str, *, quotes: bool) -> None:
     """Print the first message of an interface, such as an action's goal, as YAML with defaults.
 
     Raises:
-        UnknownInterface: if the name is unknown; the error suggests the nearest one.
+        UnknownInterface: if the name is unknown. The error suggests the nearest name.
     """
     quote = '"' if quotes else ""
     say(f"{quote}{to_yaml(first_message(type_name))}{quote}\n")
 
 
 def first_message(type_name: str) -> Message:
-    """The message of an interface that is sent first, with defaults: an action's goal, for example.
+    """The message of an interface that is sent first, such as an action's goal, with defaults.
 
     Raises:
-        UnknownInterface: if the name is unknown; the error suggests the nearest one.
+        UnknownInterface: if the name is unknown. The error suggests the nearest name.
     """
     interface = get_interface(type_name)
     if issubclass(interface, Action):
@@ -158,10 +158,10 @@ def show(type_name: str, *, comments: bool, nested_comments: bool) -> None:
     Args:
         type_name: The name of the interface.
         comments: Whether to print its comments and empty lines.
-        nested_comments: Whether to print those of the messages in it.
+        nested_comments: Whether to print the comments and empty lines of the messages in it.
 
     Raises:
-        UnknownInterface: if the name is unknown; the error suggests the nearest one.
+        UnknownInterface: if the name is unknown. The error suggests the nearest name.
         InvalidInterface: if a file is malformed.
     """
     lines = _lines(type_name, depth=0, comments=comments, nested_comments=nested_comments)
@@ -169,7 +169,7 @@ def show(type_name: str, *, comments: bool, nested_comments: bool) -> None:
 
 
 def read_type(type_name: str, interrupts: Interrupts) -> str:
-    """The name of a type; a dash stands for the first line of stdin.
+    """The name of a type. A dash stands for the first line of stdin.
 
     Raises:
         UsageError: if there is nothing to read.
@@ -187,22 +187,22 @@ def read_type(type_name: str, interrupts: Interrupts) -> str:
 
 
 def write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> int:
-    """Write typed Python classes for the interfaces of some packages, and of those that they use.
+    """Write typed Python classes for the interfaces of some packages, and of packages they use.
 
-    Prints the path of each file that it writes. Files that are already right are left alone.
+    The path of each written file is printed. Files that are already right are left alone.
 
     Args:
         packages: Their names.
-        folder: Where to write ``PACKAGE/KIND.py``; it is made if it is missing.
+        folder: The folder for ``PACKAGE/KIND.py``, which is created if it does not exist.
         is_check: Whether to write nothing, and print the files that would change.
 
     Returns:
         The exit status: 1 if a check finds a file that would change.
 
     Raises:
-        TurtleactError: if there is no such package; the error suggests the nearest name.
+        TurtleactError: if there is no such package. The error suggests the nearest name.
         InvalidInterface: if a file of an interface is malformed.
-        UsageError: if a file in the way was not generated, or cannot be written.
+        UsageError: if an existing file was not generated, or a file cannot be written.
     """
     from turtleact.interfaces.generator import MARK, generate
     from turtleact.interfaces.loading import package_texts
@@ -232,7 +232,7 @@ def write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> in
 
 
 def _read(path: Path) -> str | None:
-    """The text of a file; None if there is none."""
+    """The text of a file; None if the file does not exist."""
     try:
         return path.read_text("utf-8")
     except FileNotFoundError:
@@ -242,7 +242,7 @@ def _read(path: Path) -> str | None:
 
 
 def _replace(path: Path, text: str | None) -> None:
-    """Give a file this text, or remove it if there is none."""
+    """Write this text to a file. With None, remove the file."""
     try:
         if text is None:
             path.unlink()
@@ -254,7 +254,7 @@ def _replace(path: Path, text: str | None) -> None:
 
 
 def _check_package(package: str) -> None:
-    """Raise if no interface of that package is known; the error suggests the nearest name."""
+    """Check that an interface of that package is known. The error suggests the nearest name."""
     packages = _by_package(())
     if package not in packages:
         hint = did_you_mean(package, packages)
@@ -262,7 +262,7 @@ def _check_package(package: str) -> None:
 
 
 def _by_package(kinds: Sequence[str]) -> dict[str, list[str]]:
-    """The names of the interfaces of some kinds, or of all, by package."""
+    """The names of the interfaces of some kinds, or of all kinds, by package."""
     packages: dict[str, list[str]] = {}
     for name in known_interfaces():
         package, kind, _ = name.split("/")

@@ -1,28 +1,29 @@
-"""The signals that ask the program to end, from its first moment to its last.
+"""Handles the signals that ask the program to end, from its first moment to its last.
 
-A signal is recorded; it never raises in the middle of an import or of a body. What it does depends
-on where the program stands:
+A signal is recorded; it never raises in the middle of an import or of a body. The effect of a
+signal depends on what the program is doing:
 
-- Before the event loop runs, nothing: the program looks at `Interrupts.received` before it starts.
+- Before the event loop runs, a signal has no effect: the program looks at `Interrupts.received`
+before it starts the loop.
   A second signal ends the process at once.
 - While the program reads input (`Interrupts.read`), a signal ends the reading.
-- In a start that may take long (`Interrupts.beginning`), a signal sets the system's alarm clock. It
-  ends the process unless the start is over within `GRACE`.
+- In a start that may take long (`Interrupts.beginning`), a signal sets the system's alarm clock.
+The alarm ends the process unless the start is over within `GRACE`.
 - In the event loop (`Interrupts.listening`), a signal wakes the task that waits in
   `Interrupts.wait`. The loop may be stuck in a body, or in writing to a pipe that nobody reads. So
-  the alarm clock ends the process if the loop does not get to the second signal within `GRACE`, or
+  the alarm clock ends the process if the loop does not handle the second signal within `GRACE`, or
   if a deadline passes (`Interrupts.end_within`, `Interrupts.patience`). A third signal ends the
-  process at once. From the first signal on, the clock also rings every `GRACE`. Otherwise Python
-  would notice a signal that comes just before a blocking write only after the write.
-- After the loop, nothing; in the end signals are ignored.
+  process at once. From the first signal on, the alarm clock also rings every `GRACE`. Without that,
+  Python would notice a signal that comes just before a blocking write only after the write.
+- After the loop, a signal has no effect. In the end, signals are ignored.
 
-One handler, set once, does all of this. With the loop's own signal handling, Python's default would
-apply just before and after the loop, and print a traceback. The handler wakes the loop through
-``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. While the loop or a read waits in the
-system, it also waits for a socket to which the system writes each signal. Otherwise Python would
-notice a signal that came just before the wait only after it.
+One handler, set once, does all of this. With the loop's own signal handling, Python's default
+handler would be active just before and after the loop, and print a traceback. The handler wakes the
+loop through ``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. While the loop or a read
+waits in the system, it also waits for a socket to which the system writes each signal. Without
+that, Python would notice a signal that came just before the wait only after the wait.
 
-Windows has neither an alarm clock nor a way to wait for a file: threads do both there.
+Windows has neither an alarm clock nor a way to wait for a file. Threads do both there.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ __all__ = ["Interrupts", "leave", "signals"]
 
 
 def signals(*names: str) -> tuple[signal.Signals, ...]:
-    """The signals of these names that this system has."""
+    """The signals with these names that this system has."""
     return tuple(signal.Signals(getattr(signal, each)) for each in names if hasattr(signal, each))
 
 
@@ -62,7 +63,7 @@ WAITS_FOR_FILES = os.name == "posix"
 """Whether the system can wait for a file and a signal at the same time."""
 
 TICK = 0.1
-"""How often a system that cannot do so checks both (s)."""
+"""A system that cannot wait for both checks them at this interval (s)."""
 
 GRACE = 0.5
 """How long the loop may be late (s, wall clock)."""
@@ -71,11 +72,11 @@ LONGEST = 1e9
 """The longest time for which the alarm clock can safely be set (s): 31 years."""
 
 CHUNK = 2**16
-"""How many bytes are read at once: as many as a pipe holds on Linux."""
+"""How many bytes are read at a time: as many as a pipe holds on Linux."""
 
 
 def leave(status: int) -> NoReturn:
-    """End the process now; only what has been printed is flushed."""
+    """End the process now. Only printed text is flushed."""
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             stream.flush()
@@ -87,10 +88,11 @@ class Interrupts:
 
     Attributes:
         received: The signals that came, in order.
-        restore: Gives the terminal back. A signal handler calls it before it ends the process.
+        restore: A function that gives the terminal back. A signal handler calls it before it ends
+            the process.
         patience: How long the loop may go on after the first signal, before the alarm clock ends
             the process (s, wall clock).
-        must_leave: Whether the process has to end by `leave`, because some tasks or threads do not
+        must_leave: Whether the process must end with `leave`, because some tasks or threads do not
             end.
     """
 
@@ -124,7 +126,7 @@ class Interrupts:
             Thread(target=self._watch, name="alarm clock", daemon=True).start()
 
     def ignore(self) -> None:
-        """Ignore the signals from now on: they would kill Python while it ends."""
+        """Ignore the signals from now on, because they would kill Python while it ends."""
         if self._is_released:  # the user's threads may still run until a signal ends them
             return
         for number in SIGNALS:
@@ -133,7 +135,7 @@ class Interrupts:
             signal.setitimer(signal.ITIMER_REAL, 0)
 
     def release(self) -> None:
-        """Give the signals back to Python, for a program of the user's that handles its own.
+        """Give the signals back to Python, for a user's program that handles signals itself.
 
         Raises:
             KeyboardInterrupt: if a signal has come before.
@@ -148,7 +150,7 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def read(self, file: int, most: int, *, line: bool = False) -> bytes:
-        """Read a file to its end, and wait for it if necessary; a signal ends the reading.
+        """Read a file to its end, and wait for data if necessary. A signal ends the reading.
 
         Args:
             file: The file descriptor.
@@ -179,7 +181,7 @@ class Interrupts:
 
     @contextmanager
     def listening(self, loop: asyncio.AbstractEventLoop) -> Iterator[None]:
-        """A block in which `wait` notices signals. After it they have no effect."""
+        """Let `wait` notice signals during a block. After the block, signals have no effect."""
         import asyncio
 
         self._changed = asyncio.Event()
@@ -202,14 +204,15 @@ class Interrupts:
 
     @contextmanager
     def beginning(self, status: int | None = None) -> Iterator[None]:
-        """A block that only starts something, so there is nothing to wind down yet.
+        """Mark a block that only starts something, so that a signal may end the process at once.
 
-        After a signal, in the block or before it, the program has `GRACE` to leave the block. Then
+        After a signal during or before the block, the program has `GRACE` to leave the block. Then
         the process ends, however busy the loop is. If turtleact raises an error after a signal, the
-        error ends the block and is dropped. So check `received` before you use what the block made.
+        error ends the block and is dropped. So check `received` before you use the results of the
+        block.
 
         Args:
-            status: The exit status in that case; None means that of the signal.
+            status: The exit status in that case. None means the status of the signal.
         """
         from turtleact.errors import TurtleactError
 
@@ -278,8 +281,8 @@ class Interrupts:
     def _set_alarm(self) -> None:
         """Set the alarm clock for the deadline, and after a signal for `GRACE` at most.
 
-        It then rings every `GRACE`. A single alarm could get lost: Python 3.11 may record a signal
-        without running its handler if the main thread is in a loop of its own.
+        The clock then rings every `GRACE`. A single alarm could get lost: Python 3.11 may record a
+        signal without running its handler if the main thread is in a loop of its own.
         """
         if not HAS_ALARM:  # `_watch` looks at the deadline by itself
             return
@@ -296,10 +299,10 @@ class Interrupts:
             self._set_alarm()
 
     def _watch(self) -> None:
-        """Be the alarm clock, in a thread: end the process when the deadline has passed.
+        """Act as the alarm clock, in a thread: end the process when the deadline has passed.
 
-        It only reads what the handlers write. A handler may have interrupted the main thread
-        anywhere, so it must take no lock, such as that of a timer.
+        The thread only reads values that the handlers write. A handler may have interrupted the
+        main thread anywhere, so it must take no lock, such as that of a timer.
         """
         while monotonic() < self._due:
             sleep(TICK)
@@ -313,7 +316,7 @@ class Interrupts:
 
 
 def _read(file: int, woken: socket.socket, most: int) -> bytes:
-    """Read a part of a file, once there is something to read."""
+    """Read a part of a file, as soon as there is something to read."""
     while True:
         ready, _, _ = select.select([file, woken.fileno()], (), ())
         if woken.fileno() in ready:  # a signal that does not end the program
@@ -323,10 +326,10 @@ def _read(file: int, woken: socket.socket, most: int) -> bytes:
 
 
 def _reading_thread(file: int) -> Callable[[int], bytes]:
-    """Like `_read`, where the system cannot wait for a file: a thread waits.
+    """Return a function like `_read` for systems that cannot wait for a file: a thread waits.
 
-    Signal handlers run between two checks of what the thread has read. After a signal the thread
-    may keep reading; it does not keep the program alive.
+    Signal handlers run between two checks of what the thread has read. After a signal, the thread
+    may keep reading, but it does not keep the program alive.
     """
     import queue
     from threading import Thread
@@ -355,7 +358,7 @@ def _reading_thread(file: int) -> Callable[[int], bytes]:
 
 @contextmanager
 def _woken_by_signals() -> Iterator[socket.socket]:
-    """A socket that becomes readable when a signal comes; on Windows a pipe would not do."""
+    """Give a block a socket that becomes readable when a signal comes, on Windows too."""
     import socket
 
     reader, writer = socket.socketpair()

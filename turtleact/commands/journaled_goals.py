@@ -1,4 +1,4 @@
-"""``goals --journal``, ``result --journal`` and ``journal prune``: the goals in a file.
+"""Implements ``goals --journal``, ``result --journal`` and ``journal prune``, for goals in a file.
 
 No graph is needed. The file may belong to a server that runs, has ended or was killed.
 """
@@ -32,7 +32,7 @@ SECOND = 10**9
 HEADINGS = ("id", "action", "state", "age", "took", "reason")
 
 BLOCK = 1000
-"""So many goals are printed at once: a journal may have more of them than fit in memory."""
+"""This many goals are printed at a time, because a journal may have more than fit in memory."""
 
 
 def print_goals(path: Path, name: str | None, since: int, *, as_json: bool) -> int:
@@ -41,11 +41,12 @@ def print_goals(path: Path, name: str | None, since: int, *, as_json: bool) -> i
     Args:
         path: The journal.
         name: The action; all if None.
-        since: Only goals accepted since then (ns since the epoch); 0 for all.
+        since: Print only goals accepted at or after this time (ns since the epoch); 0 for all
+            goals.
         as_json: Whether to print one JSON object a line.
 
     Raises:
-        JournalError: if it cannot be read.
+        JournalError: if the journal cannot be read.
         InvalidName: if the name breaks ROS 2's rules.
     """
     action = None if name is None else resolve_name(name)
@@ -74,9 +75,9 @@ def print_result(path: Path, wanted: str, interfaces: str | None) -> int:
         interfaces: A folder with more interfaces.
 
     Raises:
-        JournalError: if it cannot be read.
-        UsageError: if several goals begin like that.
-        TurtleactError: if there is none, it has not ended, or its type is not known here.
+        JournalError: if the journal cannot be read.
+        UsageError: if several ids begin with that text.
+        TurtleactError: if there is no such goal, it has not ended, or its type is not known here.
     """
     goals = find_goals(path, wanted)
     if len(goals) > 1:
@@ -105,7 +106,7 @@ def prune_goals(path: Path, keep: int) -> int:
     """Delete the goals that ended more than ``keep`` ns ago, and return the exit status.
 
     Raises:
-        JournalError: if it cannot be written.
+        JournalError: if the journal cannot be written.
     """
     count = prune(path, time.time_ns() - keep)
     say(f"deleted {count} {'goal' if count == 1 else 'goals'}\n")

@@ -1,10 +1,10 @@
-"""What exists on the graph, as ``ros2`` lists it: ``list``, ``type``, ``find`` and ``info``.
+"""Implements ``list``, ``type``, ``find`` and ``info``, which print what exists as ``ros2`` does.
 
 Actions, services and topics are listed alike (`Kind`). A name is hidden if one of its parts begins
 with an underscore. Hidden names are listed only on request, but found if you name them.
 
-Source: ros2cli ``ros2{action,node,service,topic}/verb/*.py`` for the order of things; recordings
-of Jazzy for the words.
+Source: ros2cli ``ros2{action,node,service,topic}/verb/*.py`` for the order of the output;
+recordings of Jazzy for the words.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ SIDES: dict[str, EndpointKind] = {"Publish": "publisher", "Subscrib": "subscript
 
 
 async def print_list(node: Node, kind: Kind, *, types: bool, count: bool, hidden: bool) -> int:
-    """Print all names of a kind, or how many there are."""
+    """Print all names of a kind, or their number."""
     found = types_by_name(node.transport.endpoints(), kind, hidden=hidden)
     if count:
         say_names(f"{len(found)}\n")
@@ -63,7 +63,7 @@ async def print_type(node: Node, kind: Kind, name: str) -> int:
 
 
 async def print_found(node: Node, kind: Kind, type_name: str, *, count: bool, hidden: bool) -> int:
-    """Print the names of a type, or how many there are."""
+    """Print the names that have a type, or their number."""
     found = types_by_name(node.transport.endpoints(), kind, hidden=hidden)
     names = [name for name, types in found.items() if type_name in types]
     _say_lines([str(len(names))] if count else names)
@@ -74,7 +74,7 @@ async def print_found(node: Node, kind: Kind, type_name: str, *, count: bool, hi
 
 
 async def print_action_info(node: Node, name: str, *, types: bool, count: bool) -> int:
-    """Print which nodes are clients of an action, and which serve it.
+    """Print the nodes that are clients of an action, and the nodes that serve it.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
@@ -93,7 +93,7 @@ async def print_action_info(node: Node, name: str, *, types: bool, count: bool) 
 def _nodes_of_action(
     node: Node, name: str, kind: EndpointKind
 ) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """The nodes on one side of an action, with the types; two nodes may share a name."""
+    """The nodes at one end of an action, with the types. Two nodes may share a name."""
     for who in sorted(set(node.transport.nodes())):
         own = _endpoints_of(node, who)
         types = types_by_name(own, "action", kind, hidden=True).get(name, ())
@@ -102,7 +102,7 @@ def _nodes_of_action(
 
 
 def _is_of(endpoint: Endpoint, action: str) -> bool:
-    """Whether an endpoint is the one that sends or takes the goals of an action."""
+    """Whether an endpoint sends or takes the goals of an action."""
     return endpoint.name == action_names(action).send_goal
 
 
@@ -113,7 +113,7 @@ async def print_service_info(node: Node, name: str) -> int:
     """Print the type of a service, and how many clients and servers it has.
 
     Raises:
-        TurtleactError: if there is no such service; the error suggests the nearest name.
+        TurtleactError: if there is no such service. The error suggests the nearest name.
     """
     endpoints = node.transport.endpoints()
     name = _full(name)
@@ -146,7 +146,7 @@ async def print_topic_info(node: Node, name: str, *, verbose: bool) -> int:
     """Print the type of a topic and its number of endpoints, or all endpoints in full.
 
     Raises:
-        TurtleactError: if there is no such topic; the error suggests the nearest name.
+        TurtleactError: if there is no such topic. The error suggests the nearest name.
     """
     endpoints = node.transport.endpoints()
     name = _full(name)
@@ -200,7 +200,7 @@ def _hash_of(type_name: str) -> str:
 
 
 async def print_nodes(node: Node, *, count: bool, hidden: bool) -> int:
-    """Print the names of all nodes, or their number; nodes that share a name are noted."""
+    """Print the names of all nodes, or their number. A note names nodes that share a name."""
     names = sorted(name for name in node.transport.nodes() if hidden or not is_hidden_node(name))
     shared = [name for name, number in Counter(names).items() if number > 1]
     if shared:
@@ -213,7 +213,7 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
     """Print the topics, services and actions of a node, with their types.
 
     Raises:
-        TurtleactError: if there is no such node; the error suggests the nearest name.
+        TurtleactError: if there is no such node. The error suggests the nearest name.
     """
     names = [each for each in node.transport.nodes() if hidden or not is_hidden_node(each)]
     name = _full(name)
@@ -261,7 +261,7 @@ def _needed_types(endpoints: Iterable[Endpoint], kind: Kind, name: str) -> tuple
 
 
 def _as_said(types: tuple[str, ...]) -> str:
-    """A single type as it is, several types as a list."""
+    """The text of a name's types: a single type unchanged, several types as a list."""
     return types[0] if len(types) == 1 else str(list(types))
 
 

@@ -1,13 +1,13 @@
-"""The live displays on a terminal: of one goal, and of a server.
+"""Draws the live displays on a terminal: of one goal, and of a server.
 
-`LiveTranscript` redraws a region at the end of the screen while a goal runs. Lines that stay are
-printed above the region as plain text. When the goal ends, its last frame stays too, above the
-result.
+`LiveTranscript` redraws a region at the end of the screen while a goal runs. Permanent lines are
+printed above the region as plain text. When the goal ends, its last frame stays on the screen,
+above the result.
 
-`Dashboard` shows what ``serve`` does: the world, the goals and what has happened.
+`Dashboard` shows a running ``serve``: the world, the goals and the log.
 
-Both only look. The goals, their bodies and the world know nothing of them, and never wait for the
-terminal.
+The displays only observe. The goals, their bodies and the world know nothing of them, and never
+wait for the terminal.
 """
 
 from __future__ import annotations
@@ -65,13 +65,13 @@ if TYPE_CHECKING:
 __all__ = ["Dashboard", "GoalPicture", "LiveTranscript"]
 
 MOST_LINES = 40
-"""How many lines of a goal are printed at most."""
+"""At most this many lines of a goal are printed."""
 
 PAUSE = "p"
 """The key that pauses the goal, and resumes it."""
 
 LEFT_FREE = 2
-"""Lines below the result: for the reason of an abort, and for the shell's prompt."""
+"""How many lines are kept free below the result, for an abort's reason and the shell's prompt."""
 
 
 class LiveTranscript:
@@ -93,24 +93,24 @@ class LiveTranscript:
         )
 
     def sending(self, goal: Message) -> None:
-        """The goal is about to be sent."""
+        """Called when the goal is about to be sent."""
         self._plain.sending(goal)
 
     def rejected(self, reason: str) -> None:
-        """The server rejected the goal."""
+        """Called when the server has rejected the goal."""
         self._plain.rejected(reason)
 
     def accepted(self, sent: Sent) -> None:
-        """The server accepted the goal."""
+        """Called when the server has accepted the goal."""
         self._plain.accepted(sent)
         self.follows(sent.followed())
 
     def follows(self, goal: Followed) -> None:
-        """The goal is followed from now on."""
+        """Called when the goal is followed from now on."""
         self._picture = GoalPicture(goal)
 
     async def animate(self) -> None:
-        """Draw frames until the goal ends, and obey keys."""
+        """Draw frames until the goal ends, and react to keys."""
         with redirect_stderr(_Above(self._region, sys.stderr)):
             async with anyio.create_task_group() as beside:
                 if self._has_keys:
@@ -131,25 +131,25 @@ class LiveTranscript:
                         self.note(str(error))
 
     def feedback(self, feedback: Message) -> None:
-        """A feedback message came."""
+        """Called with each feedback message."""
         self._plain.feedback(feedback)
 
     def status(self, status: GoalStatus) -> None:
-        """Nothing to do: the next frame shows it."""
+        """Do nothing, because the next frame shows the state."""
 
     def canceling(self) -> None:
-        """The goal is asked to cancel."""
+        """Called when the client asks the server to cancel the goal."""
         self._plain.canceling()
 
     def ended(self, outcome: Outcome[Message]) -> None:
-        """The goal has ended: print its last state, which stays, and the result below it."""
+        """Print the last state of the goal, which stays on the screen, and the result below it."""
         text = result_text(outcome)
         self._picture.has_ended = True
         print_last(self._region, self._picture.compose, below=text.count("\n") + LEFT_FREE)
         self._region.say(text)
 
     def note(self, text: str) -> None:
-        """Something that belongs to no goal happened."""
+        """Print a note that belongs to no goal."""
         self._region.clear()
         note(text)
 
@@ -158,12 +158,12 @@ class LiveTranscript:
         await self._region.drained()
 
     def close(self) -> None:
-        """Remove the display unless the goal has ended, and give the terminal back."""
+        """Give the terminal back. Unless the goal has ended, remove the display."""
         self._region.restore()
 
 
 class _Above(io.TextIOBase):
-    """A stream that shares its terminal with a display: what is written appears above the display.
+    """A stream that shares its terminal with a display. Written text appears above the display.
 
     Args:
         region: The region of the display.
@@ -194,7 +194,7 @@ class GoalPicture:
 
     Attributes:
         shown: The goal.
-        has_ended: Whether the goal has ended; the display then has no words about its progress.
+        has_ended: Whether the goal has ended. The display then says nothing about its progress.
     """
 
     def __init__(self, shown: Followed) -> None:
@@ -250,8 +250,8 @@ class GoalPicture:
     def _progress(self, now: float) -> tuple[float | None, str]:
         """The progress, as a fraction and in words.
 
-        A feedback field such as ``remaining`` gives the progress, or else the places that the
-        turtle has passed. Without either, the words say how old the last feedback is.
+        The progress comes from a feedback field such as ``remaining``, or else from the places that
+        the turtle has passed. Without either, the words say how old the last feedback is.
         """
         values = {} if self._feedback is None else to_dict(self._feedback)
         for name, value in values.items():
@@ -280,23 +280,23 @@ def _target(feedback: Message | None) -> list[render.Target]:
 
 
 MOST_LEFT: Final = 20
-"""How many lines of the log stay on the screen in the end."""
+"""This many lines of the log stay on the screen at the end."""
 
 PATIENCE: Final = 0.5
-"""How long the terminal has to take them (s, wall clock)."""
+"""How long the terminal may take to show these lines (s, wall clock)."""
 
 MOST_GOALS: Final = 100
-"""How many goals, the newest ones, a frame shows at most."""
+"""A frame shows at most this many goals: the newest ones."""
 
 MOST_ENDED: Final = 50
-"""How many ended goals stay in the table."""
+"""At most this many ended goals stay in the table."""
 
 MOST_TURTLES: Final = 50
-"""How many turtles the map shows and follows at most."""
+"""The map shows and follows at most this many turtles."""
 
 
 class Dashboard:
-    """What ``serve`` shows on a terminal.
+    """The display of ``serve`` on a terminal.
 
     Args:
         stream: The terminal.
@@ -322,7 +322,7 @@ class Dashboard:
         self._has_said.set()
 
     def retell(self, subject: str, text: str) -> None:
-        """Add a text to the log in place of the last one about the same subject."""
+        """Add a text to the log. It replaces the last text about the same subject."""
         self._log.retell(subject, text)
 
     def tell(self, goal: Handle, new: GoalStatus, line: str, time: str) -> None:
@@ -349,12 +349,12 @@ class Dashboard:
             del self._goals[self._ended.popleft()]
 
     def close(self) -> None:
-        """Give the terminal back; never blocks."""
+        """Give the terminal back. This never blocks."""
         self._region.restore()
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """A block in which prints go to the log, or to stderr if the log is never shown."""
+        """Redirect prints during a block to the log, or to stderr if the log is never shown."""
         try:
             with self._log.listening():
                 yield
@@ -364,7 +364,7 @@ class Dashboard:
                     print(line.full, file=sys.stderr)
 
     async def run(self) -> None:
-        """Start to draw at the first heading line. When cancelled, print the last lines."""
+        """Draw from the first heading line on. When cancelled, print the last lines."""
         if not self._has_said.is_set():
             await self._has_said.wait()
         with (
@@ -380,7 +380,7 @@ class Dashboard:
                     await self._region.drained()
 
     def compose(self, *, width: int, height: int) -> render.Picture:
-        """The picture as it is now."""
+        """Compose the current picture."""
         sim = self._sim
         turtles = [] if sim is None else [_turtle(*each) for each in sim.turtles(MOST_TURTLES)]
         goals = self._in_order()
@@ -399,7 +399,7 @@ class Dashboard:
 
 
 class _Served:
-    """A goal that is served.
+    """A goal that ``serve`` serves.
 
     Args:
         goal: The goal.
@@ -407,7 +407,7 @@ class _Served:
 
     Attributes:
         is_followed: Whether its turtle is followed.
-        ended_at: When it ended, by the clock of its node (s); None if it still runs.
+        ended_at: When the goal ended, by the clock of its node (s); None while it runs.
     """
 
     def __init__(self, goal: Handle, *, may_follow: bool) -> None:
@@ -437,7 +437,7 @@ class _Served:
                 self._poses.close()
 
     def look(self) -> None:
-        """Update the position of its turtle."""
+        """Update the position of the goal's turtle."""
         if self._poses is None or self.ended_at is not None:
             return
         for pose in self._poses.drain():
@@ -445,7 +445,7 @@ class _Served:
             self._motion.follow(pose.x, pose.y, pose.theta)
 
     def row(self, turtles: set[str]) -> render.GoalRow:
-        """The goal's row in the table; the row names its turtle only if it is one of these."""
+        """The goal's row in the table. It names the goal's turtle only if that is one of these."""
         self.look()
         is_over = self.ended_at is not None
         turtle = self._turtle if self._turtle in turtles else ""
@@ -464,7 +464,7 @@ class _Served:
         )
 
     def _marks(self) -> Iterator[str]:
-        """Whether it is resumed or paused; if neither, how its turtle moves."""
+        """Words about a resumed or paused goal, or about how the turtle of another goal moves."""
         if self._goal.resumed is not None:
             yield "resumed"
         if self._goal.is_paused:

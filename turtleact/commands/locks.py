@@ -1,4 +1,4 @@
-"""The ``--config`` file for access control: TLS, users and passwords, and what clients may use.
+"""Reads the ``--config`` file for access control: TLS, passwords, and what clients may use.
 
 Servers and clients read the same TOML file. A section that is missing means no check. Paths in the
 file are relative to it.
@@ -70,12 +70,12 @@ class Access(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Locks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The contents of such a file.
+    """The contents of a ``--config`` file.
 
     Attributes:
         tls: The certificates; None if links are not encrypted.
         login: Users and passwords; None if no password is needed.
-        access: What others may use; None if they may use everything.
+        access: The names that others may use; None if they may use everything.
     """
 
     tls: Tls | None = None
@@ -84,7 +84,7 @@ class Locks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def keeps_strangers_out(self) -> bool:
-        """Whether a server checks its clients, or restricts what they may use."""
+        """Whether a server with this file checks its clients, or restricts what they may use."""
         asks = self.login is not None and bool(self.login.users)
         return asks or self.access is not None or (self.tls is not None and self.tls.mutual)
 
@@ -117,7 +117,7 @@ class Locks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read_locks(path: str) -> Locks:
-    """Read such a file; its paths are made absolute.
+    """Read a ``--config`` file, and make its paths absolute.
 
     Raises:
         UsageError: if the file cannot be read, is not TOML, or has invalid values.
@@ -146,14 +146,14 @@ def is_loopback(endpoint: str) -> bool:
 
 
 def mode_of(connect: Sequence[str], locks: Locks) -> Literal["peer", "client"]:
-    """How a command joins a graph: as a peer on this machine, as ROS's tools do, else as a client.
+    """How a command joins a graph: on this machine as a peer, like ROS's tools; else as a client.
 
-    A peer talks to each node directly, so it also sees nodes that the router has no tokens of. It
-    cannot reach the nodes of another machine, which listen only on the loopback address there, nor
-    nodes that ask for a password. A client sees both through the router.
+    A peer talks to each node directly, so it also sees nodes for which the router has no tokens. A
+    peer cannot reach nodes that ask for a password, or nodes of another machine, which listen only
+    on their own loopback address. A client sees both kinds of nodes through the router.
 
     Args:
-        connect: The endpoints to connect to; none means the router of this machine.
+        connect: The endpoints to connect to. An empty list means the router of this machine.
         locks: The locks of the graph.
     """
     is_near = all(is_loopback(each) for each in connect)
@@ -164,7 +164,7 @@ _LOOPBACK: Final = re.compile(r"(localhost|127(\.\d+){3}|\[::1\])(:|$)")
 
 
 def _with_paths(locks: Locks, file: Path) -> Locks:
-    """Return the section with absolute paths; raises if a file does not exist."""
+    """Return the contents with absolute paths. Raises an error if a file does not exist."""
 
     def resolve(name: str, given: str) -> str:
         if not given:
@@ -201,7 +201,7 @@ _DECLARED: Final = [
 """The messages that a participant needs to join the graph and to answer."""
 
 _EVERYTHING: Final = ["**", "@ros2_lv/**", "**/@adv/**"]
-"""Every key; wildcards do not match keys with an at sign, so those are named."""
+"""Expressions for every key. Wildcards do not match keys with an at sign, so these are named."""
 
 
 def _access_control(access: Access) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""``mcp``: offer a graph to language models, until the client leaves or a signal comes."""
+"""Implements ``mcp``, which offers a graph to language models until the client leaves."""
 
 from __future__ import annotations
 
@@ -30,18 +30,20 @@ if TYPE_CHECKING:
 __all__ = ["Order", "run"]
 
 PATIENCE = 10.0
-"""How long goals have to end after a signal (s, wall clock)."""
+"""After a signal, goals have this long to end (s, wall clock)."""
 
 FIRST_LINE = 0.02
-"""How long to wait for the client's first message before the graph is opened (s). Opening the graph
-holds up the event loop, and so would delay the answer."""
+"""How long to wait for the client's first message before opening the graph (s).
+
+Opening the graph blocks the event loop, which would delay the answer.
+"""
 
 
 class Order(NamedTuple):
-    """What the user wants.
+    """The user's choice of what to offer.
 
     Attributes:
-        reach: Which graph; None for an embedded world.
+        reach: The graph to offer; None for an embedded world.
         actions: The actions to offer; None for all.
         services: The services to offer.
         topics: The topics to offer; None for all.
@@ -73,8 +75,8 @@ def run(order: Order, interrupts: Interrupts) -> int:
     """Serve, and return the exit status.
 
     Raises:
-        UsageError: if the order names nothing to offer; the text lists the actions there are.
-        TurtleactError: if the extra is missing, or the graph is not there.
+        UsageError: if the order names nothing to offer. The text lists the existing actions.
+        TurtleactError: if the extra is missing, or no graph is in reach.
     """
     interrupts.patience = PATIENCE
     if not order.is_empty:
@@ -90,7 +92,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
 
 
 def _check_sdk() -> None:
-    """Raise an error if the extra is missing, without importing it."""
+    """Check that the extra is installed, without importing it."""
     if find_spec("mcp") is None:
         problem = "turtleact mcp needs one more package: pip install 'mcp>=2.3,<3'"
         raise TurtleactError(problem)
@@ -116,7 +118,7 @@ async def _open(order: Order) -> AsyncIterator[tuple[Node, Wire | None]]:
 
 
 async def _quietly(act: Callable[[], None]) -> None:
-    """Run something in a thread, and ignore its failure."""
+    """Run a function in a thread, and ignore its failure."""
     with suppress(Exception):
         await anyio.to_thread.run_sync(act)
 
@@ -165,14 +167,14 @@ async def _serve_http(
 
 
 async def _what_there_is(node: Node) -> str:
-    """Why nothing is offered, and what could be."""
+    """Explain that nothing is offered, and name what could be offered."""
     await find_server(node.transport, lambda: node.graph().actions or None)
     seen = ", ".join(node.graph().actions) or "none"
     return f"name what to offer: --actions NAME,… or --all; the actions here are: {seen}"
 
 
 async def _warn_of_missing(node: Node, actions: tuple[str, ...]) -> None:
-    """Name the actions that are not there yet; their tools come when they are served."""
+    """Warn about actions that nobody serves yet. Their tools come when they are served."""
     names = {resolve_name(each) for each in actions}
     await find_server(node.transport, lambda: names <= node.graph().actions.keys() or None)
     missing = sorted(names - node.graph().actions.keys())

@@ -1,9 +1,8 @@
-"""Messages as text: what the user writes, and how a message is printed.
+"""Reads messages that the user writes, and prints messages.
 
 A message is written on the command line, or read from stdin or a file. The ``echo`` verbs print it
 as YAML or comma-separated, in full or in part (`Style`). ``topic pub`` and ``service call`` print
-it as rclpy's ``repr`` does; an array of fixed length is shown as numpy shows it, but always on one
-line.
+it as rclpy's ``repr`` does. Arrays of fixed length look as in numpy, but are always on one line.
 
 Source: rosidl_runtime_py ``convert.py``; rosidl_generator_py ``resource/_msg.py.em`` for the
 notation of ``repr``; recordings of ROS 2 Jazzy.
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["GoalText", "Style", "python_text", "read_text_file", "yaml_lines"]
 
 MOST = 2**22
-"""How many bytes of a file or a pipe are read; no valid message is longer."""
+"""At most this many bytes of a file or a pipe are read. No valid message is longer."""
 
 IDL_NAMES = {
     "bool": "boolean",
@@ -63,14 +62,14 @@ class GoalText(NamedTuple):
         interrupts: Interrupts,
         what: str = "goal",
     ) -> GoalText:
-        """Read the text from an argument, from stdin or from a file; ``{}`` if none was given.
+        """Read the text from an argument, stdin or a file. If nothing was given, it is ``{}``.
 
         Args:
             given: The argument.
             stdin: Whether to read stdin.
             path: The file to read.
             interrupts: The signals, which end the reading.
-            what: What the text is: "goal", "request" or "message".
+            what: The kind of text: "goal", "request" or "message".
 
         Raises:
             UsageError: if the text cannot be read, is empty, is too long, or is not UTF-8.
@@ -90,8 +89,8 @@ def read_text_file(path: str, what: str) -> str:
     """Read a file, such as a configuration, and return its text.
 
     Args:
-        path: Where the file is.
-        what: How an error begins: the option, and the file.
+        path: The path of the file.
+        what: The beginning of an error: the option, and the file.
 
     Raises:
         UsageError: if the file cannot be read, is longer than `MOST` bytes, or is not UTF-8.
@@ -130,7 +129,7 @@ def python_text(message: Message) -> str:
 
 
 def yaml_lines(value: object) -> list[str]:
-    """A plain value as lines of block YAML; a scalar as Python prints it, as ros2 does."""
+    """A plain value as lines of block YAML. A scalar is printed as Python prints it, as in ros2."""
     if isinstance(value, dict) and value:
         return block(value)
     if isinstance(value, list | bytes) and value:
@@ -144,7 +143,7 @@ class Style(NamedTuple):
     Attributes:
         csv: Whether to print comma-separated values instead of YAML.
         flow: Whether to print YAML on one line.
-        longest: The length to which lists and strings are cut; None cuts none.
+        longest: The length to which lists and strings are cut; None to cut nothing.
         arrays: Whether to print the elements of lists, or only their type.
         strings: Whether to print strings, or only their length.
     """
@@ -156,14 +155,14 @@ class Style(NamedTuple):
     strings: bool = True
 
     def values(self, message: Message) -> dict[str, object]:
-        """A message as plain values; fields that are left out are only described."""
+        """A message as plain values. Fields that are left out are only described."""
         values = to_dict(message)
         if self.arrays and self.strings:
             return values
         return self._described(type(message), values)
 
     def text(self, value: object) -> str:
-        """The text of plain values; a YAML document ends with three dashes."""
+        """The text of plain values. A YAML document ends with three dashes."""
         if self.longest is not None:
             value = _cut(value, self.longest)
         if self.csv:
@@ -212,7 +211,7 @@ def _read_stdin(interrupts: Interrupts) -> bytes:
 
 
 READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-"""How a file is opened, on POSIX and on Windows."""
+"""The flags with which a file is opened, on POSIX and on Windows."""
 
 
 def _read_file(path: str, interrupts: Interrupts) -> bytes:
@@ -253,7 +252,7 @@ def _kind_of_list(kind: FieldType, length: int) -> str:
 
 
 def _cut(value: object, longest: int) -> object:
-    """A value with its lists and strings cut; three dots stand for the rest."""
+    """A value with its lists and strings cut. Three dots stand for the rest."""
     if isinstance(value, dict):
         return {name: _cut(item, longest) for name, item in value.items()}
     if isinstance(value, str):

@@ -1,7 +1,8 @@
-"""``pkg create``: writes a package that can be run, tested and used without being built.
+"""Implements ``pkg create``, which writes a package that runs and is tested without a build.
 
 The package follows the layout of ROS 2, so that colcon can build it as well. ROS 2 generates
-interfaces only in packages of the build type ``ament_cmake``; turtleact reads them in any package.
+interfaces only in packages of the build type ``ament_cmake``. turtleact reads interfaces in any
+package.
 
 Source: ros2pkg ``verb/create.py`` for the options and the names of files; REP 149 for
 ``package.xml``.
@@ -35,14 +36,14 @@ class NewPackage(NamedTuple):
 
     Attributes:
         name: The name of the package.
-        folder: Where the folder of the package is made.
-        build_type: One of `BUILD_TYPES`. A package of the type ``ament_cmake`` has interfaces only.
+        folder: The folder in which the package's folder is created.
+        build_type: One of `BUILD_TYPES`. A package of the type ``ament_cmake`` has only interfaces.
         node_name: The name of its executable and of the module that contains it.
         dependencies: Other packages that it needs.
         description: What it is for.
         licence: Its licence.
-        maintainer: The maintainer's name; the user's login name if None.
-        email: The maintainer's address; a placeholder if None.
+        maintainer: The maintainer's name. If None, it is the user's login name.
+        email: The maintainer's address. If None, it is a placeholder.
     """
 
     name: str
@@ -110,13 +111,13 @@ def check(package: NewPackage, *, has_node_name: bool) -> None:
 
 
 def _is_module(name: str) -> bool:
-    """Whether Python has a module of that name; a mere folder does not count."""
+    """Whether Python has a module of that name. A mere folder does not count."""
     spec = None if name in sys.modules else find_spec(name)
     return name in sys.modules or (spec is not None and spec.origin is not None)
 
 
 def _next_steps(package: NewPackage, *, python: bool) -> list[str]:
-    """What the user can type next."""
+    """The commands that the user can type next."""
     here = Path()
     is_near = package.folder.resolve() in (here.resolve(), (here / "src").resolve())
     cd = "" if is_near else f"cd {shlex.quote(str(package.folder))} && "
@@ -132,7 +133,7 @@ def _next_steps(package: NewPackage, *, python: bool) -> list[str]:
 
 
 def _python_files(package: NewPackage) -> dict[str, str]:
-    """The files of a package with a program, by their path in the package."""
+    """The files of a package that has a program, by their path in the package."""
     name, node = package.name, package.node_name
     texts = {
         "package.xml": _package_xml(package, ("<exec_depend>python3</exec_depend>",), ()),
@@ -155,7 +156,7 @@ def _python_files(package: NewPackage) -> dict[str, str]:
 
 
 def _cmake_files(package: NewPackage) -> dict[str, str]:
-    """The files of a package with interfaces only."""
+    """The files of a package that has only interfaces, by their path in the package."""
     needed = [each for each in package.dependencies if _INTERFACES.fullmatch(each)]
     uses = f"  DEPENDENCIES {' '.join(needed)}\n" if needed else ""
     found = "".join(f"find_package({each} REQUIRED)\n" for each in package.dependencies)

@@ -1,14 +1,14 @@
-"""Parameters at the command line: the verbs of ``param``, and the values that ``serve`` sets first.
+"""Implements the verbs of ``param``, and reads the first values of parameters for ``serve``.
 
-A node serves its parameters by six services. Their answers are printed as ``ros2`` prints them.
+A node serves its parameters with six services. Their answers are printed as in ``ros2``.
 
 ``serve`` takes first values from ``-p NAME:=VALUE`` and ``--params-file FILE``. As in ROS 2,
-``NAME`` may have the name of a node before it (``lab:max_speed``), a file has a block for each
-node, and ``/**`` stands for all nodes. Values in files are set first, in the order of the files,
-then those of ``-p``.
+``NAME`` may begin with the name of a node (``lab:max_speed``), a file has a block for each node,
+and ``/**`` stands for all nodes. Values in files are set first, in the order of the files, and then
+the values of ``-p``.
 
-Source: ros2cli ``ros2param/verb/*.py`` and recordings of ROS 2 Jazzy for the order of things and
-for the words; rclpy ``parameter.py`` for how text is parsed, and for the file format; the ROS 2
+Source: ros2cli ``ros2param/verb/*.py`` and recordings of ROS 2 Jazzy for the order and the words of
+the output; rclpy ``parameter.py`` for the parsing of text, and for the file format; the ROS 2
 article "ROS Command Line Arguments" and rcl_yaml_param_parser for first values.
 """
 
@@ -82,15 +82,15 @@ DONE, FAILED = 0, 1
 """Exit statuses."""
 
 PATIENCE = 5.0
-"""How long a node has to answer (s, by the clock of the graph)."""
+"""How long to wait for a node's answer (s, by the clock of the graph)."""
 
 
 class Owner(NamedTuple):
     """The node that has the parameters.
 
     Attributes:
-        name: The name of the node, with or without a slash before it.
-        hidden: Whether it may be a hidden node.
+        name: The name of the node, with or without its leading slash.
+        hidden: Whether the node may be hidden.
         timeout: How long to wait for the node (s, by the clock of the graph).
     """
 
@@ -110,13 +110,13 @@ async def print_names(
 ) -> int:
     """Print the names of the parameters of a node, or of all nodes that have some.
 
-    When listing all nodes, a node that does not answer is noted, and the exit status is 1.
+    With all nodes, a node that does not answer leads to a note and the exit status 1.
 
     Args:
         node: A node on the graph.
-        name: The node; None for all.
+        name: The node; None for all nodes.
         pattern: Matches the beginning of the names to print; None for all names.
-        prefixes: The groups to print; all if empty.
+        prefixes: The groups to print; empty for all groups.
         types: Whether to print the types too.
         hidden: Whether to include hidden nodes.
 
@@ -152,7 +152,7 @@ async def print_names(
 
 
 async def names_of(node: Node, name: str) -> list[str]:
-    """The names of a node's parameters; raises as `print_names` does."""
+    """The names of a node's parameters. The errors are those of `print_names`."""
     return await _names(node, await _find(node, Owner(name, hidden=True, timeout=0)), ())
 
 
@@ -160,7 +160,7 @@ async def print_value(node: Node, owner: Owner, name: str, *, hide_type: bool) -
     """Print the value of a parameter.
 
     Raises:
-        TurtleactError: if there is no such node or parameter; the error suggests the nearest name.
+        TurtleactError: if there is no such node or parameter. The error suggests the nearest name.
     """
     who = await _find(node, owner)
     [value] = await _values(node, who, [name])
@@ -171,7 +171,7 @@ async def print_value(node: Node, owner: Owner, name: str, *, hide_type: bool) -
 
 
 async def set_value(node: Node, owner: Owner, name: str, value: ParameterValue) -> int:
-    """Set a parameter; the exit status says whether the node accepted the value.
+    """Set a parameter. The exit status says whether the node accepted the value.
 
     Raises:
         TurtleactError: if there is no such node.
@@ -180,16 +180,16 @@ async def set_value(node: Node, owner: Owner, name: str, value: ParameterValue) 
 
 
 async def delete(node: Node, owner: Owner, name: str) -> int:
-    """Delete a parameter, if its node lets us; as `set_value`."""
+    """Delete a parameter. The exit status says whether the node agreed."""
     done = "Deleted parameter successfully"
     return await _set_one(node, owner, name, ParameterValue(), done, "Deleting")
 
 
 async def describe(node: Node, owner: Owner, names: Sequence[str]) -> int:
-    """Print what parameters are for, and what they may be.
+    """Print the purpose of parameters, and their allowed values.
 
     Raises:
-        TurtleactError: if there is no such node or parameter; the error suggests the nearest name.
+        TurtleactError: if there is no such node or parameter. The error suggests the nearest name.
     """
     who = await _find(node, owner)
     for each in await _described(node, who, names):
@@ -215,16 +215,16 @@ async def dump(node: Node, owner: Owner) -> int:
 async def load(
     node: Node, owner: Owner, parameters: Mapping[str, Mapping[str, ParameterValue]], source: str
 ) -> int:
-    """Set a node's parameters from a file; the exit status says whether all were accepted.
+    """Set a node's parameters from a file. The exit status says whether all were accepted.
 
     Args:
         node: A node on the graph.
         owner: The node to set them on.
-        parameters: What `parameter_values.read_file` has read.
+        parameters: The result of `read_file`.
         source: The name of the file in errors.
 
     Raises:
-        UsageError: if the file has none for that node.
+        UsageError: if the file has no parameters for that node.
         TurtleactError: if there is no such node.
     """
     who = await _find(node, owner)
@@ -247,7 +247,7 @@ async def load(
 
 
 WILDCARD = "/**"
-"""Stands for all nodes in a file of parameters."""
+"""The name that stands for all nodes in a file of parameters."""
 
 BELOW = "ros__parameters"
 """The key that holds a node's parameters in such a file."""
@@ -259,7 +259,7 @@ class Kind(NamedTuple):
     Attributes:
         field: The field of ``ParameterValue`` that holds the value.
         name: The name of the type.
-        label: Printed before a value.
+        label: The text that is printed before a value.
     """
 
     field: str
@@ -293,16 +293,16 @@ SINGLE: Final = {
     float: ParameterType.PARAMETER_DOUBLE,
     str: ParameterType.PARAMETER_STRING,
 }
-"""The types of single values; the type of a list of them is five higher."""
+"""The types of single values. The type of a list of such values is five higher."""
 
 ARRAY: Final = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
 
 
 def parameter_value(text: str) -> ParameterValue:
-    """The value in a text: a bool, a number, a list of one type, or else the text itself.
+    """Read a value from a text: a bool, a number, a list of one type, or else the text itself.
 
     Raises:
-        UsageError: if it is a list of mixed types, or empty.
+        UsageError: if the text is a list of mixed types, or an empty list.
         InvalidMessage: if it is not YAML.
 
     >>> parameter_value("150").integer_value, parameter_value("it: is").string_value
@@ -317,7 +317,7 @@ def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, Parameter
 
     Args:
         path: A YAML file such as `dump` prints.
-        use_wildcard: Whether to include those for all nodes (``/**``).
+        use_wildcard: Whether to include the parameters for all nodes (``/**``).
 
     Raises:
         UsageError: if the file cannot be read, or has another form.
@@ -341,7 +341,7 @@ def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, Parameter
 
 
 def plain(value: ParameterValue) -> object:
-    """A value as a Python object; None if it is not set."""
+    """A parameter's value as a Python object; None if it is not set."""
     found = value_of(value)
     return list(found) if isinstance(found, bytes) else found
 
@@ -367,10 +367,10 @@ def read_overrides(files: Sequence[str], assignments: Sequence[str]) -> list[Ove
 
 
 def of_node(overrides: Iterable[Override], node: str) -> dict[str, object]:
-    """The values for a node, by the names of the parameters; later ones count.
+    """The values for a node, by the names of the parameters. Later values replace earlier ones.
 
     Args:
-        overrides: Those of all nodes.
+        overrides: The values for all nodes.
         node: The fully qualified name of the node.
 
     >>> of_node([Override("/**", "a", 1), Override("lab", "a", 2), Override("arm", "a", 3)], "/lab")
@@ -381,10 +381,10 @@ def of_node(overrides: Iterable[Override], node: str) -> dict[str, object]:
 
 
 def unheard(overrides: Iterable[Override], node: str, declared: Iterable[str]) -> list[str]:
-    """What to tell the user about values that set nothing.
+    """Messages for the user about values that set nothing.
 
     Args:
-        overrides: All of them.
+        overrides: The values for all nodes.
         node: The fully qualified name of the node.
         declared: The parameters that the user's modules declare.
     """
@@ -404,7 +404,7 @@ def unheard(overrides: Iterable[Override], node: str, declared: Iterable[str]) -
 
 
 async def _find(node: Node, owner: Owner) -> str:
-    """The full name of a node that has parameters, once it is there."""
+    """Wait for a node that has parameters, and return its full name."""
     name = owner.name if owner.name.startswith("/") else f"/{owner.name}"
     async with within(owner.timeout, node.clock):
         while name not in _nodes(node, hidden=owner.hidden):
@@ -445,7 +445,7 @@ async def _names(node: Node, owner: str, prefixes: Sequence[str]) -> list[str]:
 
 
 async def _values(node: Node, owner: str, names: Sequence[str]) -> list[ParameterValue]:
-    """The values of parameters that must exist."""
+    """Return the values of parameters. An unknown parameter is an error."""
     response = await _ask(node, GetParameters, owner, GetParameters.Request(list(names)))
     if len(response.values) < len(names):
         await _refuse_unknown(node, owner, names)
@@ -453,7 +453,7 @@ async def _values(node: Node, owner: str, names: Sequence[str]) -> list[Paramete
 
 
 async def _described(node: Node, owner: str, names: Sequence[str]) -> list[ParameterDescriptor]:
-    """The descriptions of parameters that must exist."""
+    """Return the descriptions of parameters. An unknown parameter is an error."""
     request = DescribeParameters.Request(list(names))
     response = await _ask(node, DescribeParameters, owner, request)
     if len(response.descriptors) < len(names):
@@ -462,7 +462,7 @@ async def _described(node: Node, owner: str, names: Sequence[str]) -> list[Param
 
 
 async def _refuse_unknown(node: Node, owner: str, names: Sequence[str]) -> None:
-    """Raise for the first parameter that a node does not have; the error suggests a name."""
+    """Check that a node has all of these parameters. The error suggests a name."""
     known = await _names(node, owner, ())
     for name in names:
         if name not in known:
@@ -486,7 +486,7 @@ async def _set_one(
 async def _set(
     node: Node, owner: str, parameters: Sequence[Parameter]
 ) -> list[SetParametersResult]:
-    """Set parameters; a refusal also names the allowed range or the nearest name."""
+    """Set parameters. A refusal also names the allowed range or the nearest name."""
     request = SetParameters.Request(list(parameters))
     results = list((await _ask(node, SetParameters, owner, request)).results)
     refused = [place for place, result in enumerate(results) if not result.successful]
@@ -503,7 +503,7 @@ async def _set(
 async def _set_again(
     node: Node, owner: str, parameter: Parameter, refusal: SetParametersResult
 ) -> SetParametersResult:
-    """Set the parameter to the same value as its own type, or explain the refusal."""
+    """Set the parameter to the same value in its own type, or explain the refusal."""
     # ROS 2 refuses an integer for a double, although ``2`` can mean nothing else. The node is asked
     # for the parameter's type only after it has refused, so all other cases cost one call.
     [known] = await _described(node, owner, [parameter.name])
@@ -519,9 +519,9 @@ async def _set_again(
 
 
 def _of_type(value: ParameterValue, kind: int) -> ParameterValue:
-    """The value converted to the type of its parameter if nothing is lost; else the value itself.
+    """The value in the type of its parameter if nothing is lost; otherwise the value unchanged.
 
-    Integers may be doubles or bytes, and an empty list is an array of any type.
+    An integer can become a double or byte, and an empty list can become an array of any type.
     """
     plain: object = value_of(value)
     if value.type == kind or plain is None:
@@ -536,7 +536,7 @@ def _of_type(value: ParameterValue, kind: int) -> ParameterValue:
 
 
 def _quoted(value: ParameterValue, kind: int) -> str:
-    """How to write a number or bool as text, if text is wanted."""
+    """A hint on writing a number or bool as text, for a parameter that is text."""
     plain = value_of(value)
     if kind != ParameterType.PARAMETER_STRING or not isinstance(plain, bool | int | float):
         return ""
@@ -567,7 +567,7 @@ def _description(known: ParameterDescriptor) -> Iterator[str]:
 def _insert(tree: dict[str, object], name: str, value: object) -> None:
     """Insert a value at the path that its dotted name gives.
 
-    If another value is in the way, the name keeps its dots.
+    If the path leads through another value, the name keeps its dots.
     """
     first, _, rest = name.partition(".")
     inner = tree.setdefault(first, {}) if rest else None
@@ -578,7 +578,7 @@ def _insert(tree: dict[str, object], name: str, value: object) -> None:
 
 
 def _message(value: object, where: str) -> ParameterValue:
-    """A plain value as a message."""
+    """Convert a plain value to a message."""
     items = value if isinstance(value, list) else [value]
     kinds = {type(item) for item in items} or {bool}  # as rclpy takes an empty list
     number = SINGLE.get(kinds.pop())

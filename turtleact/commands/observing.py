@@ -1,4 +1,4 @@
-"""What ``serve`` shows of its goals to other programs: traces, metrics, and log records."""
+"""Shows the goals of ``serve`` to other programs: traces, metrics, and log records."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ __all__ = ["json_line", "observing", "set_up_logging"]
 EXPORTER = "opentelemetry.exporter.otlp.proto.http"
 
 REPEAT = 600.0
-"""A failure of an exporter is told again after this time (s)."""
+"""A failure of an exporter is reported again after this time (s)."""
 
 ANSWER = re.compile(r"code: (?P<code>\d+), reason: (?P<reason>.*)")
-"""What an exporter logs about an answer that is no success."""
+"""The pattern of an exporter's log line about an answer that is no success."""
 
 NO_ANSWER = re.compile(r"Transient error (.*\[Errno -?\d+\] )?(?P<reason>.*?)[\")]* encountered")
-"""What it logs about the first of several attempts."""
+"""The pattern of an exporter's log line about the first of several attempts."""
 
 
 def set_up_logging(log_format: LogFormat | None) -> None:
-    """Write log records to stderr in a format, from level INFO up; None leaves logging alone."""
+    """Write log records from level INFO up to stderr in a format. None leaves logging alone."""
     if log_format is None:
         return
     from turtleact.telemetry.logs import GoalFilter, JsonFormatter, TextFormatter
 
     class Printable(TextFormatter):
-        """Escapes control characters, which an exception may hold."""
+        """A formatter that escapes control characters, which an exception may contain."""
 
         def format(self, record: logging.LogRecord) -> str:
             """Write a record."""
@@ -56,7 +56,7 @@ def set_up_logging(log_format: LogFormat | None) -> None:
 
 
 class _ToStderr(logging.Handler):
-    """Writes to what stderr is at that moment, since the dashboard redirects it."""
+    """Writes to the stderr of the moment, because the dashboard redirects stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a record."""
@@ -69,7 +69,7 @@ class _ToStderr(logging.Handler):
 
 
 def json_line(text: str, **members: str) -> str:
-    """A line of ``serve`` itself as a log record in JSON."""
+    """Write a line of ``serve`` itself as a log record in JSON."""
     from turtleact.telemetry.logs import JsonFormatter
 
     said = {"name": "turtleact.serve", "levelname": "INFO", "msg": text, **members}
@@ -80,11 +80,11 @@ def json_line(text: str, **members: str) -> str:
 async def observing(
     watched: Watched, say: Callable[[str], object]
 ) -> AsyncIterator[Callable[[Node], None]]:
-    """Export traces and serve metrics, as asked; gives the function to call with each node.
+    """Export traces and serve metrics, as asked. The block gets a function to call with each node.
 
     Args:
-        watched: What is asked for.
-        say: Tells the user something.
+        watched: What to export and serve.
+        say: A function that tells the user something.
 
     Raises:
         TurtleactError: if a package is missing, or the port cannot be opened.
@@ -123,14 +123,14 @@ async def _export(stack: AsyncExitStack, starts: list[Callable[[Node], None]]) -
 
 
 class _ExporterProblems(logging.Filter):
-    """Says clearly, and once, what the exporters log at each of their attempts."""
+    """Reports once, in clear words, what the exporters log at each of their attempts."""
 
     def __init__(self) -> None:
         super().__init__()
         self._told: dict[str, float] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether the record is told, with a message that says what to do."""
+        """Whether to report the record. Its message is replaced by one that says what to do."""
         problem = _problem(record) or next(iter(self._told), _unreachable("no answer"))
         if record.created - self._told.get(problem, -REPEAT) < REPEAT:
             return False
@@ -149,7 +149,7 @@ def _unreachable(reason: str) -> str:
 
 
 def _problem(record: logging.LogRecord) -> str:
-    """What is wrong, from the record of an exporter; empty if it says only that it gives up."""
+    """The problem in the record of an exporter; empty if the record only says that it gives up."""
     text = record.getMessage()
     if answer := ANSWER.search(text):
         is_metrics = record.name.endswith("metric_exporter")

@@ -1,7 +1,7 @@
-"""What a command prints: blocks on stdout, and lines of its own on stderr.
+"""Prints the output of commands: blocks on stdout, and notes on stderr.
 
 A peer can put anything into its names and messages. So all text that could come from a peer is made
-printable first: it must not control the user's terminal.
+printable first, because it must not control the user's terminal.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ ELSEWHERE = (
     "source the ROS workspace that has it, give --interfaces DIR, or change to the folder of its "
     "package"
 )
-"""What to do about an interface that is not known."""
+"""The advice for an unknown interface."""
 
 HALF = 2000
 """A note has at most twice this many characters."""
 
 
 def say(text: str) -> None:
-    """Print a block on stdout; a pipe sees it at once."""
+    """Print a block on stdout. A pipe gets it at once."""
     print(text, end="", flush=True)
 
 
 def say_message(text: str) -> None:
-    """Print the text of a message; a terminal gets it printable, anything else as it is."""
+    """Print the text of a message. On a terminal, control characters are escaped."""
     is_terminal = sys.stdout is not None and sys.stdout.isatty()
     say(printable(text) if is_terminal else text)
 
@@ -83,7 +83,7 @@ def duration(seconds: float) -> str:
 
 
 def note(text: str) -> None:
-    """Print a line on stderr, or nothing if stderr is closed."""
+    """Print a line on stderr. If stderr is closed, do nothing."""
     if sys.stderr is None:
         return
     try:
@@ -93,14 +93,17 @@ def note(text: str) -> None:
 
 
 def tell_exit(stop: SystemExit) -> int:
-    """Report that the user's code called `sys.exit`; return the exit status that Python would."""
+    """Report that the user's code called `sys.exit`.
+
+    Return the exit status that Python would use.
+    """
     code = stop.code
     note(f"your code has ended the program: sys.exit({'' if code is None else repr(code)})")
     return 0 if code is None else code & 0xFF if isinstance(code, int) else 1
 
 
 def printable(text: str) -> str:
-    """Make a text harmless for a terminal: escape control characters except line breaks."""
+    """Escape the control characters of a text, except line breaks, for a terminal."""
     if text.replace("\n", "").isprintable():  # most texts are, and some are long
         return text
     return "".join(c if c.isprintable() or c == "\n" else _escaped(c) for c in text)
@@ -114,7 +117,7 @@ def abandon(stream: TextIO) -> None:
 
 
 def _shortened(text: str) -> str:
-    """A text, without its middle if it is too long to read: an argument may have any length."""
+    """A text without its middle if it is too long to read. An argument may have any length."""
     left_out = len(text) - 2 * HALF
     return text if left_out <= 0 else f"{text[:HALF]}… {left_out} characters …{text[-HALF:]}"
 

@@ -1,6 +1,6 @@
 """Finds packages and their executables, in the working directory or in a sourced ROS workspace.
 
-Nothing has to be built. A package's executables are the console scripts that its ``setup.py``,
+Packages need no build. A package's executables are the console scripts that its ``setup.py``,
 ``setup.cfg`` or ``pyproject.toml`` declares, and the programs that its ``CMakeLists.txt`` installs.
 ``setup.py`` is read, never executed. The executables of an installed package are the files in
 ``lib/PACKAGE`` of its prefix, where ``ros2 run`` looks too.
@@ -33,7 +33,7 @@ PROGRAMS: Final = (
     ("examples_rclpy_minimal_action_server", "server"),
     ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
 )
-"""The programs of ROS 2 that have a counterpart here; those of other packages serve Fibonacci."""
+"""The programs of ROS 2 that have a counterpart here. Those outside turtlesim serve Fibonacci."""
 
 _MARKS: Final = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml")
 """One of these files makes a folder a package."""
@@ -47,7 +47,7 @@ class Package(NamedTuple):
 
     Attributes:
         name: Its name.
-        folder: Where its sources are, or the prefix that it is installed in.
+        folder: The folder of its sources, or the prefix in which it is installed.
         programs: Its executables by name.
     """
 
@@ -57,7 +57,7 @@ class Package(NamedTuple):
 
 
 def find_sources(here: Path) -> dict[str, Package]:
-    """The packages near a folder by name; `turtleact.workspace` says how far it looks."""
+    """Find the packages near a folder, by name. `turtleact.workspace` defines how far to look."""
     found: dict[str, Package] = {}
     for folder in folders_near(here):
         if (package := _source(folder)) is not None:
@@ -66,7 +66,7 @@ def find_sources(here: Path) -> dict[str, Package]:
 
 
 def find_installed() -> dict[str, Package]:
-    """The packages of the sourced ROS workspace by name: those in ``AMENT_PREFIX_PATH``."""
+    """Find the packages of the sourced ROS workspace (``AMENT_PREFIX_PATH``), by name."""
     found: dict[str, Package] = {}
     for prefix in map(
         Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
@@ -80,7 +80,7 @@ def find_installed() -> dict[str, Package]:
 def runnable(
     here: Path, built_in: Iterable[tuple[str, str]]
 ) -> dict[str, dict[str, Program | None]]:
-    """What can be run, by package and executable; None stands for a built-in program.
+    """The programs that can be run, by package and executable. None stands for a built-in program.
 
     Packages with sources come first, because they are the user's own. Built-in programs come before
     installed ones: ``turtlesim turtlesim_node`` is ours, even if the real one is installed.
@@ -96,12 +96,12 @@ def runnable(
 
 
 def runnable_here() -> dict[str, dict[str, Program | None]]:
-    """What can be run from the working directory, `PROGRAMS` included; see `runnable`."""
+    """The programs that can be run from the working directory, with `PROGRAMS`; see `runnable`."""
     return runnable(Path(), PROGRAMS)
 
 
 def _source(folder: Path) -> Package | None:
-    """The package whose sources are in a folder, or None."""
+    """The package that has its sources in a folder, or None."""
     if not any((folder / each).is_file() for each in _MARKS):
         return None
     name = package_name(folder) or folder.absolute().name
@@ -120,7 +120,7 @@ def _source(folder: Path) -> Package | None:
 def _console_scripts(folder: Path) -> Iterator[str]:
     """The console scripts that a package declares: ``name = module:function``.
 
-    A file that is malformed declares none.
+    A malformed file declares no scripts.
     """
     with suppress(OSError, ValueError, SyntaxError, RecursionError):
         yield from _of_setup_py((folder / "setup.py").read_text("utf-8"))
@@ -149,7 +149,10 @@ def _of_setup_py(text: str) -> Iterator[str]:
 
 
 def _scripts_in(declared: object) -> list[str]:
-    """The console scripts among entry points, which are a dict, or the text of an INI file."""
+    """The console scripts among entry points.
+
+    The entry points are a dict or the text of an INI file.
+    """
     if isinstance(declared, str):
         _, _, text = declared.partition("[console_scripts]")
         return text.partition("[")[0].splitlines()
@@ -160,7 +163,7 @@ def _scripts_in(declared: object) -> list[str]:
 
 
 def _value(node: ast.expr, known: Mapping[str, object]) -> object:
-    """Evaluate an expression of strings, lists and dicts; parts that are not constant are None."""
+    """Evaluate an expression of strings, lists and dicts. Parts that are not constant are None."""
     match node:
         case ast.Constant(value=value):
             return value
@@ -181,7 +184,7 @@ def _value(node: ast.expr, known: Mapping[str, object]) -> object:
 
 
 def _joined(parts: list[object]) -> object:
-    """The texts or lists put together; None if a part is not known."""
+    """Join texts or lists. The result is None if a part is not known."""
     if all(isinstance(each, str) for each in parts):
         return "".join(map(str, parts))
     if all(isinstance(each, list) for each in parts):
@@ -190,7 +193,7 @@ def _joined(parts: list[object]) -> object:
 
 
 def _cmake_programs(folder: Path) -> dict[str, Program]:
-    """The Python programs that a ``CMakeLists.txt`` installs; others have to be built."""
+    """The Python programs that a ``CMakeLists.txt`` installs. Other programs need a build."""
     try:
         text = (folder / "CMakeLists.txt").read_text("utf-8")
     except (OSError, UnicodeDecodeError):

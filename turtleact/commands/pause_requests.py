@@ -1,4 +1,4 @@
-"""Asks servers to pause or resume goals, and which goals are paused, whoever sent them.
+"""Asks servers to pause or resume goals, and asks which goals are paused.
 
 ROS 2 has no pauses. Servers of turtleact offer a service and a topic for them, as soon as somebody
 asks; see `turtleact.goal_wire`.
@@ -23,17 +23,19 @@ if TYPE_CHECKING:
 __all__ = ["TIMEOUT", "follow_paused", "paused_goals", "set_paused"]
 
 TIMEOUT: Final = 5.0
-"""How long a body may take to stand still, unless the user says (s, event loop time)."""
+"""How long a body may take to stand still by default (s, event loop time)."""
 
 ANSWER: Final = 10.0
-"""How much longer its server may take to answer (s, by the clock of the graph)."""
+"""How much longer the server may take to answer (s, by the clock of the graph)."""
 
 OFFERED_WITHIN: Final = 2.0
 """How long a server may take to offer the service (s, by the clock of the graph)."""
 
 TOLD_WITHIN: Final = 0.2
-"""How long to wait for the topic, besides the round trips (s, by the clock of the graph). Servers
-of ROS 2 have none."""
+"""How long to wait for the topic, besides the round trips (s, by the clock of the graph).
+
+Servers of ROS 2 have no such topic.
+"""
 
 ROUND_TRIPS: Final = 5
 """How many round trips to wait for the topic: to ask for it, to find its publisher, and to get its
@@ -43,7 +45,7 @@ LATCHED: Final = QoS(depth=1, durability="transient_local")
 
 
 async def paused_goals(node: Node, actions: Iterable[str]) -> frozenset[bytes]:
-    """The ids of all goals of these actions that are paused."""
+    """The ids of all paused goals of these actions."""
     found = set[bytes]()
 
     async def listen(action: str) -> None:
@@ -59,7 +61,7 @@ async def paused_goals(node: Node, actions: Iterable[str]) -> frozenset[bytes]:
 
 
 async def follow_paused(node: Node, action: str) -> AsyncGenerator[frozenset[bytes], None]:
-    """Give the ids of the goals of an action that are paused, now and at each change."""
+    """Yield the ids of an action's paused goals, now and at each change."""
     subscription = node.subscription(PausedGoals, paused_topic(action), LATCHED)
     try:
         async for message in subscription:
@@ -78,11 +80,11 @@ async def set_paused(
         action: The fully qualified name of the action.
         goal_id: The goal.
         is_paused: Whether to pause it.
-        timeout: How long its body may take to stand still (s).
+        timeout: How long the goal's body may take to stand still (s).
 
     Raises:
-        PauseRefused: if the server refuses, cannot do that, or does not answer.
-        ServerUnavailable: if it goes away.
+        PauseRefused: if the server refuses, cannot pause goals, or does not answer.
+        ServerUnavailable: if the server goes away.
     """
     client = node.service_client(SetPaused, set_paused_service(action))
     try:

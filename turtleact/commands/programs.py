@@ -1,7 +1,7 @@
-"""Runs a program of the user's: what ``turtleact run`` does once it has found one.
+"""Runs a user's program, after ``turtleact run`` has found it.
 
-`turtleact.commands.packages` finds the programs of packages. This module knows nothing of packages:
-it is handed a file, or a module and a function, and runs it as Python itself would.
+`turtleact.commands.packages` finds the programs of packages. This module knows nothing of packages.
+It gets a file, or a module and a function, and runs it as Python itself would.
 """
 
 from __future__ import annotations
@@ -43,17 +43,17 @@ DECLARING = (
     ast.AugAssign,
     ast.Pass,
 )
-"""Statements of a file with actions that runs no program."""
+"""The kinds of statements in a file that declares actions but runs nothing."""
 
 SHEBANG = 200
-"""How many bytes at the beginning of a file are searched for ``python``."""
+"""This many bytes at the beginning of a file are searched for ``python``."""
 
 
 class Program(NamedTuple):
     """Something that can be run: a file, or a function in a module.
 
     Attributes:
-        name: What the program calls itself, ``sys.argv[0]``.
+        name: The name that the program sees as its own, ``sys.argv[0]``.
         file: A Python file to run as ``__main__``, or a program in machine code. None if there is
             a module.
         module: The module to import, if there is no file.
@@ -76,26 +76,26 @@ def run_program(
 ) -> int:
     """Run a program to its end in this process, and return its exit status.
 
-    This is the one place where users' programs begin. Whatever they need to find in the process,
-    such as modules that turtleact provides, is set up here, before their first import.
+    All users' programs begin here. Everything that they need in the process, such as modules that
+    turtleact provides, is set up here before their first import.
 
-    The program sees what it would see under ``python``: its arguments in ``sys.argv``, its folders
-    in ``sys.path``, Python's own signal handlers, and ``__main__`` if it is a file. A function's
+    The program finds the same as under ``python``: its arguments in ``sys.argv``, its folders in
+    ``sys.path``, Python's own signal handlers, and ``__main__`` if it is a file. A function's
     result becomes the exit status as in an entry point that pip installed. A program in machine
     code replaces this process.
 
     Args:
         program: What to run.
-        arguments: What the user typed after its name.
-        interrupts: The signals; they are given back to Python.
-        options: What ``import rclpy`` gives the program, and which graph it joins then.
+        arguments: The words that the user typed after the program's name.
+        interrupts: The signals, which are given back to Python.
+        options: Which rclpy the program imports, and which graph it then joins.
 
     Returns:
         The exit status: that of `sys.exit`, 1 after an exception, 130 after Ctrl-C.
 
     Raises:
         UsageError: if the module has no such function.
-        TurtleactError: if the program raises one; the text names the line.
+        TurtleactError: if the program raises one. The text names the line.
     """
     if program.file is not None and not is_python(program.file):
         return _start(program.file, arguments)
@@ -142,7 +142,7 @@ def is_python(file: Path) -> bool:
 
 
 def _tell_how_to_serve(file: Path, names: Mapping[str, object]) -> None:
-    """Say how to serve the actions of a file that declares some and does nothing else.
+    """Tell the user how to serve a file that only declares actions.
 
     Args:
         file: The file, which has run to its end.
@@ -158,7 +158,7 @@ def _tell_how_to_serve(file: Path, names: Mapping[str, object]) -> None:
 
 
 def _only_declares(statement: ast.stmt) -> bool:
-    """Whether a statement at the top of a file only declares something, and runs nothing."""
+    """Whether a top-level statement of a file only declares something, and runs nothing."""
     if isinstance(statement, ast.Expr):
         return isinstance(statement.value, ast.Constant)
     if isinstance(statement, ast.If):
@@ -184,7 +184,10 @@ def _function(program: Program) -> Callable[[], object]:
 
 
 def _start(file: Path, arguments: Sequence[str]) -> int:
-    """Run a program in machine code. On POSIX it takes over this process and its terminal."""
+    """Run a program in machine code.
+
+    On POSIX, the program takes over this process and its terminal.
+    """
     command = [str(file), *arguments]
     try:
         if os.name == "posix":
@@ -199,7 +202,7 @@ def _become(command: list[str]) -> NoReturn:
 
 
 def _status(code: object) -> int:
-    """The exit status for what `sys.exit` was given; text is printed, as Python does."""
+    """The exit status for the argument of `sys.exit`. A text is printed, as Python does."""
     if code is None:
         return 0
     if isinstance(code, int):
@@ -209,7 +212,7 @@ def _status(code: object) -> int:
 
 
 def _told(error: BaseException) -> int:
-    """Print the traceback of the user's own code, as Python does."""
+    """Print the traceback of the user's own code as Python does, and return the exit status."""
     trace = error.__traceback__
     while trace is not None and _is_ours(trace.tb_frame.f_code.co_filename):
         trace = trace.tb_next
@@ -232,11 +235,11 @@ def _place_of(error: BaseException) -> str:
 
 
 def _is_ours(file: str) -> bool:
-    """Whether a file is this one, or one with which Python runs or imports a program."""
+    """Whether a file is this module, or one with which Python runs or imports a program."""
     return file in (OURS, importlib.__file__) or file.startswith("<frozen ")
 
 
 def _is_library(file: str) -> bool:
-    """Whether a file belongs to turtleact, to Python or to what is installed."""
+    """Whether a file belongs to turtleact, to Python or to an installed package."""
     is_installed = {"site-packages", "dist-packages"} & {*Path(file).parts}
     return bool(is_installed) or file.startswith((PACKAGE, sysconfig.get_path("stdlib")))

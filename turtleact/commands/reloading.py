@@ -1,14 +1,14 @@
-"""``serve --reload``: serves the user's modules again when their files change.
+"""Implements ``serve --reload``, which serves the user's modules again when their files change.
 
 Only the user's actions and parameters are replaced. The process, the graph and the world live on,
 so turtles stay where they are and clients stay connected. Running goals of the old actions end
-ABORTED with the reason "reloading". With a journal that resumes goals, they go on with the new
+ABORTED with the reason "reloading". With a journal that resumes goals, the goals go on with the new
 actions instead.
 
-The new modules are imported first. If that fails, the error is logged, and the old actions go on as
-if nothing had happened, until the next change.
+The new modules are imported first. If the import fails, the error is logged, and the old actions go
+on until the next change.
 
-Source: uvicorn ``supervisors/statreload.py`` for polling; it restarts the process instead.
+Source: uvicorn ``supervisors/statreload.py`` for polling (uvicorn restarts the process instead).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ INTERVAL = 0.15
 """How often the files are checked (s, event loop time)."""
 
 REASON = "reloading"
-"""Why a goal ends when its body is replaced."""
+"""The reason of a goal that ends because its body is replaced."""
 
 UNCHANGED = "the actions stay as they are until the next change"
 
@@ -51,14 +51,14 @@ Stamps: TypeAlias = dict[Path, tuple[int, int, int] | None]
 
 
 class Kept(TypedDict, total=False):
-    """The options of servers that keep their goals; empty without a journal."""
+    """The options of servers that keep their goals. They are empty without a journal."""
 
     journal: GoalJournal
     on_restart: OnRestart
 
 
 class Watch:
-    """Tells which of the user's files have changed since they were imported.
+    """Finds the files of the user's that have changed since they were imported.
 
     Args:
         modules: The user's modules, not yet imported.
@@ -70,7 +70,7 @@ class Watch:
         self._last = self._seen
 
     def look(self) -> list[Path]:
-        """Check the files once, and list those that have changed, unless they are still changing.
+        """Check the files once. List the files that have changed, unless they are still changing.
 
         An editor may write a file in parts, remove it and rename another, or save several files in
         a row. So a change counts once two checks in a row have found the same state.
@@ -86,7 +86,7 @@ class Watch:
         return [file for file, stamp in stamps.items() if stamp != before.get(file)]
 
     def follow(self) -> None:
-        """Watch the files that have been imported since, too."""
+        """Also watch the files that have been imported since the last call."""
         self._seen = {**self._stamps(), **self._seen}
         self._last = self._seen
 
@@ -103,12 +103,12 @@ class Reloader:
         node: The node.
         modules: The user's modules.
         watch: Watches their files.
-        interrupts: The signals; one that comes during an import ends the program.
-        say: Tells the user what happens.
+        interrupts: The signals. A signal during an import ends the program.
+        say: A function that tells the user what happens.
 
     Attributes:
-        node: As given.
-        watch: As given.
+        node: The argument ``node``.
+        watch: The argument ``watch``.
     """
 
     def __init__(
@@ -137,12 +137,12 @@ class Reloader:
         servers: Iterable[ActionServer[Any, Any, Any]],
         options: Kept | None = None,
     ) -> None:
-        """Take over what the node serves already.
+        """Take over the actions that the node serves already.
 
         Args:
-            found: What was found in the modules.
+            found: The actions, parameters and background functions found in the modules.
             servers: The servers of its actions.
-            options: How to serve the actions from now on, beside their own options.
+            options: How to serve the actions from now on, besides their own options.
         """
         self._found = found
         self._servers = list(servers)
@@ -151,7 +151,7 @@ class Reloader:
         self._parameters = [self.node.parameter(each) for each in found.parameters]
 
     async def aclose(self) -> None:
-        """End the background tasks; the node closes everything else."""
+        """End the background tasks. The node closes everything else."""
         tasks, self._tasks = self._tasks, []
         # All at once, so that tasks that ignore their cancellation cost `GRACE` seconds together.
         # Shielded: a child that is cancelled before its first step would not cancel its task.
@@ -161,7 +161,7 @@ class Reloader:
                     closing.start_soon(task.aclose, GRACE)
 
     async def run(self) -> None:
-        """Watch and replace, until cancelled."""
+        """Watch the files and replace the actions, until cancelled."""
         while True:
             await anyio.sleep(INTERVAL)
             await self.look()
@@ -195,7 +195,7 @@ class Reloader:
         self._say(f"reloaded: {', '.join(names) or 'background tasks'}")
 
     def _import(self, changed: list[Path]) -> Found | None:
-        """Import the modules anew; None if that fails, or a signal has come."""
+        """Import the modules again. Return None if that fails, or a signal has come."""
         known = REGISTRY.state()
         self._stale.update(changed)
         for name, file in _interface_files().items():
@@ -219,7 +219,7 @@ class Reloader:
     def _serve(self, found: Found) -> None:
         """Declare the parameters, and serve the actions.
 
-        If another node serves one of them by now, it is served once that node has gone.
+        If another node serves an action by now, the action is served once that node has gone.
         """
         for declaration in found.parameters:
             self._parameters.append(self.node.parameter(declaration))
@@ -234,7 +234,7 @@ class Reloader:
             self._tasks.append(Background(_run(each, self.node), name))
 
     async def _close(self) -> None:
-        """End tasks and goals, and take actions and parameters off the node."""
+        """End tasks and goals, and remove actions and parameters from the node."""
         await self.aclose()
         async with anyio.create_task_group() as closing:
             for server in self._servers:
@@ -250,7 +250,7 @@ async def _run(declared: BackgroundDeclaration[Any], node: Node) -> None:
 
 
 def _interface_files() -> dict[str, Path]:
-    """The interface files that may be read, by type name."""
+    """The interface files that may be used, by type name."""
     files = REGISTRY.nearby | REGISTRY.files
     return {name: Path(file) for name, file in files.items()}
 

@@ -2,9 +2,9 @@
 
 `asyncio.run` is not enough here. At its end it waits for every task that is left, and the
 interpreter waits for every thread, so a body that ignores its cancellation or blocks a thread would
-keep the program alive forever. And the user's code, which runs in the same loop, can stop that loop
-at any time: with ``sys.exit``, ``raise KeyboardInterrupt`` or ``loop.stop()``, or by cancelling
-every task it finds.
+keep the program alive forever. Besides, the user's code runs in the same loop, and can stop that
+loop at any time: with ``sys.exit``, ``raise KeyboardInterrupt`` or ``loop.stop()``, or by
+cancelling every task it finds.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ __all__ = ["run"]
 T = TypeVar("T")
 
 OURS = str(Path(__file__).parents[1]) + os.sep
-"""Where our own modules are."""
+"""The folder of turtleact's own modules."""
 
 GRACE = 2.0
-"""How long the tasks, and then the threads, that a command leaves behind have to end (s)."""
+"""A command's remaining tasks have this long to end, and then its remaining threads (s)."""
 
 STOPPED = (
     "a body, or other code of yours, called stop() of the event loop, which ends all that runs in "
@@ -46,17 +46,17 @@ CANCELLED = (
 
 
 def run(main: Coroutine[object, object, T], interrupts: Interrupts) -> T:
-    """Run a command to its end, and return what it returns.
+    """Run a command to its end, and return its result.
 
-    If the user's code stops the loop, the command is ended as by a signal, and the cause is raised
-    once it has ended. If tasks or threads do not end then, `Interrupts.must_leave` is set: the
-    process has to end without waiting for them.
+    If the user's code stops the loop, the command is ended as by a signal. Once it has ended, the
+    cause is raised. If tasks or threads do not end then, `Interrupts.must_leave` is set: the
+    process must end without waiting for them.
 
     Raises:
         SystemExit: if the user's code called `sys.exit`.
         KeyboardInterrupt: if the user's code raised it.
         TurtleactError: if the user's code stopped the loop, or cancelled the command's own task.
-        BaseException: what the command raises.
+        BaseException: if the command raises it.
     """
     runner = asyncio.Runner(loop_factory=new_event_loop)
     loop = runner.get_loop()
@@ -86,13 +86,13 @@ def run(main: Coroutine[object, object, T], interrupts: Interrupts) -> T:
 def _drive(
     loop: asyncio.AbstractEventLoop, task: asyncio.Task[Any], interrupts: Interrupts | None
 ) -> BaseException | None:
-    """Run the loop until a task is done; return what stopped the loop before, if anything has.
+    """Run the loop until a task is done. Return the exception that stopped the loop before, if any.
 
-    If something stops it, ``interrupts`` tell the task to end.
+    If something stops the loop, ``interrupts`` tell the task to end.
 
     An exception such as SystemExit leaves the loop in the middle of a turn, and ``loop.stop()`` at
-    the end of one. Either way the loop can run again. It has to, because running goals must end and
-    their clients need an answer.
+    the end of one. Either way, the loop can run again. It must do so, because running goals must
+    end and their clients need an answer.
     """
     cause: BaseException | None = None
     # `run_until_complete` would not do: it removes its callback when an exception leaves the loop,
@@ -112,10 +112,10 @@ def _drive(
 
 
 async def _end_the_rest() -> list[str]:
-    """Cancel all other tasks, close generators and threads; return what has not ended in time.
+    """Cancel all other tasks, and close generators and threads. Return what has not ended.
 
-    `asyncio.wait` is used since it neither cancels nor awaits what it waits for: a task that
-    ignores its cancellation must not hold up this one.
+    `asyncio.wait` is used because it neither cancels nor awaits its tasks. A task that ignores its
+    cancellation must not hold up this one.
     """
     loop, own = asyncio.get_running_loop(), asyncio.current_task()
     left = asyncio.all_tasks() - {own}
@@ -134,7 +134,7 @@ async def _end_the_rest() -> list[str]:
 
 
 def _described(task: asyncio.Task[Any]) -> str:
-    """A task, and where it stands, if that is in the user's own code."""
+    """Describe a task and, if it is in the user's own code, the line where it waits."""
     stack = task.get_stack(limit=1)
     own = [frame for frame in stack if not frame.f_code.co_filename.startswith(OURS)]
     where = f" ({own[-1].f_code.co_filename}, line {own[-1].f_lineno})" if own else ""
@@ -142,7 +142,7 @@ def _described(task: asyncio.Task[Any]) -> str:
 
 
 def _busy_threads() -> list[str]:
-    """The threads for which the interpreter would wait, once they have had time to end."""
+    """The threads that have not ended in time, and for which the interpreter would wait."""
     due = monotonic() + GRACE
     own = threading.current_thread()
     others = [each for each in threading.enumerate() if each is not own and not each.daemon]
@@ -152,6 +152,9 @@ def _busy_threads() -> list[str]:
 
 
 def _tell_of_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Log an error as asyncio does, except for `sys.exit` in a body, which the program reports."""
+    """Log an error as asyncio does.
+
+    `sys.exit` in a body is left out, because the program reports it.
+    """
     if not isinstance(context.get("exception"), SystemExit):
         loop.default_exception_handler(context)

@@ -1,9 +1,9 @@
-"""``send-goal``: one goal, from its text to the exit status.
+"""Implements ``send-goal``, which sends one goal, follows it, and returns the exit status.
 
-This module decides when a goal is sent, canceled and let go of. `turtleact.commands.transcript` and
+This module decides when a goal is sent, canceled or abandoned. `turtleact.commands.transcript` and
 `turtleact.commands.live` print it.
 
-Source: ros2cli ``ros2action/verb/send_goal.py`` for the order of things.
+Source: ros2cli ``ros2action/verb/send_goal.py`` for the order of the output.
 """
 
 from __future__ import annotations
@@ -59,31 +59,31 @@ SUCCEEDED, FAILED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 1, 3, 4, 5, 124
 ENDED_WITH_WORLD = "the goal ended together with the embedded world"
 
 PATIENCE = 5.0
-"""How long three waits last (s, wall clock): for a goal to end after its timeout, for a server that
-the graph shows to become reachable, and for a server to accept the goal before the user is told."""
+"""The length of three waits (s, wall clock): until a goal ends after its timeout, until a server on
+the graph can be reached, and until the user is told that no server has accepted the goal."""
 
 AGAIN = 0.25
-"""How often ``--reattach`` looks for a server that has not started yet (s, wall clock)."""
+"""The interval at which ``--reattach`` looks for a server that has not started (s, wall clock)."""
 
 CANCEL_TIMEOUT = 6.0
-"""How long a signal waits for the goal's end, or for the answer to a goal request (s, wall clock).
+"""After a signal, how long to wait for the goal's end or the server's answer (s, wall clock).
 
-It is a little longer than the 5 s that a server waits for the clean-up of a body."""
+This is a little longer than the 5 s that a server waits for the clean-up of a body."""
 
 
 class Order(NamedTuple):
-    """What the user wants.
+    """The goal to send, and how to follow it.
 
     Attributes:
         name: The action.
         type_name: Its type; None for the type with which it is served.
         text: The goal.
-        place: Where it is sent.
+        place: Where to send it.
         feedback: Whether to print each feedback message.
         timeout: When to cancel the goal, or to give up if no server has accepted it (s, wall
-            clock); 0 means to leave once it is accepted.
+            clock). With 0, leave once it is accepted.
         view: How it is shown; ``auto`` is live on a terminal.
-        reattach: How long to wait for a server that has gone to return, or has not started yet (s).
+        reattach: How long to wait for a server that has gone, or that has not started yet (s).
     """
 
     name: str
@@ -103,7 +103,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
         InvalidName: if the action's name breaks ROS 2's rules.
         InvalidGoal: if the goal does not fit the action.
         UnknownInterface: if the type is not known.
-        InvalidInterface: if it is not an action.
+        InvalidInterface: if the type is not an action.
         ServerUnavailable: if nobody serves the action with this type.
     """
     name = resolve_name(order.name)
@@ -124,13 +124,13 @@ def run(order: Order, interrupts: Interrupts) -> int:
 def choose_transcript(
     view: View, *, wants_feedback: bool, wants_feedback_live: bool | None = None
 ) -> Transcript:
-    """A transcript: JSON if asked for, live on a terminal that can show it, else plain.
+    """Choose the transcript: JSON if asked for, live on a terminal that can show it, else plain.
 
     Args:
         view: What was asked for.
         wants_feedback: Whether to print each feedback message.
-        wants_feedback_live: Whether to do so on a live display too; as ``wants_feedback`` if left
-            out.
+        wants_feedback_live: Whether to do so on a live display too. If left out, ``wants_feedback``
+            decides.
     """
     if view == "json":
         return JsonTranscript()
@@ -146,7 +146,7 @@ def choose_transcript(
 
 
 def embedded_world(speed: float | str, seed: int) -> AbstractAsyncContextManager[Node]:
-    """Open the embedded world; numpy and the like are imported only here."""
+    """Open the embedded world. Slow modules such as numpy are imported only here."""
     from turtleact.app import open_world
 
     return open_world(speed=speed, seed=seed)
@@ -193,11 +193,11 @@ class Sending:
 
     @asynccontextmanager
     async def _find_node(self) -> AsyncIterator[Node]:
-        """Open a node on the graph in reach, or in an embedded world if it has no actions.
+        """Open a node on the graph in reach or, if the graph has no actions, in an embedded world.
 
         Raises:
-            TurtleactError: if an embedded world cannot help: the goal waits for a server that has
-                not come, or must outlive this command.
+            TurtleactError: if no server is in reach, but the goal waits for a server
+                (``--reattach``) or must outlive this command.
         """
         order, place, reach = self._order, self._order.place, self._order.place.reach
         why = ""
@@ -223,9 +223,10 @@ class Sending:
             yield node
 
     async def _enter_graph(self, stack: AsyncExitStack, reach: Reach) -> Node | None:
-        """Enter the graph in reach; with ``--reattach``, wait for it and for the action.
+        """Enter the graph in reach. With ``--reattach``, wait for the graph and for the action.
 
-        A router that is off refuses at once, so this tries again until the time is over.
+        If the router is off, the connection fails at once, so this tries again until the time is
+        over.
         """
         patience = self._order.reattach
         due = anyio.current_time() + patience
@@ -246,7 +247,10 @@ class Sending:
     async def _try_graph(
         self, stack: AsyncExitStack, reach: Reach, *, is_last: bool
     ) -> Node | None:
-        """Enter the graph. If nobody lets this command in, return None; the last attempt raises."""
+        """Enter the graph, or return None if that fails.
+
+        The last attempt raises an error instead.
+        """
         try:
             return await graph.enter_if_there(stack, reach, graph.open_graph(reach))
         except UsageError:
@@ -260,8 +264,8 @@ class Sending:
         """The class of the action.
 
         Raises:
-            ServerUnavailable: if nobody serves it; the text says what is in reach.
-            TurtleactError: as `_find_class`.
+            ServerUnavailable: if nobody serves it. The text says what is in reach.
+            TurtleactError: as for `_find_class`.
         """
         actions = node.graph().actions
         if self._name in actions:
@@ -339,7 +343,7 @@ class Sending:
     # signals, timeouts and servers that do not answer
 
     async def _heed_interrupts(self, sending: anyio.CancelScope, beside: TaskGroup) -> None:
-        """Cancel the goal, or the sending of it, at the first signal; let go at the second.
+        """At the first signal, cancel the goal or its sending. At the second, give up waiting.
 
         Neither the server's answer nor the goal's end is certain: a body may swallow its
         cancellation, a server may refuse it, hang, or be gone. So one signal is enough to end the
@@ -358,7 +362,7 @@ class Sending:
         self._let_go(sent, self._interrupts.status)
 
     async def _withdraw(self, sending: anyio.CancelScope) -> None:
-        """Stop sending; the client waits for the server's answer, so that no goal is orphaned."""
+        """Stop sending. The client waits for the server's answer, so that no goal is orphaned."""
         sending.cancel()
         self._transcript.note("waiting for the server's answer; Ctrl-C again exits at once")
         with anyio.move_on_after(CANCEL_TIMEOUT):
@@ -369,7 +373,7 @@ class Sending:
             leave(self._interrupted())
 
     async def _heed_silence(self, sending: anyio.CancelScope) -> None:
-        """Report that a server has not accepted the goal in time; give up if there is a timeout."""
+        """Report that no server has accepted the goal in time. If there is a timeout, give up."""
         limit = self._order.timeout
         seconds = max(limit or 0.0, PATIENCE)
         await anyio.sleep(seconds)
@@ -391,7 +395,7 @@ class Sending:
             self._transcript.note("the server refuses to cancel the goal, which goes on")
 
     async def time_out(self, sent: Sent, seconds: float) -> None:
-        """Cancel the goal after its time, unless it has ended by then."""
+        """Cancel the goal after some seconds, unless it has ended by then."""
         await anyio.sleep(seconds)
         if sent.handle.status.is_terminal:  # it ended in the same moment
             return
@@ -405,7 +409,7 @@ class Sending:
         self._let_go(sent, TIMEOUT)
 
     async def _cancel(self, sent: Sent, reason: int) -> bool:
-        """Ask for the goal to be canceled; return False if the server refuses."""
+        """Ask the server to cancel the goal. Return False if it refuses."""
         self._canceled_by = reason
         try:
             await sent.handle.cancel()
@@ -421,7 +425,7 @@ class Sending:
         leave(status)
 
     def _way_back(self, sent: Sent) -> str:
-        """A sentence that says how to follow a goal that goes on."""
+        """A sentence with the command that follows a goal that goes on."""
         if self._is_embedded:
             return ENDED_WITH_WORLD
         command = f"turtleact watch {sent.handle.goal_id.hex()}{self._order.place.options}"
@@ -436,7 +440,7 @@ class Sending:
 
 
 async def _is_served(node: Node, name: str | None = None) -> bool:
-    """Whether an action, or any action, is served. Waits while the graph is being discovered."""
+    """Whether an action, or any action, is served. This waits while the graph is discovered."""
 
     def found() -> bool | None:
         actions = node.graph().actions
@@ -446,10 +450,10 @@ async def _is_served(node: Node, name: str | None = None) -> bool:
 
 
 def _find_class(node: Node, name: str, type_name: str | None) -> type[Action]:
-    """The class of an action that is served; the first one if it has several types.
+    """The class of a served action. If it has several types, the first one is used.
 
     Raises:
-        ServerUnavailable: if nobody serves it with that type; the text says what is served.
+        ServerUnavailable: if nobody serves it with that type. The text says what is served.
         UnknownInterface: if the type that the user typed is unknown.
         TurtleactError: if the type on the graph is unknown here.
     """

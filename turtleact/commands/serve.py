@@ -1,8 +1,8 @@
-"""``serve``: a world, the built-in actions and the user's own actions, until a signal comes.
+"""Implements ``serve``: a world, the built-in actions and the user's own, until a signal comes.
 
 By default the server is the router that the nodes of this machine look for. If there is a router
-already, the server joins its graph as a peer. One line on stdout says when goals can be sent, then
-there is a line for each change of a goal. A terminal shows the same as a dashboard.
+already, the server joins its graph as a peer. One line on stdout says when goals can be sent. After
+that, each change of a goal gets a line. A terminal shows a dashboard instead.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ __all__ = ["ServerLog", "listed", "run", "serve_declared"]
 logger = logging.getLogger("turtleact.serve")
 
 ROUTER = "tcp/127.0.0.1:7447"
-"""Where the nodes of a machine look for a router."""
+"""The endpoint at which the nodes of a machine look for a router."""
 
 LEASE = 15.0
 """How long the graph may still show the node of a killed process (s, event loop time).
@@ -58,17 +58,17 @@ LEASE = 15.0
 Zenoh's own lease is 10 s."""
 
 STANDBY = 0.2
-"""How often a standby tries to open the journal of another process (s)."""
+"""The interval at which a standby tries to open the journal of another process (s)."""
 
 MOST_LISTED = 12
-"""How many actions the ready line names."""
+"""The ready line names at most this many actions."""
 
 
 def run(service: Service, interrupts: Interrupts) -> int:
     """Serve until a signal comes, then end the running goals, and return the exit status.
 
     Raises:
-        UsageError: if a target means no action, or a token is missing.
+        UsageError: if a target has no action, or a token is missing.
         TurtleactError: if the graph cannot be opened.
     """
     if logging.lastResort is not None:  # it serves modules that configure no logging
@@ -92,7 +92,7 @@ def run(service: Service, interrupts: Interrupts) -> int:
 
 
 def _dashboard(service: Service) -> Dashboard | None:
-    """The dashboard, if the user wants one and the terminal can show it."""
+    """Make the dashboard, if the user wants one and the terminal can show it."""
     is_live = service.is_live and service.watched.log_format != "json"
     if not (is_live and can_move(sys.stdout)):
         return None
@@ -102,7 +102,7 @@ def _dashboard(service: Service) -> Dashboard | None:
 
 
 def _find(modules: Modules, service: Service, log: ServerLog) -> Found:
-    """Import the modules. With ``--reload``, a module that fails can be corrected later."""
+    """Import the modules. With ``--reload``, the user can correct a failing module later."""
     if not service.reload:
         return modules.find()
     sys.dont_write_bytecode = True  # a change within the same second could be taken for no change
@@ -121,7 +121,7 @@ class Work(NamedTuple):
     Attributes:
         modules: The modules of the targets.
         watch: Watches their files.
-        found: What is in them.
+        found: The actions, parameters and tasks in them.
     """
 
     modules: Modules
@@ -180,12 +180,12 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
 
 @asynccontextmanager
 async def _open_journal(service: Service, log: ServerLog) -> AsyncIterator[Kept]:
-    """Open the journal; gives the options of the servers that use it.
+    """Open the journal. The block gets the options for servers that use it.
 
-    With ``--wait``, this waits until the process that writes the journal has gone.
+    With ``--wait``, wait until no other process writes the journal.
 
     Raises:
-        JournalError: if it cannot be opened.
+        JournalError: if the journal cannot be opened.
     """
     keeping = service.keeping
     if keeping is None:
@@ -219,7 +219,7 @@ async def _open_journal(service: Service, log: ServerLog) -> AsyncIterator[Kept]
 async def _begin(
     service: Service, found: Found, reloader: Reloader, options: Kept, log: ServerLog
 ) -> None:
-    """Serve what the user has declared."""
+    """Serve the user's actions, declare the parameters, and start the background tasks."""
     node = reloader.node
     node.first_values |= of_node(service.overrides, node.fully_qualified_name)
     for declaration in found.parameters:
@@ -240,22 +240,22 @@ async def serve_declared(
 ) -> list[ActionServer[Any, Any, Any]]:
     """Serve actions, and return once all of them are on the graph.
 
-    One node serves an action name; `turtleact.node.conflicts` has the rules. A node with this
-    node's own name may be its predecessor, which was killed a moment ago, so this waits for that
-    node in any case. But the node may also belong to another ``turtleact serve`` that still runs,
-    so without ``wait`` this waits `LEASE` seconds at most.
+    Only one node serves an action name; `turtleact.node.conflicts` has the rules. A node with this
+    node's own name may be its predecessor, which was killed a moment ago. This function always
+    waits for such a node. But the node may also belong to another ``turtleact serve`` that still
+    runs. Without ``wait``, this function therefore waits at most `LEASE` seconds.
 
     Args:
-        node: Serves the actions.
-        declared: The actions; several types may share a name.
-        wait: Whether to wait for other nodes too, however long.
+        node: The node that serves the actions.
+        declared: The actions. Several types may share a name.
+        wait: Whether to wait for other nodes too, for as long as it takes.
         **options: Options that replace declared ones; see `Node.action_server`.
 
     Returns:
         Their servers.
 
     Raises:
-        TurtleactError: if another node serves an action; the text names it.
+        TurtleactError: if another node serves an action. The text names the node.
         UsageError: if an action is given twice.
     """
     try:
@@ -276,7 +276,7 @@ async def serve_declared(
 
 
 def _refused(taken: ActionConflict) -> TurtleactError:
-    """The error, with a hint at the option of the command line."""
+    """Return the error with a hint at the option of the command line."""
     return TurtleactError(
         f"action '{taken.action}' is served by node {taken.node} already: choose another name, or "
         "give --wait to serve it once that node has gone"
@@ -293,7 +293,7 @@ async def _until_signal(interrupts: Interrupts, running: Awaitable[None]) -> Non
 
 @asynccontextmanager
 async def _open_web(page: Page, node: Node) -> AsyncIterator[str]:
-    """Open the page and rosbridge; gives their address.
+    """Open the page and rosbridge. The block gets their address.
 
     Raises:
         UsageError: if a token is missing.
@@ -323,7 +323,7 @@ async def _open_node(
 ) -> AsyncIterator[Node]:
     """Open the node that serves the targets, on a graph with or without a world.
 
-    ``options`` has the journal for the built-in actions. ``on_node`` is called with each node.
+    ``options`` holds the journal for the built-in actions. ``on_node`` is called with each node.
     """
     async with AsyncExitStack() as stack:
         if service.fleet is not None:
@@ -356,11 +356,11 @@ async def _open_node(
 async def _open_graph(
     service: Service, opened: list[tuple[ZenohTransport, str]], clock: Clock
 ) -> AsyncIterator[Transport]:
-    """Open the graph that the user asked for; by default as a router, or as a peer of the router.
+    """Open the graph that the user wants. By default, be its router, or else a peer of the router.
 
     Args:
         service: What the user wants.
-        opened: The graph and its endpoints are appended to this.
+        opened: A list to which the graph and its endpoints are appended.
         clock: The clock of the graph.
     """
     connect, domain, _ = service.reach
@@ -399,14 +399,14 @@ async def _open_graph(
 
 
 def listed(names: list[str]) -> str:
-    """Names in one line, not too many of them."""
+    """List names in one line, but not too many of them."""
     some = names if len(names) <= MOST_LISTED else names[: MOST_LISTED - 1]
     more = [f"and {len(names) - len(some)} more"] if some is not names else []
     return ", ".join([*some, *more]) or "nothing"
 
 
 class _Escaping(logging.Formatter):
-    """Formats records as usual, but escapes control characters, which an exception may hold."""
+    """Formats records as usual, but escapes control characters, which an exception may contain."""
 
     def format(self, record: logging.LogRecord) -> str:
         return printable(super().format(record))
@@ -420,12 +420,12 @@ class _Told(logging.Handler):
         self._tell = tell
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Pass it."""
+        """Pass the text of a record to the function."""
         self._tell(printable(record.getMessage()))
 
 
 class ServerLog:
-    """Tells the user what happens: by lines on stdout, or on a dashboard.
+    """Tells the user what happens, in lines on stdout or on a dashboard.
 
     Args:
         board: The dashboard; None for lines.
@@ -465,9 +465,9 @@ class ServerLog:
             note(text)
 
     def say(self, line: str, **members: str) -> None:
-        """Print a line at once; if stdout is closed, the server goes on without it.
+        """Print a line at once. If stdout is closed, the server goes on without it.
 
-        ``members`` are more members of the line in JSON.
+        ``members`` are further members of the line if it is JSON.
         """
         if self.board is not None:
             self.board.say(line)
@@ -484,14 +484,17 @@ class ServerLog:
             note(f"stdout cannot be written ({why}), so goals are no longer listed")
 
     def reload(self, line: str) -> None:
-        """Print a line about a reload. On a dashboard, it replaces what the last reload said."""
+        """Print a line about a reload. On a dashboard, it replaces the line of the last reload."""
         if self.board is None:
             self.say(line)
         else:
             self.board.retell("reload", f"{datetime.now():%H:%M:%S} {line}")
 
     def complain(self, problem: str) -> None:
-        """Tell of modules that cannot be served yet. On a dashboard, a reload replaces it."""
+        """Print a problem of modules that cannot be served yet.
+
+        On a dashboard, a reload replaces it.
+        """
         if self.board is None:
             self.note(problem)
         else:
@@ -499,7 +502,7 @@ class ServerLog:
 
     @contextmanager
     def hearing_reloads(self) -> Iterator[None]:
-        """A block in which errors of reloads are shown like `reload`: the newest one alone."""
+        """During a block, show errors of reloads like `reload` does: only the newest one."""
         logger, told = logging.getLogger("turtleact.reload"), _Told(self.reload)
         logger.addHandler(told)
         try:

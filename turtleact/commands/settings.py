@@ -1,7 +1,7 @@
-"""The values of a command line's options, as data.
+"""The options of a command line, as data.
 
-The verbs fill these structs in, and the modules that do the work read them. Nothing heavy is
-imported here, because every verb needs this module before it knows what it has to do.
+The verbs fill these structs in, and the modules that do the work read them. This module imports
+nothing heavy, because every verb needs it before the work begins.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ Placing: TypeAlias = Literal["random", "grid", "ring"]
 LogFormat: TypeAlias = Literal["text", "json"]
 
 LONGEST_SHOWN = 60
-"""How many characters of an argument an error repeats at most."""
+"""An error repeats at most this many characters of an argument."""
 
 _WITH_PORT = re.compile(r"(tcp|udp|tls|quic|ws)/(?P<address>.*)")
 _ADDRESS = re.compile(r"(\[[0-9A-Fa-f:.]+(%\w+)?\]|[^\s/:\[\]]+):(?P<port>[0-9]{1,9})")
-"""A host and its port; an IPv6 address stands in brackets."""
+"""A host and its port. An IPv6 address is in brackets."""
 _ENDPOINT = re.compile(r"[a-z][a-z0-9-]*/\S+")
 
 
 class Reach(NamedTuple):
-    """Which graph a verb looks at.
+    """The graph that a verb uses.
 
     Attributes:
         connect: The endpoints to connect to. If there are none, the verb looks for a graph itself.
@@ -76,7 +76,7 @@ class Reach(NamedTuple):
         """Read the ``--config`` file.
 
         Raises:
-            UsageError: if it cannot be read, or has an invalid value.
+            UsageError: if the file cannot be read, or has an invalid value.
         """
         from turtleact.commands.locks import Locks, read_locks
 
@@ -84,14 +84,14 @@ class Reach(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a goal is sent.
+    """The place to which a goal is sent.
 
     Attributes:
         speed: The speed of the embedded world.
         seed: The seed of the embedded world.
-        reach: Where to look for a server first; None means only in the embedded world.
+        reach: Where to look for a server first. With None, only the embedded world is used.
         interfaces: A folder with more interfaces.
-        options: These values as options for other verbs, each after a space.
+        options: The same values as text for the command line of other verbs, each after a space.
     """
 
     speed: float | str = 1.0
@@ -102,7 +102,7 @@ class Place(NamedTuple):
 
 
 class Fleet(NamedTuple):
-    """The turtles of a world, and its time.
+    """The turtles of a world, and the settings of its time.
 
     Attributes:
         speed: How fast time passes.
@@ -126,9 +126,9 @@ class Keeping(NamedTuple):
 
     Attributes:
         path: The file.
-        on_restart: What becomes of goals that an earlier process has left unfinished.
+        on_restart: What to do with goals that an earlier process has left unfinished.
         abort_goals: Whether a clean stop ends goals that would go on after a crash.
-        max_starts: After so many crashes without feedback, a goal is aborted; None for no limit.
+        max_starts: A goal is aborted after this many crashes without feedback; None for no limit.
     """
 
     path: str
@@ -143,11 +143,11 @@ class Keeping(NamedTuple):
 
 
 class Page(NamedTuple):
-    """Where the page and rosbridge are served, and to whom.
+    """Where the page and rosbridge are served, and who may connect.
 
     Attributes:
         host: The address or name to bind.
-        port: The port; 0 means any free one.
+        port: The port. 0 means any free port.
         token: The secret that clients must send; None for the default of `open_web`.
         hosts: More names that clients may use for this machine.
         origins: The origins of pages that may connect.
@@ -165,8 +165,8 @@ class Watched(NamedTuple):
 
     Attributes:
         otel: Whether traces and metrics are exported by OpenTelemetry.
-        metrics: Where metrics are served, a host and a port; None for nowhere.
-        log_format: How log records are written; None leaves logging alone.
+        metrics: The host and port at which metrics are served; None for no metrics.
+        log_format: The format of log records; None leaves logging alone.
     """
 
     otel: bool = False
@@ -178,9 +178,9 @@ class Override(NamedTuple):
     """The first value of one parameter.
 
     Attributes:
-        node: The name of the node, with or without its slash; ``/**`` for any.
+        node: The name of the node, with or without its slash; ``/**`` for any node.
         name: The name of the parameter.
-        value: The value.
+        value: The first value.
     """
 
     node: str
@@ -189,17 +189,18 @@ class Override(NamedTuple):
 
 
 class Service(NamedTuple):
-    """What ``serve`` serves, and where.
+    """What ``serve`` serves, and at which endpoints.
 
     Attributes:
         targets: The user's actions, as `turtleact.commands.targets` reads them.
-        listen: The endpoints to listen at; if there are none, that of a router.
+        listen: The endpoints to listen at. If empty, it is the endpoint of a router.
         reach: The endpoints to connect to, and the domain.
         fleet: The turtles; None for no world and no built-in actions.
         page: The page and rosbridge; None for neither.
         config: Paths and values of Zenoh's configuration, such as those for access control.
         is_live: Whether a terminal shows a dashboard.
-        turtlesim_only: Whether the world serves only what turtlesim does, and no built-in actions.
+        turtlesim_only: Whether the world serves only what turtlesim serves, and no built-in
+            actions.
         wait: Whether to wait until no other node serves an action, instead of refusing to serve it.
         reload: Whether to reload the user's actions when their files change.
         node_name: The name of the node that serves the actions, if there is no world.
@@ -227,7 +228,7 @@ class Service(NamedTuple):
 
 
 class Policies(NamedTuple):
-    """The quality of service that was asked for; None leaves a policy to the verb.
+    """The requested quality of service. None leaves a policy to the verb.
 
     Attributes:
         reliability: As in `turtleact.QoS`.
@@ -254,7 +255,7 @@ def endpoints(option: str, text: str | None) -> tuple[str, ...]:
     """The endpoints that an option names, separated by commas.
 
     Raises:
-        UsageError: if one of them is not an endpoint.
+        UsageError: if a part is not an endpoint.
     """
     found = () if text is None else tuple(text.split(","))
     for each in found:
@@ -274,6 +275,6 @@ def _is_reachable(endpoint: str) -> bool:
 
 
 def quoted(text: str) -> str:
-    """Quote what the user typed, shortened if it is long."""
+    """Quote a text of the user, and shorten it if it is long."""
     shown = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
     return f"'{printable(shown)}'"

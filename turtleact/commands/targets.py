@@ -1,11 +1,11 @@
-"""What ``serve`` has to serve: the user's modules, and the actions and parameters in them.
+"""Finds what ``serve`` serves: the user's modules, and the actions and parameters in them.
 
 A target is a module (``lab``, ``lab.robot``), a file (``lab.py``, ``./src/lab.py``), or one object
 in either (``lab:fibonacci``, ``lab.py:Robot.drive``). A file is imported as a module: its folder,
 or the folder above its package, goes to the beginning of ``sys.path``.
 
-`Modules` can import everything again. It only forgets modules of the user's that the targets have
-imported. Those in site-packages stay as they are.
+`Modules` can import everything again. It forgets only the user's modules that the targets have
+imported. Modules in site-packages stay loaded.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ __all__ = ["Found", "Modules", "Target", "read_target"]
 logger = logging.getLogger("turtleact.serve")
 
 OURS = Path(__file__).parents[1]
-"""Where our own modules are."""
+"""The folder of turtleact's own modules."""
 
 
 class Found(NamedTuple):
@@ -47,7 +47,7 @@ class Found(NamedTuple):
     Attributes:
         actions: The actions to serve, in the order of the targets and of their declaration.
         parameters: The parameters that the modules of the targets have.
-        tasks: What runs in the background of these modules.
+        tasks: The background functions of these modules.
     """
 
     actions: list[ActionDeclaration[..., object]]
@@ -56,7 +56,7 @@ class Found(NamedTuple):
 
 
 class Target(NamedTuple):
-    """One target, as the user has written it.
+    """One target on the command line.
 
     Attributes:
         text: The text.
@@ -72,7 +72,7 @@ class Target(NamedTuple):
 
     @property
     def folder(self) -> Path:
-        """What goes to the beginning of ``sys.path``."""
+        """The folder that goes to the beginning of ``sys.path``."""
         if self.file is None:
             return Path.cwd()
         package = self.file.parent if self.file.name == "__init__.py" else self.file
@@ -102,10 +102,10 @@ def _has_object(text: str) -> bool:
 
 
 def _file_of(name: str) -> Path | None:
-    """The file that a name means; None if it is the name of a module.
+    """The file that a name stands for; None if it is the name of a module.
 
     Raises:
-        UsageError: if it is a path, but there is no such file.
+        UsageError: if the name is a path, but the file does not exist.
     """
     is_path = name.endswith(".py") or "/" in name or os.sep in name or name in (".", "..")
     if not name or (not is_path and name.isidentifier()):
@@ -143,14 +143,14 @@ class Modules:
     """The modules of the targets.
 
     Args:
-        targets: The targets, as the user has written them.
+        targets: The targets as on the command line.
 
     Attributes:
-        files: The files of the user's modules, and those that an import has not found. If one of
-            them changes, the modules have to be imported again.
+        files: The files of the user's modules, and files that an import has not found. If one of
+            these files changes, the modules must be imported again.
 
     Raises:
-        UsageError: if one of them is not a target.
+        UsageError: if a text is not a target.
     """
 
     def __init__(self, targets: Sequence[str]) -> None:
@@ -167,8 +167,8 @@ class Modules:
         Modules are looked for in the working directory first, as by ``python -m``.
 
         Raises:
-            UsageError: if a target means no action; the text says which there are.
-            TurtleactError: if a module fails when it is imported; the text names the line.
+            UsageError: if a target has no action. The text lists the actions that exist.
+            TurtleactError: if a module fails when it is imported. The text names the line.
         """
         try:
             actions = [each for target in self.targets for each in _actions_of(target)]
@@ -184,10 +184,10 @@ class Modules:
         return Found(actions, parameters, tuple(tasks))
 
     def find_again(self) -> Found:
-        """Import the user's modules again; if that fails, `sys.modules` stays unchanged.
+        """Import the user's modules again. If that fails, `sys.modules` stays unchanged.
 
         Raises:
-            BaseException: as `find`, and `SystemExit` if a module raises it.
+            BaseException: the errors of `find`, and `SystemExit` if a module raises it.
         """
         before = self._own()
         for name in before:
@@ -214,7 +214,7 @@ class Modules:
         return {name: sys.modules[name] for name, file in files.items() if file and self.has(file)}
 
     def has(self, file: Path) -> bool:
-        """Whether the user wrote a file: it is in a target's folder, and not installed there."""
+        """Whether a file is the user's own: in a target's folder, and not installed there."""
         if file.is_relative_to(OURS):
             return False
         if not {"site-packages", "dist-packages"}.isdisjoint(file.parts):
@@ -232,7 +232,7 @@ class Modules:
         }
 
     def _files_in(self, error: BaseException | None) -> set[Path]:
-        """The user's files that an error concerns, and files that an import did not find."""
+        """The user's files in the traceback of an error, and files that an import did not find."""
         found: set[Path] = set()
         while error is not None:
             found |= {Path(frame.filename) for frame in traceback.extract_tb(error.__traceback__)}
@@ -281,7 +281,7 @@ def _is_own(action: ActionDeclaration[..., object], module: ModuleType) -> bool:
 
 
 def _nothing_in(module: ModuleType, target: Target) -> str:
-    """Why a module has nothing to serve, and what to do."""
+    """Explain why a module has nothing to serve, and what to do about it."""
     what = f"module '{target.module}'" if target.file is None else f"'{target.text}'"
     if _file(module) is None and hasattr(module, "__path__"):
         there = ", ".join(str(each) for each in sorted(Path(target.module).glob("*.py")))
@@ -318,7 +318,7 @@ def _look_up(module: ModuleType, target: Target) -> object:
 
 
 def _members(found: object) -> Iterable[tuple[str, object]]:
-    """The public attributes of a module or class; without running properties."""
+    """The public attributes of a module or class. Properties are not run."""
     members = getattr(found, "__dict__", {})
     return [(name, each) for name, each in members.items() if not name.startswith("_")]
 
@@ -352,10 +352,11 @@ def _import_module(target: Target) -> ModuleType:
 
 @contextmanager
 def _programs_skipped() -> Iterator[None]:
-    """A block in which ``asyncio.run`` and ``anyio.run`` do nothing but warn.
+    """During a block, make ``asyncio.run`` and ``anyio.run`` only warn.
 
     A file with actions often ends with ``asyncio.run(main())``. If such a file is served, importing
-    it would run that program, perhaps for ever; at a reload, even inside the event loop.
+    it would run that program, perhaps for ever. At a reload, it would even run inside the event
+    loop.
     """
     is_importing = True
 
@@ -393,7 +394,7 @@ def _is_same_file(one: Path | None, other: Path) -> bool:
 
 
 def _no_module(missing: str) -> str:
-    """Say that there is no such module; suggest a similar one in the working directory."""
+    """Return the error text for a missing module. It suggests a similar one in this directory."""
     here = [path.stem for path in Path().glob("*.py")]
     here += [path.parent.name for path in Path().glob("*/__init__.py")]
     hint = "" if "." in missing or not here else names_like(missing, here)
@@ -401,7 +402,7 @@ def _no_module(missing: str) -> str:
 
 
 def _import_error(target: Target, error: BaseException) -> TurtleactError:
-    """The error to raise when a module fails, with the place in the user's own file."""
+    """The error for a module that fails, with the place in the user's own file."""
     where = _place_of(error)
     if isinstance(error, TurtleactError):  # it says what is wrong
         return TurtleactError(f"{where}: {error}")
@@ -424,6 +425,6 @@ def _place_of(error: BaseException) -> str:
 
 
 def _nearby(file: str | None) -> str:
-    """A file, relative to the working directory if it is below that."""
+    """The path of a file, relative to the working directory if the file is below it."""
     path = Path(str(file))
     return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)

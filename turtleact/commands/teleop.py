@@ -1,7 +1,7 @@
-"""``teleop``: drive a turtle with the keys of ``turtle_teleop_key``, and see where it goes.
+"""Implements ``teleop``, which drives a turtle with the keys of ``turtle_teleop_key``.
 
 The turtle belongs to the graph in reach, or to an embedded world if there is none. The event loop
-reads the keys; no thread waits for them.
+reads the keys, without a thread.
 
 Source: turtlesim 1.8.2, ``tutorials/teleop_turtle_key.cpp``, for the keys, speeds and words.
 """
@@ -55,7 +55,7 @@ HEADINGS: Final = {
     "v": -1.5708,
     "b": -0.7854,
 }
-"""The heading for each key (rad); the keys lie around F."""
+"""The heading for each key (rad). The keys lie around F."""
 
 CANCEL, QUIT = "f", "q"
 
@@ -74,19 +74,19 @@ OK: Final = 0
 """The exit status if the user quits."""
 
 GONE: Final = 2.0
-"""How long a turtle is missing before it counts as gone (s, wall clock); a reset takes less."""
+"""A turtle counts as gone if it is missing for this time (s, wall clock). A reset takes less."""
 
 
 class Order(NamedTuple):
     """What to drive, and how: the options of the command.
 
     Attributes:
-        turtle: Which turtle; None for turtle1, or the only one.
+        turtle: The turtle to drive; None for turtle1, or for the only turtle.
         remaps: Other names for ``turtle1/cmd_vel`` and ``turtle1/rotate_absolute``.
         linear: The speed (m/s).
         angular: The turn rate (rad/s).
-        is_plain: Whether to leave out the map, also on a terminal.
-        reach: Where to look for turtles; None means only in an embedded world.
+        is_plain: Whether to leave out the map, even on a terminal.
+        reach: Where to look for turtles. With None, only an embedded world is used.
     """
 
     turtle: str | None
@@ -123,7 +123,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
 
 @asynccontextmanager
 async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
-    """Open a node on the graph in reach or in an embedded world; gives node and turtle's name."""
+    """Open a node on the graph in reach or in an embedded world. Yield node and turtle's name."""
     why = ""
     async with AsyncExitStack() as stack:
         if order.reach is not None:
@@ -151,7 +151,7 @@ async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
 
 
 def _choose(order: Order, node: Node) -> str | None:
-    """The name of the turtle to drive; None if there are no turtles, so a world may be started.
+    """The name of the turtle to drive. None if there are no turtles, so that a world can start.
 
     Raises:
         TurtleactError: if the turtle does not exist, or if it is not clear which one is meant.
@@ -175,7 +175,7 @@ def _choose(order: Order, node: Node) -> str | None:
 
 
 def _wanted(order: Order) -> str:
-    """The turtle that the user named; empty if none."""
+    """The turtle that the user named; empty if the user named none."""
     remapped = order.remaps.get(f"turtle1/{COMMANDS}", "").removesuffix(f"/{COMMANDS}")
     return (order.turtle or remapped).strip("/")
 
@@ -239,14 +239,14 @@ class _Driving:
             raise TurtleactError(f"turtle '{self._turtle}' has gone: nobody reads {topic} any more")
 
     def _name(self, what: str) -> str:
-        """The name of a topic or action of the turtle, remapped if the user says so."""
+        """The name of a topic or action of the turtle, remapped if the user wants that."""
         named = f"/{self._turtle}/{what}" if self._turtle else f"/{what}"
         return self._order.remaps.get(f"turtle1/{what}", named)
 
     # keys
 
     async def _read(self) -> None:
-        """Obey keys until one quits."""
+        """Act on keys until a key quits."""
         async with aclosing(typed_keys(self._region)) as keys:
             async for key in keys:
                 self._press(key)
@@ -265,7 +265,7 @@ class _Driving:
             self._rotation.cancel_nowait()
 
     async def _rotate(self, theta: float) -> None:
-        """Turn the turtle to a heading (rad); report it only if that fails."""
+        """Turn the turtle to a heading (rad). Report only a failure."""
         try:
             async with self._rotations.send_goal(RotateAbsolute.Goal(theta)) as handle:
                 handle.detach()  # it goes on when the user quits

@@ -1,15 +1,15 @@
-"""A live display on a terminal: the region that it draws on, its frames, log lines and keys.
+"""Draws a live display on a terminal: its region, frames, log lines and keys.
 
-Only `Region` moves the cursor and changes the terminal's modes. While it is held, the cursor is
-hidden and typed characters are not echoed; if keys are read, each one comes at once. All of this is
-undone however the process ends or stops, except by SIGKILL and SIGSTOP, which cannot be handled.
+Only `Region` moves the cursor and changes the terminal's modes. While a region is held, the cursor
+is hidden and typed characters are not echoed. If keys are read, each key comes at once. All of this
+is undone whenever the process ends or stops. Only SIGKILL and SIGSTOP cannot be handled.
 
-While it is held, writing never waits for the terminal (`Outlet`). A terminal that takes nothing,
-because its user pressed Ctrl-S or its connection hangs, misses frames.
+While a region is held, writing never waits for the terminal (`Outlet`). A terminal that takes
+nothing, because its user pressed Ctrl-S or its connection hangs, misses frames.
 
-Two limits remain. When the window gets narrower, the terminal wraps lines again, which may
-push the first of them out of the window for good. And keys that the user presses are kept for the
-next reader, such as the shell.
+Two limits remain. When the window gets narrower, the terminal wraps lines again, which may push the
+first lines out of the window for good. Besides, keys that nobody reads are kept for the next
+reader, such as the shell.
 
 Source: ECMA-48 for the control sequences, and xterm's for the arrows; the terminals' mode 2026 for
 frames without flicker; the GNU C Library manual, "Signaling Yourself", for how to stop.
@@ -57,14 +57,17 @@ __all__ = [
 STOPPING: Final = signals("SIGTSTP", "SIGQUIT")
 
 CONTINUING: Final = signals("SIGCONT")
-"""The signals that stop and continue the process; in between, another one may have the terminal."""
+"""The signals that stop and continue the process.
+
+In between, another process may have the terminal.
+"""
 
 GIVE_BACK: Final = "\r\x1b[K\x1b7\x1b[B\x1b[J\x1b8\x1b[?25h"
 """Removes the lines and shows the cursor. The first line is erased separately: some terminals copy
 a screen that is erased from its very top into their history."""
 
 BACKGROUND: Final = 0.2
-"""How often a process in the background looks whether it is in the foreground again (s)."""
+"""The interval at which a background process checks whether it is in the foreground again (s)."""
 
 ARROWS: Final = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
 
@@ -72,7 +75,7 @@ TOKEN: Final = re.compile(
     rb"\x1b\[[0-?]*[ -/]*(?P<csi>[@-~])|\x1bO(?P<ss3>[@-~])"
     rb"|(?P<begun>\x1b(?:\[[0-?]*[ -/]*|O)?\Z)|(?P<key>[^\x1b])|\x1b"
 )
-"""A control sequence, the beginning of one at the very end, or a key; else an ESC on its own."""
+"""The pattern of a control sequence, of its beginning at the very end, of a key, or of an ESC."""
 
 
 def can_move(stream: TextIO | None) -> bool:
@@ -86,15 +89,15 @@ def can_move(stream: TextIO | None) -> bool:
 
 
 class Outlet:
-    """Writes to a terminal without waiting: what the terminal does not take yet is kept.
+    """Writes to a terminal without waiting. Text that the terminal does not take yet is kept.
 
     The terminal is opened a second time, because non-blocking mode belongs to the open file, and
     the process shares its open file with the shell. If the terminal cannot be opened again, a frame
     is written only while the terminal accepts text, and the writing may wait.
 
     Attributes:
-        is_writing: Whether text is being written right now. What a signal handler writes would end
-            up in the middle of it.
+        is_writing: Whether text is being written right now. Text from a signal handler would end up
+            in the middle of it.
         due: Called as soon as nothing is being written.
     """
 
@@ -106,7 +109,7 @@ class Outlet:
         self._descriptor = console().reopen(stream)
 
     def write(self, text: str) -> None:
-        """Write after the text that is kept; what the terminal does not take now is kept too."""
+        """Write after the kept text. Text that the terminal does not take now is kept too."""
         if self._descriptor is None:
             self._stream.write(text)
             self._stream.flush()
@@ -145,7 +148,7 @@ class Outlet:
             await anyio.wait_writable(self._descriptor)
 
     def close(self) -> None:
-        """Write nothing more; text that is still kept is lost."""
+        """Write nothing more. Kept text is lost."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:
             os.close(descriptor)
@@ -161,7 +164,8 @@ class Region:
 
     Args:
         stream: The terminal.
-        keyboard: Where keys are read, if they are; each key then comes at once.
+        keyboard: The stream from which keys are read, if they are read. Each key then comes at
+            once.
     """
 
     def __init__(self, stream: TextIO, keyboard: TextIO | None = None) -> None:
@@ -184,16 +188,16 @@ class Region:
     def is_ready(self) -> bool:
         """Whether a frame would be drawn now.
 
-        No frame is drawn after the last one, while the process runs in the background (then the
-        terminal belongs to another process), or while the terminal has not taken all of the
-        previous text.
+        No frame is drawn after the last one, or while the terminal has not taken all of the
+        previous text. In the background, no frame is drawn either, because the terminal belongs to
+        another process.
         """
         if self._is_over or not self.is_in_foreground():
             return False
         return self._outlet is None or self._outlet.push()
 
     def draw(self, lines: Sequence[str]) -> None:
-        """Draw lines in place of the last ones, if `is_ready`; the window needs one line more."""
+        """If `is_ready`, draw lines in place of the last ones. The window needs one line more."""
         if not self.is_ready():
             return
         if self._is_held and self._modes is None:
@@ -209,7 +213,7 @@ class Region:
         self._write(text)
 
     def say_last(self, lines: Sequence[str]) -> None:
-        """Print the last frame: it stays, and what is printed later comes below it."""
+        """Print the last frame, which stays. Text that is printed later comes below it."""
         self._is_over = True
         if self.is_in_foreground():
             self.say("".join(f"{line}\n" for line in lines))
@@ -231,7 +235,7 @@ class Region:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """A block in which frames are drawn; after it the terminal is as it was before.
+        """Let frames be drawn during a block. After it, the terminal is as it was before.
 
         SIGTSTP (Ctrl-Z) and SIGQUIT have their default effect after the terminal has been given
         back. After SIGCONT the next frame is drawn where the cursor stands.
@@ -277,7 +281,7 @@ class Region:
                 console().give_back(self._typed_at(), modes)
 
     def _follow(self, number: int, _: FrameType | None) -> None:
-        """Let a signal have its default effect; the process may be continued after it."""
+        """Let a signal have its default effect. The process may be continued afterwards."""
         if self._outlet is not None and self._outlet.is_writing:
             self._outlet.due = partial(self._follow, number, None)
             return
@@ -288,13 +292,13 @@ class Region:
         signal.signal(number, self._follow)
 
     def _forget(self, _: int, __: FrameType | None) -> None:
-        """Forget the last frame: another process has used the screen."""
+        """Forget the last frame, because another process has used the screen."""
         self._is_drawn = False
         if self._keyboard is not None and self._modes is None and self.is_in_foreground():
             self._silence()
 
     def _silence(self) -> None:
-        """Turn echo off: typed characters would tear the frame apart."""
+        """Turn echo off, because typed characters would tear the frame apart."""
         by_key = self._keyboard is not None
         self._modes = console().silence(self._typed_at(), by_key=by_key)
 
@@ -316,15 +320,20 @@ SHARE: Final = 0.2
 """The share of processor time that drawing may take."""
 
 SMALLEST: Final = 14
-"""The fewest lines of a last frame, enough for a small map. It shrinks to make room for the text
-below it."""
+"""The minimum height of a last frame, enough for a small map.
+
+A last frame shrinks to make room for the text below it.
+"""
 
 FULL: Final = 2
-"""How many lines of a frame fill the width of the window. If it gets narrower, each becomes two."""
+"""How many lines of a frame fill the width of the window.
+
+In a narrower window, each becomes two.
+"""
 
 
 class Compose(Protocol):
-    """Composes the current picture."""
+    """A function that composes the current picture."""
 
     def __call__(self, *, width: int, height: int) -> render.Picture:
         """Compose the picture for a number of columns and lines."""
@@ -348,8 +357,8 @@ def print_last(region: Region, compose: Compose, *, below: int) -> None:
     Args:
         region: The region that the earlier frames were drawn on.
         compose: Composes it.
-        below: How many lines will be printed below it; the frame leaves room for them, unless it
-            would become smaller than `SMALLEST`.
+        below: How many lines will be printed below the frame. The frame leaves room for them,
+            unless it would become smaller than `SMALLEST`.
     """
     from turtleact import render  # as above
 
@@ -365,10 +374,10 @@ async def animate(region: Region, compose: Compose) -> None:
 
 
 async def keep_drawing(region: Region, compose: Compose) -> None:
-    """Draw frames until this is cancelled, on a terminal that is held.
+    """Draw frames on a held terminal until this is cancelled.
 
-    At most 15 frames a second, and for at most a fifth of the processor's time, not counting the
-    first frame, which imports what it needs.
+    It draws at most 15 frames a second, and takes at most a fifth of the processor's time. The
+    first frame, which imports modules, does not count.
     """
     draw(region, compose)
     await anyio.sleep(PERIOD)
@@ -384,11 +393,11 @@ MOST: Final = 200
 
 
 class LogLine(NamedTuple):
-    """A line as the display shows it, and as it is printed in the end.
+    """A line of the log in two forms: for the display, and for the end.
 
     Attributes:
-        short: As the display shows it.
-        full: As it is printed in the end.
+        short: The line as the display shows it.
+        full: The line as it is printed at the end.
         subject: What the line is about, if a later line about the same subject replaces it.
     """
 
@@ -398,7 +407,7 @@ class LogLine(NamedTuple):
 
 
 class LogLines(io.TextIOBase):
-    """The newest lines of a log; a stream that any thread can print to."""
+    """The newest lines of a log. It is a stream, and any thread can print to it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -434,24 +443,29 @@ class LogLines(io.TextIOBase):
         return len(text)
 
     def close(self) -> None:
-        """Do nothing: a body that closes what it takes for stdout must not end the log."""
+        """Do nothing: a body that closes this as its stdout must not end the log."""
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """A block in which stdout is added to this log, and stderr too if it is a terminal."""
+        """During a block, add prints to stdout to this log.
+
+        Do so for stderr if it is a terminal.
+        """
         is_shown = sys.stderr is None or sys.stderr.isatty()
         with redirect_stdout(self), redirect_stderr(self) if is_shown else nullcontext():
             yield
 
 
 class Keys:
-    """Reads keys; a control sequence may come in parts."""
+    """Reads keys from bytes. A control sequence may come in parts."""
 
     def __init__(self) -> None:
         self._begun = b""
 
     def read(self, data: bytes) -> list[str]:
-        r"""The keys: ``up``, ``down``, ``left``, ``right``, or a small letter; no others.
+        r"""Return the keys: ``up``, ``down``, ``left``, ``right``, or a small letter.
+
+        Others are ignored.
 
         >>> Keys().read(b"G\x1b[Aq")
         ['g', 'up', 'q']
@@ -469,12 +483,12 @@ class Keys:
 
 
 async def typed_keys(region: Region) -> AsyncGenerator[str, None]:
-    """Give the keys as they are pressed, until the terminal is gone; see `Keys.read`.
+    """Yield keys as they are pressed, until the terminal is gone; see `Keys.read`.
 
-    While this process is in the background, the keys are for another one, and none is read.
+    While this process is in the background, no keys are read, because they are for another process.
 
     Args:
-        region: The display; its terminal must be held.
+        region: The region of the display, which must be held.
     """
     keys = Keys()
     while True:

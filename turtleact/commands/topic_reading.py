@@ -1,7 +1,7 @@
-"""``topic echo``, ``hz``, ``bw`` and ``delay``: the messages of a topic, and how they come.
+"""Implements ``topic echo``, ``hz``, ``bw`` and ``delay``, which print or measure messages.
 
-``echo`` prints messages; the others print how many come, how large and how old they are. ``hz`` and
-``delay`` report a silent topic each second, as ROS 1 did. All of them report when the last
+``echo`` prints messages. The others print how many come, how large they are, and how old. ``hz``
+and ``delay`` report a silent topic each second, as ROS 1 did. All of them report when the last
 publisher goes.
 
 Source: ros2cli ``ros2topic/verb/{echo,hz,bw,delay}.py``; recordings of Jazzy for the words.
@@ -39,17 +39,17 @@ if TYPE_CHECKING:
 __all__ = ["Bandwidth", "Delay", "Meter", "Order", "Rate", "echo", "measure", "note_absence"]
 
 ECHO_DEPTH = 1000
-"""Messages that ``echo`` keeps while the output is stuck."""
+"""How many messages ``echo`` keeps while the output is stuck."""
 
 LONGEST = 300
-"""How many characters are shown of an error that contains a message."""
+"""An error that contains a message is cut after this many characters."""
 
 DONE, TIMEOUT = 0, 124
 """Exit statuses."""
 
 
 ABSENCE = 1.0
-"""How long a topic is without a publisher before that is noted (s, by the clock of the graph)."""
+"""A topic without a publisher is noted after this time (s, by the clock of the graph)."""
 
 
 class Order(NamedTuple):
@@ -62,7 +62,8 @@ class Order(NamedTuple):
         once: Whether to exit after the first message.
         style: How messages are printed.
         timeout: When to exit (s, by the clock of the graph); None for never.
-        wanted: A Python expression that is true for the messages ``m`` to print; None for all.
+        wanted: A Python expression that is true for the messages ``m`` to print; None for all
+            messages.
         raw: Whether to print messages as CDR bytes.
         policies: The quality of service to ask for.
     """
@@ -83,7 +84,7 @@ async def echo(node: Node, order: Order) -> int:
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
-        TurtleactError: if the topic's type is unknown, or differs from that of the order.
+        TurtleactError: if the topic's type is unknown, or differs from the type in the order.
         UsageError: if its messages do not have the field, or the filter fails.
     """
     name = resolve_name(order.name)
@@ -103,7 +104,7 @@ async def echo(node: Node, order: Order) -> int:
 
 
 async def note_absence(node: Node, name: str) -> None:
-    """Note each time that the last publisher of a topic has gone, until this is cancelled."""
+    """Print a note whenever the last publisher of a topic has gone, until this is cancelled."""
     while True:
         await _wait_for_publishers(node, name)
         # No change is lost between the count and the wait: there is no await in between.
@@ -142,7 +143,7 @@ async def _print(
 
 
 def _durability(node: Node, name: str) -> Durability:
-    """The durability with which all messages come: latched ones too, if a publisher has some."""
+    """The durability to ask for. It includes latched messages if a publisher has some."""
     endpoints = node.transport.endpoints()
     publishers = [each for each in endpoints if each.kind == "publisher" and each.name == name]
     is_latched = any(each.qos.durability == "transient_local" for each in publishers)
@@ -150,7 +151,7 @@ def _durability(node: Node, name: str) -> Durability:
 
 
 def _check_type(node: Node, name: str, message_type: type[Message]) -> None:
-    """Raise if no publisher of the topic has this type."""
+    """Check that a publisher of the topic has this type, if the topic has publishers."""
     endpoints = node.transport.endpoints()
     types = types_by_name(endpoints, "topic", "publisher", hidden=True).get(name, ())
     others = [each for each in types if each != message_type.type_name]
@@ -171,7 +172,7 @@ def _is_wanted(message: Message, wanted: CodeType, path: Sequence[str]) -> bool:
 
 
 def _check_path(message_type: type[Message], path: Sequence[str]) -> None:
-    """Raise if the messages do not have the field."""
+    """Check that the messages have the field."""
     cls: type[Message] | None = message_type
     for depth, name in enumerate(path):
         where = ".".join(path[: depth + 1])
@@ -187,14 +188,14 @@ def _check_path(message_type: type[Message], path: Sequence[str]) -> None:
 
 
 def _note_missed(subscription: Subscription[Message], noted: int) -> int:
-    """Note how many messages were dropped since the last time."""
+    """Print a note on the messages that were dropped since ``noted``. Return the new total."""
     if subscription.missed > noted:
         note(f"{subscription.missed - noted} messages were lost: they came too fast")
     return subscription.missed
 
 
 def _text(message: Message, order: Order) -> str:
-    """A message as it is printed."""
+    """The text of a message."""
     if order.raw:
         return f"{encode(message)!r}\n---\n"
     value: object = order.style.values(message)
@@ -207,23 +208,23 @@ PERIOD = 1.0
 """The time between two lines (s, by the clock of the graph)."""
 
 METER_DEPTH = 100_000
-"""Messages that a meter keeps while the output is stuck."""
+"""How many messages a meter keeps while the output is stuck."""
 
 SILENT = "no new messages\n"
-"""What is printed when a topic falls silent."""
+"""The text that is printed when a topic falls silent."""
 
 
 class Meter(Protocol):
     """Measures the messages of a topic."""
 
     def begin(self, name: str, message_type: type[Message]) -> str:
-        """Text to print first; raises if the messages cannot be measured."""
+        """Return the text to print first. Raise an error if the messages cannot be measured."""
 
     def add(self, now: int, message: Message) -> None:
         """Add a message that came at this time (ns)."""
 
     def line(self, now: int) -> str:
-        """The line to print at this time (ns); empty if there is nothing to say."""
+        """Return the line to print at this time (ns); empty if there is nothing to print."""
 
 
 class Rate:
@@ -239,11 +240,11 @@ class Rate:
         self._is_news = False
 
     def begin(self, name: str, message_type: type[Message]) -> str:  # noqa: ARG002  # of any type
-        """Nothing to print first."""
+        """Return "", because this prints no heading."""
         return ""
 
     def add(self, now: int, message: Message) -> None:  # noqa: ARG002  # only its arrival counts
-        """Add a message that came at this time (ns); if time goes back, start over."""
+        """Add a message that came at this time (ns). If time goes back, start over."""
         if self._last is not None and now < self._last:
             self._between.clear()
         elif self._last is not None:
@@ -265,7 +266,7 @@ class Rate:
 
 
 class Bandwidth:
-    """Measures how many bytes of messages come a second, as CDR.
+    """Measures how many bytes of messages, as CDR, come per second.
 
     Args:
         window: How many messages to keep.
@@ -275,17 +276,17 @@ class Bandwidth:
         self._came: deque[tuple[int, int]] = deque(maxlen=window)
 
     def begin(self, name: str, message_type: type[Message]) -> str:  # noqa: ARG002  # of any type
-        """The line that ros2 prints."""
+        """Return the first line that ros2 prints."""
         return f"Subscribed to [{name}]\n"
 
     def add(self, now: int, message: Message) -> None:
-        """Add the size of a message; if time goes back, start over."""
+        """Add the size of a message. If time goes back, start over."""
         if self._came and now < self._came[-1][0]:
             self._came.clear()
         self._came.append((now, len(encode(message))))
 
     def line(self, now: int) -> str:
-        """The bandwidth from the first message of the window until now; empty before the second."""
+        """The bandwidth since the first message of the window; empty before the second message."""
         if len(self._came) < 2 or now <= self._came[0][0]:
             return ""
         sizes = [size for _, size in self._came]
@@ -299,7 +300,7 @@ class Bandwidth:
 
 
 class Delay:
-    """Measures how old messages are when they come, by the stamp in their header.
+    """Measures how old messages are when they arrive, by the stamp in their header.
 
     Args:
         window: How many messages to keep.
@@ -374,7 +375,7 @@ async def _wait_for_topic(node: Node, name: str) -> None:
 
 
 def _spread(seconds: list[float]) -> str:
-    """The line that says how much the times between messages differ."""
+    """The line about the spread of the times between messages."""
     mean = math.fsum(seconds) / len(seconds)
     deviation = math.sqrt(math.fsum((each - mean) ** 2 for each in seconds) / len(seconds))
     return (

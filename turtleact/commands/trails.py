@@ -1,4 +1,4 @@
-"""Where turtles are and have been, as the graph tells, and where a goal sends them."""
+"""Follows turtles on the graph, their trails, and the places to which a goal sends them."""
 
 from __future__ import annotations
 
@@ -33,20 +33,23 @@ __all__ = [
 ]
 
 NEAR: Final = 0.15
-"""A turtle that has come this near to a place has passed it (m), or as near as the goal allows."""
+"""A turtle has passed a place if it has come this near (m), or within the goal's tolerance."""
 
 STILL: Final = 1e-4
 JUMP: Final = 1.0
-"""Below the first distance, two poses are one place; above the second, it was a teleport (m)."""
+"""Two poses nearer than the first distance (m) are one place.
+
+Farther apart than the second, there was a teleport.
+"""
 
 MOST_TURTLES: Final = 32
-"""How many turtles are followed; a map could not show more."""
+"""At most this many turtles are followed. A map could not show more."""
 
 POSES_A_FRAME: Final = 8192
-"""How many poses are kept between two frames: those of a second at the highest speed."""
+"""How many poses are kept between two frames: enough for a second at the highest speed."""
 
 LOOKS: Final = 15
-"""How many readings pass between two searches of the graph for new turtles."""
+"""How many calls of `look` pass between two searches of the graph for new turtles."""
 
 POSE_TYPES: Final = ("turtlesim/msg/Pose", "turtlesim_msgs/msg/Pose")
 POSE: Final = "/pose"
@@ -57,7 +60,7 @@ class PoseTrails:
 
     Args:
         node: A node on the graph.
-        leader: The pose topic of the turtle that matters most, if one does.
+        leader: The pose topic of the most important turtle, if there is one.
 
     Attributes:
         motion: How the leader moves.
@@ -115,7 +118,7 @@ def colour_of(turtle: str) -> str:
 
 
 class Motion:
-    """How a turtle moves, inferred from its poses, because turtlesim's speeds have no sign.
+    """Infers from poses how a turtle moves, because turtlesim's speeds have no sign.
 
     Attributes:
         is_reversing: Whether it has just moved against its heading.
@@ -132,7 +135,7 @@ class Motion:
         self.is_reversing = -JUMP < along < -STILL
 
     def told(self) -> str:
-        """The motion in words; empty unless the turtle reverses."""
+        """Return the motion in words; empty unless the turtle reverses."""
         return "reversing" if self.is_reversing else ""
 
 
@@ -140,8 +143,8 @@ class Course:
     """The places that a goal leads to, and how many of them its turtle has passed.
 
     Attributes:
-        stops: How many places there are, all rounds together.
-        passed: How many of them the turtle has passed, in order.
+        stops: How many places there are, counting all rounds.
+        passed: How many of these places the turtle has passed, in order.
     """
 
     def __init__(self, goal: Message) -> None:
@@ -168,7 +171,7 @@ class Course:
         ]
 
     def told(self) -> str:
-        """The progress in words; empty if there are no places."""
+        """Return the progress in words; empty if there are no places."""
         return f"{self.passed} of {self.stops} places" if self.stops else ""
 
 
@@ -198,7 +201,7 @@ def sends_a_turtle(name: str, goal: Message) -> tuple[bool, str]:
 
     Args:
         name: The action's name: ``/turtle1/rotate_absolute`` drives ``turtle1``.
-        goal: The goal. One that has places but names no turtle drives ``turtle1``.
+        goal: The goal. A goal with places that names no turtle drives ``turtle1``.
     """
     named = str(getattr(goal, "turtle", "")) or name.rpartition("/")[0].strip("/")
     has_places = any(True for _ in places_in(to_dict(goal)))

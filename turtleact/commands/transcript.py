@@ -1,6 +1,6 @@
-"""What a command prints about a goal: as ``ros2 action send_goal`` does, or as JSON.
+"""Prints what happens to a goal, as ``ros2 action send_goal`` does or as JSON.
 
-Each block is flushed, so that a pipe sees it at once.
+Each block is flushed, so that a pipe gets it at once.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 View = Literal["auto", "plain", "json"]
-"""How a goal is shown; ``auto`` is live on a terminal."""
+"""The ways to show a goal. ``auto`` is live on a terminal."""
 
 WAITING = "Waiting for an action server to become available...\n"
 
@@ -42,34 +42,34 @@ class Transcript(Protocol):
 
     @property
     def wants_feedback(self) -> bool:
-        """Whether `feedback` is to be called for each feedback message."""
+        """Whether to call `feedback` with each feedback message."""
 
     def sending(self, goal: Message) -> None:
-        """The goal is about to be sent."""
+        """Called when the goal is about to be sent."""
 
     def rejected(self, reason: str) -> None:
-        """The server rejected the goal. The reason is noted separately."""
+        """Called when the server has rejected the goal. The reason is noted separately."""
 
     def accepted(self, sent: Sent) -> None:
-        """The server accepted the goal."""
+        """Called when the server has accepted the goal."""
 
     def follows(self, goal: Followed) -> None:
-        """A goal that somebody else sent is followed from now on."""
+        """Called when a goal that somebody else has sent is followed from now on."""
 
     async def animate(self) -> None:
-        """Run beside the goal until it ends; is then cancelled."""
+        """Run beside the goal. This is cancelled when the goal ends."""
 
     def feedback(self, feedback: Message) -> None:
-        """A feedback message came."""
+        """Called with each feedback message."""
 
     def status(self, status: GoalStatus) -> None:
-        """The goal has this status, which may be the same as before."""
+        """Called with the goal's status, which may be the same as before."""
 
     def canceling(self) -> None:
-        """The goal is asked to cancel."""
+        """Called when the server is asked to cancel the goal."""
 
     def ended(self, outcome: Outcome[Message]) -> None:
-        """The goal has ended."""
+        """Called when the goal has ended."""
 
     def note(self, text: str) -> None:
         """Tell the user something else."""
@@ -78,7 +78,7 @@ class Transcript(Protocol):
         """Wait until everything has been written. Cancelling: safe."""
 
     def close(self) -> None:
-        """Stop the display; what was printed stays. Never blocks, and may be called anywhere."""
+        """Stop the display. Printed text stays. This never blocks, and may be called anywhere."""
 
 
 class Held(Protocol):
@@ -86,11 +86,11 @@ class Held(Protocol):
 
     @property
     def goal_id(self) -> bytes:
-        """Its 16 bytes."""
+        """The 16 bytes of the goal's id."""
 
     @property
     def status(self) -> GoalStatus:
-        """Its state."""
+        """The goal's state."""
 
     @property
     def last_feedback(self) -> Message | None:
@@ -101,7 +101,7 @@ class Held(Protocol):
         """Whether the goal is paused."""
 
     async def pause(self) -> None:
-        """Pause the goal; raises `PauseRefused` if it cannot be paused."""
+        """Pause the goal. Raises `PauseRefused` if it cannot be paused."""
 
     async def resume(self) -> None:
         """Let the goal go on."""
@@ -115,7 +115,7 @@ class Followed(NamedTuple):
         name: The action.
         goal_type: The type of the goal message.
         goal: The goal message; None if somebody else sent it.
-        handle: The goal, as a client sees it.
+        handle: The client's view of the goal.
         age: How long ago it was accepted (s).
     """
 
@@ -145,14 +145,14 @@ class Sent(NamedTuple):
     handle: ClientGoalHandle[Message, Message]
 
     def followed(self) -> Followed:
-        """The same goal, now that it was accepted and is followed."""
+        """Return the same goal as a followed one."""
         return Followed(self.node, self.name, type(self.goal), self.goal, self.handle)
 
 
 class PlainTranscript:
-    """The transcript of ``ros2 action send_goal``, except that all YAML is indented alike.
+    """The transcript of ``ros2 action send_goal``, but with all YAML indented alike.
 
-    ROS 2 indents only the first line below ``Feedback:`` and ``Result:``: which is not YAML.
+    ROS 2 indents only the first line below ``Feedback:`` and ``Result:``, so its output is no YAML.
 
     Args:
         wants_feedback: Whether to print each feedback message.
@@ -172,7 +172,7 @@ class PlainTranscript:
         self._most_lines = most_lines
 
     def sending(self, goal: Message) -> None:
-        """The goal is about to be sent."""
+        """Called when the goal is about to be sent."""
         lines = _indented(goal, 5).removesuffix("\n").split("\n")
         if len(lines) > self._most_lines:
             first = self._most_lines // 2
@@ -181,47 +181,50 @@ class PlainTranscript:
         self._say("\n".join(("Sending goal:", *lines, "\n")))
 
     def rejected(self, reason: str) -> None:  # noqa: ARG002  # ros2 does not print it here
-        """The server rejected the goal."""
+        """Called when the server has rejected the goal."""
         self._say("Goal was rejected.\n")
 
     def accepted(self, sent: Sent) -> None:
-        """The server accepted the goal."""
+        """Called when the server has accepted the goal."""
         self._say(f"Goal accepted with ID: {sent.handle.goal_id.hex()}\n\n")
 
     def follows(self, goal: Followed) -> None:
-        """Nothing to print yet."""
+        """Do nothing, because there is nothing to print yet."""
 
     async def animate(self) -> None:
-        """Nothing to animate."""
+        """Do nothing, because there is nothing to animate."""
 
     def feedback(self, feedback: Message) -> None:
-        """A feedback message came."""
+        """Called with each feedback message."""
         self._say(f"Feedback:\n{_indented(feedback, 4)}\n")
 
     def status(self, status: GoalStatus) -> None:
-        """Only the final status is printed."""
+        """Do nothing, because only the final status is printed."""
 
     def canceling(self) -> None:
-        """The goal is asked to cancel."""
+        """Called when the server is asked to cancel the goal."""
         self._say("Canceling goal...\n\n")
 
     def ended(self, outcome: Outcome[Message]) -> None:
-        """The goal has ended."""
+        """Called when the goal has ended."""
         self._say(result_text(outcome))
 
     def note(self, text: str) -> None:
-        """Something that belongs to no goal happened."""
+        """Print a note that belongs to no goal."""
         note(text)
 
     async def drained(self) -> None:
-        """Nothing to wait for: each block is flushed."""
+        """Do nothing, because each block is flushed at once."""
 
     def close(self) -> None:
-        """Nothing to stop."""
+        """Do nothing, because there is nothing to stop."""
 
 
 class JsonTranscript:
-    """One JSON object a line; its ``event`` is accepted, rejected, status, feedback or result."""
+    """Prints a JSON object per line.
+
+    ``event`` is accepted, rejected, status, feedback or result.
+    """
 
     wants_feedback = True
 
@@ -230,14 +233,14 @@ class JsonTranscript:
         self._status: GoalStatus | None = None
 
     def sending(self, goal: Message) -> None:
-        """No event."""
+        """Do nothing, because there is no event for this."""
 
     def rejected(self, reason: str) -> None:
-        """The server rejected the goal; it has no id."""
+        """Called when the server has rejected the goal, which has no id."""
         self._tell("rejected", reason=json.dumps(reason, ensure_ascii=False))
 
     def accepted(self, sent: Sent) -> None:
-        """The server accepted the goal."""
+        """Called when the server has accepted the goal."""
         self._goal_id = sent.handle.goal_id.hex()
         self._tell(
             "accepted",
@@ -248,26 +251,26 @@ class JsonTranscript:
         )
 
     def follows(self, goal: Followed) -> None:
-        """Nothing to print yet."""
+        """Do nothing, because there is nothing to print yet."""
 
     async def animate(self) -> None:
-        """Nothing to animate."""
+        """Do nothing, because there is nothing to animate."""
 
     def feedback(self, feedback: Message) -> None:
-        """A feedback message came."""
+        """Called with each feedback message."""
         self._tell("feedback", feedback=to_json(feedback))
 
     def status(self, status: GoalStatus) -> None:
-        """The goal has this status, new or not."""
+        """Called with the goal's status, new or not."""
         if status is not self._status:
             self._status = status
             self._tell("status", status=json.dumps(status.name))
 
     def canceling(self) -> None:
-        """The status event reports it."""
+        """Do nothing, because the status event reports this."""
 
     def ended(self, outcome: Outcome[Message]) -> None:
-        """The goal has ended."""
+        """Called when the goal has ended."""
         self.status(outcome.status)
         self._tell(
             "result",
@@ -277,17 +280,17 @@ class JsonTranscript:
         )
 
     def note(self, text: str) -> None:
-        """Something that belongs to no goal happened."""
+        """Print a note that belongs to no goal."""
         note(text)
 
     async def drained(self) -> None:
-        """Nothing to wait for: each block is flushed."""
+        """Do nothing, because each block is flushed at once."""
 
     def close(self) -> None:
-        """Nothing to stop."""
+        """Do nothing, because there is nothing to stop."""
 
     def _tell(self, event: str, **values: str) -> None:
-        """Print an event; its values are JSON already."""
+        """Print an event. Its values are JSON already."""
         pairs = {"event": json.dumps(event), "goal_id": json.dumps(self._goal_id), **values}
         say("{" + ", ".join(f'"{name}": {value}' for name, value in pairs.items()) + "}\n")
 

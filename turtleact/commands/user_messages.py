@@ -1,4 +1,4 @@
-"""``topic pub``, ``service call`` and ``snapshot``: messages and requests that the user sends.
+"""Implements ``topic pub``, ``service call`` and ``snapshot``, which send the user's messages.
 
 Source: ros2cli ``ros2topic/verb/pub.py`` and ``ros2service/verb/call.py``; recordings of Jazzy for
 the words.
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["Order", "call", "publish", "take"]
 
 PATIENCE = 5.0
-"""How long a subscription that the graph shows has to be reached (s, by the graph's clock)."""
+"""How long to wait until a subscription on the graph can be reached (s, by the graph's clock)."""
 
 
 class Order(NamedTuple):
@@ -46,9 +46,9 @@ class Order(NamedTuple):
         name: The topic.
         type_name: The type of the topic; None for the type on the graph.
         text: The message.
-        rate: Messages a second, above zero.
+        rate: Messages per second, above zero.
         times: How many messages to publish; 0 for no limit.
-        every: Print one message out of this many; 0 prints none.
+        every: Print one message out of this many; with 0, print none.
         wait: How many subscriptions to wait for first.
         policies: The quality of service to offer.
     """
@@ -149,14 +149,14 @@ def _timed(tree: object, message_type: type[Message], now: int) -> object:
 async def call(
     node: Node, name: str, type_name: str | None, text: GoalText, *, rate: float | None
 ) -> int:
-    """Call a service once it exists; again and again if there is a rate.
+    """Call a service as soon as it exists. With a rate, call it again and again.
 
     Args:
         node: A node on the graph.
         name: The service.
         type_name: The type of the service; None for the type on the graph.
         text: The request.
-        rate: Calls a second, by the clock of the graph; None for a single call.
+        rate: Calls per second, by the clock of the graph; None for a single call.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
@@ -190,7 +190,7 @@ async def call(
 
 
 PICTURE_PATIENCE = 10.0
-"""How long a world has for a picture (s, wall clock): it is drawn in a thread."""
+"""How long to wait for a world's picture, which a thread draws (s, wall clock)."""
 
 
 async def take(node: Node, path: Path) -> int:
@@ -198,11 +198,11 @@ async def take(node: Node, path: Path) -> int:
 
     Args:
         node: A node on the graph.
-        path: The file; its suffix chooses the format.
+        path: The file. Its suffix chooses the format.
 
     Raises:
         ServerUnavailable: if there is no world on the graph.
-        ServiceTimeout: if it does not answer.
+        ServiceTimeout: if the world does not answer.
         TurtleactError: if the world cannot make the picture, or the file cannot be written.
     """
     services = types_by_name(node.transport.endpoints(), "service")

@@ -1,9 +1,9 @@
-"""Declares the verbs and their options for Typer: turns a command line into a job.
+"""Declares the verbs and their options for Typer, which turns a command line into a job.
 
-A command function checks what can be checked at once and returns a job, which does the work. The
-job is run outside of Typer, because Typer has its own view of broken pipes and interrupts. Each
-group of verbs is a module, which is imported only when it is chosen. The modules of
-`turtleact.commands` that do the work are imported later still.
+A command function checks its arguments as far as possible and returns a job, which does the work.
+The job runs outside of Typer, because Typer handles broken pipes and interrupts in its own way.
+Each group of verbs is a module, which is imported only when it is chosen. The modules of
+`turtleact.commands` that do the work are imported even later.
 
 `Verb` and `Group` accept what ``ros2`` accepts, and explain verbs that only ``ros2`` has. The
 methods they override are part of click's documented interface.
@@ -40,16 +40,16 @@ __all__ = [
 ]
 
 Job: TypeAlias = Callable[[Interrupts], int]
-"""Does the work of a verb and returns the exit status."""
+"""A function that does the work of a verb and returns the exit status."""
 
 SETTINGS: Final[dict[str, Any]] = {
     "add_completion": False,
     "context_settings": {"help_option_names": ["-h", "--help"]},
 }
-"""What all groups of verbs have in common."""
+"""The options of Typer for all groups of verbs."""
 
 _VALUE: Final = re.compile(r"-[\d.\s]|---\s")
-"""How a value with a leading dash begins: ``-5``, ``- x: 1``, or a YAML document."""
+"""The beginning of a value with a leading dash: ``-5``, ``- x: 1``, or a YAML document."""
 
 _NO_BUILD: Final = (
     "nothing has to be built or sourced; 'turtleact run --help' lists what can be run here"
@@ -106,10 +106,13 @@ PANELS: Final = {
 
 
 class Verb(TyperCommand):
-    """A command that accepts what ``ros2`` accepts; its usage errors look like Typer's."""
+    """A command that accepts what ``ros2`` accepts. Its usage errors look like Typer's."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
-        """Read the arguments; values may begin with a dash, daemon options are ignored."""
+        """Read the arguments.
+
+        Values may begin with a dash. Options about the daemon are ignored.
+        """
         known = {option for param in self.params for option in param.opts}
         if "--connect" in known:
             args = without_daemon(args)
@@ -123,11 +126,11 @@ class Verb(TyperCommand):
         return left
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # as above
-        """The options; the help shows no type for switches."""
+        """Return the options. The help shows no type for switches."""
         return _without_type(super().get_params(ctx))
 
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above; the job
-        """Make the job; report errors of our own checks as Typer reports its own."""
+        """Make the job. Report errors of our own checks as Typer reports its own."""
         try:
             return super().invoke(ctx)
         except UsageError as error:
@@ -135,14 +138,14 @@ class Verb(TyperCommand):
 
 
 class Group(TyperGroup):
-    """A group that knows what to use instead of verbs that only ``ros2`` has."""
+    """A group that suggests what to use instead of verbs that only ``ros2`` has."""
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # as above
-        """As in `Verb`."""
+        """Return the options, as in `Verb`."""
         return _without_type(super().get_params(ctx))
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above
-        """Find the verb; Typer suggests the nearest one if there is none of that name."""
+        """Find the verb. If there is none of that name, Typer suggests the nearest one."""
         verb = args[0]
         if verb not in self.commands and not ctx.resilient_parsing:
             path = verb if ctx.parent is None else f"{ctx.info_name} {verb}"
@@ -156,18 +159,18 @@ class Group(TyperGroup):
 
 
 class LazyGroup(Group):
-    """The whole command line; a verb is imported when it is chosen, not when it is listed.
+    """The whole command line. A verb is imported when it is chosen, not when it is listed.
 
     `_root` declares the help option. Typer's own help option has no default, and Typer imports
     pydantic to recognize a missing value, which takes longer than importing Typer.
     """
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # noqa: ARG002  # as in `Group`
-        """The options that `_root` declares, and those for completion."""
+        """Return the options that `_root` declares, and those for completion."""
         return _without_type([*self.params])
 
     def get_help_option(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401, ARG002  # as above
-        """The help option, which an error points to."""
+        """Return the help option, which an error points to."""
         return next(param for param in self.params if param.name == "_help")
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]  # noqa: ANN401  # as in `Group`
@@ -177,7 +180,7 @@ class LazyGroup(Group):
 
 
 def parse(arguments: Sequence[str]) -> Job:
-    """Parse a command line into a job; Typer prints help, completions and usage errors.
+    """Parse a command line into a job. Typer prints help, completions and usage errors.
 
     If Typer has done everything itself, the job only returns the exit status.
     """
@@ -197,11 +200,11 @@ def parse(arguments: Sequence[str]) -> Job:
 
 
 def assemble(take: Callable[..., None], *, completion: bool = True) -> typer.Typer:
-    """The command line: all verbs by name, none of them imported.
+    """Make the command line: all verbs by name, none of them imported.
 
     Args:
-        take: Called with what the command function returned.
-        completion: Whether there are options to install and show completion.
+        take: Called with the result of the command function.
+        completion: Whether to have options that install and show completion.
     """
     app = typer.Typer(
         cls=LazyGroup,
@@ -220,7 +223,7 @@ def assemble(take: Callable[..., None], *, completion: bool = True) -> typer.Typ
 
 
 def load(verb: str) -> Any:  # noqa: ANN401  # of click, which Typer brings along privately
-    """The command or group of a verb."""
+    """Import and return the command or group of a verb."""
     home = import_module(f"turtleact.commands.verbs.{HOMES.get(verb, verb)}")
     group = getattr(home, verb) if verb in GROUPS and verb in HOMES else home.app
     command = get_command(group)
@@ -230,7 +233,7 @@ def load(verb: str) -> Any:  # noqa: ANN401  # of click, which Typer brings alon
 
 
 def new_group(name: str, summary: str = "") -> typer.Typer:
-    """A group that prints its help if no verb is given, as in ``ros2``.
+    """Make a group that prints its help if no verb is given, as in ``ros2``.
 
     Args:
         name: The name of the group.
@@ -299,7 +302,7 @@ def _root(
 
 
 def _unloaded() -> None:
-    """A placeholder for a verb in the list; `LazyGroup` replaces it."""
+    """A placeholder for a verb in the list. `LazyGroup` replaces it."""
 
 
 def _daemon(what: Annotated[str, typer.Argument()] = "") -> Job:  # noqa: ARG001  # whatever it is
@@ -309,7 +312,7 @@ def _daemon(what: Annotated[str, typer.Argument()] = "") -> Job:  # noqa: ARG001
 
 
 def _without_type(params: list[Any]) -> list[Any]:
-    """The same parameters, with a metavar for switches: else the help shows ``<bool>`` for them."""
+    """Give switches a metavar, because the help would show ``<bool>`` for them."""
     for param in params:
         if getattr(param, "is_flag", False) and param.metavar is None:
             param.metavar = ""
@@ -321,7 +324,7 @@ def _exit_status(status: int, _: Interrupts) -> int:
 
 
 def _check_text(ctx: typer.Context, param: Any) -> None:  # noqa: ANN401  # option or argument
-    """Refuse text that is not UTF-8, except in paths: a file may have any name."""
+    """Refuse text that is not UTF-8, except in paths, because a file may have any name."""
     value = ctx.params.get(param.name)
     for text in value if isinstance(value, list | tuple) else [value]:
         if not isinstance(text, str):

@@ -1,4 +1,4 @@
-"""``bag``, as Typer reads it."""
+"""Declares the group ``bag`` for Typer."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class ManyVerb(Verb):
     """A verb with options that take several values, as argparse's do: ``--topics /a /b``."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
-        """Read the arguments; an option is repeated before each of its values."""
+        """Read the arguments. An option is repeated before each of its values."""
         many = {name for each in self.params if _is_list(each) for name in each.opts}
         args = [SHORT.get(each, each) for each in args]
         for option, following in pairwise([*args, "--"]):
@@ -65,7 +65,7 @@ def _is_list(param: Any) -> bool:  # noqa: ANN401  # of click, as in `load`
 
 
 def _repeated(args: Sequence[str], many: set[str]) -> list[str]:
-    """Repeat such an option before each value that follows it.
+    """Repeat an option that takes several values before each of its values.
 
     >>> _repeated(["--topics", "/a", "/b", "-o", "run", "/c"], {"--topics"})
     ['--topics', '/a', '--topics', '/b', '-o', 'run', '/c']
@@ -364,7 +364,7 @@ def record(
 def _recording(
     where: Reach, interfaces: Path | None, named: dict[str, Any], files: tuple[object, ...]
 ) -> Job:
-    """A job that records what is named to files; see `bag_sessions.RecordOrder`."""
+    """Make the job that records to files; see `bag_sessions.RecordOrder`."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
@@ -542,7 +542,7 @@ def view(bag: BagPath, *, port: Port = 0, no_open: NoOpen = False) -> Job:
 
 
 def _rate(text: str) -> float | str:
-    """How fast to play: a factor above zero, or ``max``."""
+    """Parse the speed of playing: a factor above zero, or ``max``."""
     if text == "max":
         return text
     try:
@@ -552,7 +552,7 @@ def _rate(text: str) -> float | str:
 
 
 def _renamed(rule: str) -> tuple[str, str]:
-    """A rule such as ``/old:=/new``."""
+    """Parse a rule such as ``/old:=/new``."""
     from turtleact.names import resolve_name
 
     old, sign, new = rule.partition(":=")
@@ -565,7 +565,7 @@ def _work(module: str) -> Any:  # noqa: ANN401  # a module
     """Import a module that needs the extra.
 
     Raises:
-        TurtleactError: if a package is missing; the text says which.
+        TurtleactError: if a package is missing. The text names it.
     """
     from importlib import import_module
 
@@ -579,7 +579,7 @@ def _work(module: str) -> Any:  # noqa: ANN401  # a module
 
 
 def _selection(**given: Any) -> Selection:  # noqa: ANN401  # as Selection
-    """A selection; lists become sets, and names absolute."""
+    """Make a selection. Lists become sets, and names become absolute."""
     from turtleact.names import resolve_name
     from turtleact.recording import Selection
 

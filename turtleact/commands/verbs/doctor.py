@@ -1,4 +1,4 @@
-"""``doctor``, as Typer reads it."""
+"""Declares the verb ``doctor`` for Typer."""
 
 from __future__ import annotations
 

@@ -371,7 +371,7 @@ def resume(
 
 
 def _switch(given: list[str], *, is_all: bool, is_paused: bool, timeout: float) -> Look:
-    """Make the job that pauses or resumes goals: those named by their ids, or all of an action."""
+    """Make the job that pauses or resumes goals, which are named by their ids or by an action."""
     if is_all and len(given) > 1:
         raise UsageError("--all takes one action; without one, it means all actions")
     if not is_all and not given:
@@ -525,14 +525,14 @@ def echo(
 
 
 def moment(text: str) -> int:
-    """A moment as nanoseconds since the epoch, above zero.
+    """Parse a moment as nanoseconds since the epoch, above zero.
 
     Args:
-        text: Seconds since the epoch, or a date and time as in ISO 8601; local time if it names no
-            zone.
+        text: Seconds since the epoch, or a date and time as in ISO 8601. Without a zone, it is
+            local time.
 
     Raises:
-        UsageError: if it is neither.
+        UsageError: if the text is neither.
     """
     seconds = _SECONDS.fullmatch(text)
     if seconds:
@@ -556,10 +556,10 @@ def _moment_of_iso(text: str) -> int:
 
 
 def _since(text: str) -> int:
-    """The moment that ``--since`` names, as nanoseconds since the epoch.
+    """Parse the moment that ``--since`` names, as nanoseconds since the epoch.
 
     Raises:
-        UsageError: if it is neither a length of time nor a moment.
+        UsageError: if the text is neither a length of time nor a moment.
     """
     try:
         return time.time_ns() - round(span(text) * 1e9)
@@ -573,10 +573,10 @@ def _since(text: str) -> int:
 
 
 def _parts(text: str, known: tuple[str, ...]) -> list[str] | None:
-    """The parts of an action that ``--interfaces`` names; None if it names a folder.
+    """Parse the parts of an action in ``--interfaces``; None if the text is a folder.
 
     Raises:
-        UsageError: if it is neither.
+        UsageError: if the text is neither.
     """
     parts = [each.strip().upper() for each in text.split("|")]
     if all(each in known for each in parts):
@@ -588,7 +588,7 @@ def _parts(text: str, known: tuple[str, ...]) -> list[str] | None:
 
 
 def _read(look: Callable[[ModuleType], int]) -> Job:
-    """A job that reads a journal."""
+    """Make the job that reads a journal."""
 
     def job(_: Interrupts) -> int:
         from turtleact.commands import journaled_goals

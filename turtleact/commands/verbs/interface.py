@@ -1,4 +1,4 @@
-"""``interface``, as Typer reads it."""
+"""Declares the group ``interface`` for Typer."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
 
 
 def _when_known(interfaces: Path | None, act: Callable[[Interrupts], None]) -> Job:
-    """A job that prints something once the interfaces are known."""
+    """Make a job that prints something after the interfaces are known."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known

@@ -55,10 +55,13 @@ __all__ = [
 ]
 
 Look: TypeAlias = Callable[["Node"], Awaitable[int]]
-"""Looks at the graph through a node and returns the exit status."""
+"""A function that looks at the graph through a node and returns the exit status."""
 
 Plan: TypeAlias = Callable[[Interrupts], Look]
-"""Does what must happen before the graph is opened, such as reading stdin; returns the `Look`."""
+"""A function that works before the graph is opened, such as reading stdin.
+
+It returns the `Look`.
+"""
 
 GRAPH = "Graph"
 """The heading of the options that select a graph."""
@@ -67,13 +70,13 @@ MOST_DOMAIN = 232
 """The highest domain; source: the ROS 2 article "The ROS_DOMAIN_ID"."""
 
 MOST_DIGITS = 18
-"""The most digits of a whole number, so that it fits 64 bits."""
+"""The maximum number of digits of a whole number, so that it fits 64 bits."""
 
 _SPAN = re.compile(r"(?P<number>[0-9]{1,9}(?:\.[0-9]{1,9})?) *(?P<unit>s|min|h|d)")
 UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
 
 _IN_DOUBLE_QUOTES = re.compile(r'[^"$`\\!]*')
-"""Text that means itself between double quotes, in every shell."""
+"""The pattern of text that needs no escapes between double quotes, in any shell."""
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
 
@@ -81,8 +84,8 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
 class MessageVerb(Verb):
     """A verb whose last argument is a message.
 
-    A shell splits a message without quotes into words. So words that look like one are answered
-    with the command line that was meant.
+    A shell splits a message without quotes into words. If the words look like a message, the error
+    shows the command line that was probably meant.
     """
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as in `Verb`
@@ -113,7 +116,7 @@ def _is_option(word: str) -> bool:
 
 
 def _quoted_in(args: list[str], words: list[str]) -> str:
-    """The arguments with some words of them as one argument in quotes."""
+    """The arguments as text, with some of their words as one argument in quotes."""
     text, count = " ".join(words), len(words)
     starts = [i for i in range(len(args)) if args[i : i + count] == words]
     if starts:
@@ -129,7 +132,7 @@ def ros_domain(given: str | int) -> int:
     """Parse a ROS domain.
 
     Like `seconds`, `hertz`, `speed` and `whole` below, this is for ``typer.Option(parser=...)``.
-    Typer passes the default of an option to its parser too.
+    Typer also passes the default of an option to the option's parser.
 
     Raises:
         typer.BadParameter: if the text is something else.
@@ -229,7 +232,7 @@ def journal_in(panel: str | None, text: str) -> Any:  # noqa: ANN401  # as typer
 
 
 def on_graph(where: Reach, look: Look) -> Job:
-    """A job that looks at a graph."""
+    """Make a job that looks at a graph."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph
@@ -240,7 +243,7 @@ def on_graph(where: Reach, look: Look) -> Job:
 
 
 def on_known_graph(where: Reach, interfaces: Path | None, plan: Plan) -> Job:
-    """A job that makes the interfaces known, carries out ``plan``, then looks at a graph."""
+    """Make a job that makes the interfaces known, carries out ``plan``, then looks at a graph."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph
@@ -264,10 +267,10 @@ def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401  # as
 
 
 def style(*, csv: bool, flow: bool, longest: int | None, no_arr: bool, no_str: bool) -> Style:
-    """How messages are printed.
+    """Return how messages are printed.
 
     Raises:
-        UsageError: if they are to be printed in two ways.
+        UsageError: if options ask for two ways at once.
     """
     from turtleact.commands.message_text import Style
 
@@ -276,14 +279,14 @@ def style(*, csv: bool, flow: bool, longest: int | None, no_arr: bool, no_str: b
 
 
 def name_of(what: str, example: str, known: Callable[..., Any], metavar: str = "NAME") -> Any:  # noqa: ANN401  # likewise
-    """The argument that names something of the graph."""
+    """Declare the argument that names something on the graph."""
     return typer.Argument(
         metavar=metavar, help=f"The {what}, such as {example}.", autocompletion=known
     )
 
 
 def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # likewise
-    """The argument that takes a message."""
+    """Declare the argument that takes a message."""
     return typer.Argument(
         metavar=metavar,
         help=f"The {what}, as YAML or JSON. If left out, {{}}.",
@@ -293,29 +296,29 @@ def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # li
 
 
 def stdin_of(what: str) -> Any:  # noqa: ANN401  # as typer.Option
-    """The switch that reads a message from stdin."""
+    """Declare the switch that reads a message from stdin."""
     return typer.Option("--stdin", help=f"Read the {what} from stdin.")
 
 
 def count_of(name: str) -> Any:  # noqa: ANN401  # likewise
-    """The switch that prints only a count."""
+    """Declare the switch that prints only a count."""
     return typer.Option(name, "-c", help="Print only how many there are.")
 
 
 def in_seconds(*names: str, text: str, panel: str | None = None) -> Any:  # noqa: ANN401  # likewise
-    """An option that takes a number of seconds, 0 or more."""
+    """Declare an option that takes a number of seconds, 0 or more."""
     return typer.Option(*names, metavar="SECONDS", parser=seconds, help=text, rich_help_panel=panel)
 
 
 def type_and_text(
     type_name: str | None, text: str | None, what: str
 ) -> tuple[str | None, str | None]:
-    """Tell a type from the text of a message; a single argument may be either.
+    """Tell a type from the text of a message. A single argument may be either.
 
     Args:
-        type_name: What was typed in the place of the type.
-        text: What was typed in the place of the message.
-        what: What the message is called.
+        type_name: The argument in the place of the type.
+        text: The argument in the place of the message.
+        what: The word for the message, for errors.
 
     Raises:
         UsageError: if both are given, and the first is not a type.
@@ -334,11 +337,11 @@ def only_one(what: str, **given: bool) -> None:
     """Refuse options that exclude each other.
 
     Args:
-        what: The thing that each of them gives, for the error.
-        **given: Whether each was given, by its name: ``goal_file`` is ``--goal-file``.
+        what: The thing that each option gives, for the error.
+        **given: Whether each option was given, by its name: ``goal_file`` is ``--goal-file``.
 
     Raises:
-        UsageError: if more than one was given.
+        UsageError: if more than one option was given.
     """
     if sum(given.values()) > 1:
         *names, last = (name if name.isupper() else f"--{name.replace('_', '-')}" for name in given)
@@ -376,7 +379,7 @@ def hertz(given: str | float) -> float:
 
 
 def speed(given: str | float) -> float:
-    """Parse how fast time passes: a factor above zero."""
+    """Parse the speed of time: a factor above zero."""
     from turtleact.clock import FASTEST
 
     value = _finite(given)
@@ -387,7 +390,7 @@ def speed(given: str | float) -> float:
 
 
 def speed_or_max(text: str) -> float | str:
-    """Parse such a factor, or ``max`` for as fast as the machine computes.
+    """Parse the speed of time: a factor, or ``max`` for as fast as the machine computes.
 
     Raises:
         UsageError: if it is neither.
@@ -410,7 +413,7 @@ def whole(given: str | int) -> int:
 
 
 def _finite(given: str | float) -> float:
-    """The number, or NaN if it is infinite or no number at all."""
+    """Return the number, or NaN if it is infinite or no number at all."""
     try:
         value = float(given)
     except ValueError:

@@ -1,4 +1,4 @@
-"""``pkg``, as Typer reads it."""
+"""Declares the group ``pkg`` for Typer."""
 
 from __future__ import annotations
 
@@ -79,10 +79,10 @@ app = new_group("pkg", "Create and list packages, like 'ros2 pkg'. A package nee
 
 
 class Create(Verb):
-    """The command ``create``: ``--dependencies`` takes several values, as in ``ros2``."""
+    """The command ``create``. As in ``ros2``, ``--dependencies`` takes several values."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as in `Verb`
-        """Click's options take a fixed number of values."""
+        """Repeat ``--dependencies`` before each value, because click's options take one value."""
         return super().parse_args(ctx, spread(args, "--dependencies"))
 
 

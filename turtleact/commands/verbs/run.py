@@ -1,6 +1,6 @@
-"""``run``, as Typer reads it: finds what to run.
+"""Declares the verb ``run`` for Typer, and finds the program to run.
 
-`turtleact.commands.programs` runs what was found, unless it is built in.
+`turtleact.commands.programs` runs the program, unless it is built in.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ OWN_OPTIONS = ("--face", "--embedded", "--interfaces", "--connect", "--config")
 ROS_OPTIONS = ("--ros-args", "-p", "--param", "--params-file", "-r", "--remap", "__node", "__ns")
 
 MOST_LISTED = 40
-"""How many programs the help lists; a sourced ROS has hundreds."""
+"""The help lists at most this many programs. A sourced ROS has hundreds."""
 
 _HELP = "'turtleact run --help' lists what can be run"
 
@@ -82,13 +82,13 @@ Embedded: TypeAlias = Annotated[
 
 
 class How(NamedTuple):
-    """How a program of the user's is run.
+    """How to run a user's program.
 
     Attributes:
-        face: Whose rclpy it imports; see `turtleact.rclpy.face`.
+        face: Which rclpy the program imports; see `turtleact.rclpy.face`.
         embedded: Whether its process has a world of turtles, too.
         interfaces: A folder with more interfaces.
-        reach: The graph that it joins with rclpy.
+        reach: The graph that the program joins with rclpy.
     """
 
     face: str
@@ -98,10 +98,13 @@ class How(NamedTuple):
 
 
 class Run(Verb):
-    """The command ``run``: its help lists what can be run here."""
+    """The command ``run``. Its help lists the programs that can be run here."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  # click's classes
-        """Look for packages only now: reading a command line needs none."""
+        """Write the help.
+
+        Packages are searched for only here, because a command line needs none.
+        """
         from turtleact.commands.packages import runnable_here
 
         lines = [f"  {line}" for line in _listed(runnable_here())]
@@ -146,7 +149,7 @@ def run(
 
 
 def _listed(known: Mapping[str, Mapping[str, object]]) -> list[str]:
-    """What can be run, one program per line, without control characters from file names."""
+    """The programs that can be run, one per line, without control characters from file names."""
     pairs = [f"{package} {name}" for package in sorted(known) for name in known[package]]
     left_out = len(pairs) - MOST_LISTED
     if left_out > 0:
@@ -157,10 +160,10 @@ def _listed(known: Mapping[str, Mapping[str, object]]) -> list[str]:
 def _chosen(
     known: Mapping[str, Mapping[str, Program | None]], package: str, executable: str
 ) -> Program | None:
-    """The executable of a package; None if it is built in.
+    """Find the executable of a package; None if it is built in.
 
     Raises:
-        UsageError: if there is no such package or executable; the error suggests the nearest name.
+        UsageError: if there is no such package or executable. The error suggests the nearest name.
     """
     from turtleact.interfaces.definition import did_you_mean
 
@@ -187,7 +190,7 @@ def _file(name: str) -> Program:
 
 
 def _running(program: Program, arguments: Sequence[str], how: How) -> Job:
-    """The job of running a program of the user's."""
+    """Make the job that runs a user's program."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_found
@@ -205,7 +208,7 @@ def _running(program: Program, arguments: Sequence[str], how: How) -> Job:
 
 
 def _own_domain(arguments: Sequence[str], where: Reach) -> tuple[list[str], Reach]:
-    """The arguments of a built-in program without ``--domain N``, and its graph with that N."""
+    """Take ``--domain N`` from a built-in program's arguments, and put N into its graph."""
     rest = list(arguments)
     if "--domain" in rest[:-1]:
         place = rest.index("--domain")
@@ -215,7 +218,7 @@ def _own_domain(arguments: Sequence[str], where: Reach) -> tuple[list[str], Reac
 
 
 def _built_in(package: str, executable: str, arguments: Sequence[str], where: Reach) -> Job:
-    """The job of running a program that is built in."""
+    """Make the job that runs a built-in program."""
     if executable == "turtle_teleop_key":
         from turtleact.commands.verbs.turtlesim import turtle_teleop_key
 
@@ -246,7 +249,7 @@ def _built_in(package: str, executable: str, arguments: Sequence[str], where: Re
 
 
 def _not_taken(package: str, executable: str, arguments: Sequence[str]) -> str:
-    """Why a built-in program takes none of these arguments, and what to do."""
+    """Explain why a built-in program does not take these arguments, and what to do."""
     first = arguments[0].partition("=")[0]
     if first in OWN_OPTIONS:
         said = first if first == "--embedded" else f"{first} VALUE"

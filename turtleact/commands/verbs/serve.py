@@ -1,4 +1,4 @@
-"""``serve``, as Typer reads it."""
+"""Declares the verb ``serve`` for Typer."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ if TYPE_CHECKING:
 __all__ = ["app", "serve"]
 
 MOST_TURTLES = 10_000
-"""A node cannot publish the poses of more turtles in time."""
+"""The maximum number of turtles. A node could not publish the poses of more in time."""
 
 _NODE_NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
-"""The names of modules that a node can have, unless it would be hidden."""
+"""The pattern of module names that a node can have without being hidden."""
 
 _WORLD_NODES = ("turtlesim", "turtle_actions", "world")
 
@@ -345,16 +345,17 @@ def _serve(known: str | None, service: Callable[[], Service], interrupts: Interr
 
 
 def _overrides(files: list[Path] | None, assignments: list[str] | None) -> tuple[Override, ...]:
-    """The first values of parameters; raises as `read_overrides` does."""
+    """Read the first values of parameters. The errors are those of `read_overrides`."""
     from turtleact.commands.node_parameters import read_overrides
 
     return tuple(read_overrides([str(each) for each in files or ()], assignments or ()))
 
 
 def _node_name(targets: list[str] | None, *, no_sim: bool) -> str:
-    """The name of the node with the user's actions: that of their module, unless there is a world.
+    """The name of the node with the user's actions. Without a world, it is that of their module.
 
-    ROS 2 warns of two nodes with one name, and such a server often runs beside one with a world.
+    ROS 2 warns of two nodes with one name, and a server without a world often runs beside one with
+    a world.
     """
     from turtleact.commands.targets import read_target
 
@@ -367,8 +368,8 @@ def _access(where: Reach, listen: tuple[str, ...], *, insecure: bool) -> dict[st
     """Zenoh's settings for who may connect.
 
     Raises:
-        UsageError: if the file for access control is at fault, or if there is none and everybody
-            who can reach this machine could connect.
+        UsageError: if the file for access control has an error, or if there is no such file and
+            everybody who can reach this machine could connect.
     """
     locks = where.locks()
     if not (insecure or locks.keeps_strangers_out):
@@ -446,5 +447,5 @@ def _host_and_port(option: str, text: str) -> tuple[str, int]:
 
 
 def _listed(text: str | None) -> tuple[str, ...]:
-    """Names separated by commas, as browsers write them."""
+    """Split names that are separated by commas, as browsers write them."""
     return () if text is None else tuple(each.lower().rstrip("/") for each in text.split(","))

@@ -1,4 +1,4 @@
-"""``topic``, as Typer reads it."""
+"""Declares the group ``topic`` for Typer."""
 
 from __future__ import annotations
 
@@ -70,10 +70,10 @@ PROFILES: dict[ProfileName, Policies] = {
     "services_default": Policies("reliable", "volatile", 10),
     "system_default": Policies(),
 }
-"""Source: rmw ``qos_profiles.h``."""
+"""The profiles of quality of service by name. Source: rmw ``qos_profiles.h``."""
 
 QOS = "Quality of service"
-"""The heading of these options."""
+"""The heading of the options for quality of service."""
 
 Name: TypeAlias = Annotated[str, name_of("topic", "/turtle1/pose", completion.topics)]
 Type: TypeAlias = Annotated[str, type_of("topic")]
@@ -405,7 +405,7 @@ def policies(
     durability: Durability | None,
     depth: int | None,
 ) -> Policies:
-    """The requested policies. Options for single policies override the profile."""
+    """Return the requested policies. Options for single policies override the profile."""
     known = Policies() if profile is None else PROFILES[profile]
     return Policies(
         reliability or known.reliability, durability or known.durability, depth or known.depth
@@ -413,7 +413,7 @@ def policies(
 
 
 def _compiled(expression: str) -> CodeType:
-    """A Python expression, ready to be evaluated."""
+    """Compile a Python expression."""
     try:
         return compile(expression.strip(), "--filter", "eval")
     except (SyntaxError, ValueError) as error:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["app", "ros_arguments", "teleop", "turtle_teleop_key"]
 
 SCALE = 2.0
-"""The speeds if none are given; source: turtlesim's teleop_turtle_key.cpp."""
+"""The default speeds. Source: turtlesim's teleop_turtle_key.cpp."""
 
 REMAPS = ("turtle1/cmd_vel", "turtle1/rotate_absolute")
 SCALES = ("scale_linear", "scale_angular")
@@ -80,14 +80,14 @@ def teleop(
 
 
 def turtle_teleop_key(arguments: Sequence[str], where: Reach) -> Job:
-    """``run turtlesim turtle_teleop_key``.
+    """Make the job of ``run turtlesim turtle_teleop_key``.
 
     Args:
-        arguments: What ROS 2 takes after ``--ros-args``.
+        arguments: The arguments that ROS 2 takes after ``--ros-args``.
         where: The graph.
 
     Raises:
-        UsageError: if they are malformed, or name something that this program does not have.
+        UsageError: if the arguments are malformed, or name something that this program lacks.
     """
     remaps, parameters = ros_arguments(arguments)
     for kind, given, known in (("topic", remaps, REMAPS), ("parameter", parameters, SCALES)):
@@ -114,7 +114,7 @@ def ros_arguments(arguments: Sequence[str]) -> tuple[dict[str, str], dict[str, s
     """The remappings and the parameters that ``--ros-args`` gives.
 
     Raises:
-        UsageError: if there is anything else.
+        UsageError: if there are other arguments.
     """
     remaps: dict[str, str] = {}
     parameters: dict[str, str] = {}
@@ -140,11 +140,11 @@ def _driving(
     *,
     is_plain: bool,
 ) -> Job:
-    """The job of driving a turtle.
+    """Make the job that drives a turtle.
 
     Args:
-        turtle: Its name; None for the one that ``remaps`` names, or turtle1.
-        remaps: Other names for its topic and its action.
+        turtle: The turtle's name; None for the turtle that ``remaps`` names, or turtle1.
+        remaps: Other names for the turtle's topic and action.
         speeds: The linear and the angular speed, by the names of their options.
         where: The graph; None for an embedded world.
         is_plain: Whether there is no live map.
