@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import threading
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -194,6 +195,20 @@ async def test_lost_feedback_is_reported_each_time_its_number_has_doubled():
             lost.add(1)
         counts = [told(each)[0][1].split()[0] for each in reader.drain()]
         assert counts == ["1", "2", "4", "8"]
+        lost.close()
+
+
+async def test_lost_feedback_is_a_fault_for_a_while_after_the_last_loss(monkeypatch):
+    monkeypatch.setattr(fault_reports, "AGAIN", 0.0)
+    async with turtleact.open_node("lab") as node:
+        reader = node.subscription(DiagnosticArray, TOPIC, LATCHED)
+        lost = LostFeedback(node.transport, "/lab", "/count", "did not reach", "")
+        for _ in range(3):
+            lost.add(100)
+        [*_, last] = reader.drain()
+        assert told(last)[0][1].split()[0] == "300"
+        [until] = [float(each.value) for each in last.status[0].values if each.key == "until"]
+        assert 0 < until - time.time() <= fault_reports.LASTS + 1
         lost.close()
 
 

@@ -6,12 +6,13 @@ that a program without faults pays nothing. When a fault has gone, the next mess
 contains it.
 
 In a ``DiagnosticStatus``, ``name`` says what is at fault, ``message`` says what is wrong, and the
-value ``advice`` says what to do.
+value ``advice`` says what to do. The value ``until``, if there is one, says when the fault is over.
 """
 
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
@@ -42,6 +43,15 @@ TOPIC: Final = "/_turtleact/faults"
 ADVICE: Final = "advice"
 """The key of the value that says what to do."""
 
+UNTIL: Final = "until"
+"""The key of the value that says how long the fault lasts (s since the epoch, wall clock)."""
+
+LASTS: Final = 600.0
+"""How long lost feedback is a fault (s, wall clock)."""
+
+AGAIN: Final = 60.0
+"""Lost feedback is reported again after this time, so that the fault lasts (s, wall clock)."""
+
 ROOM: Final = 1_000_000_000
 """A disk with fewer free bytes is nearly full, unless it is a small disk."""
 
@@ -66,15 +76,18 @@ class FaultReports:
         self._faults: dict[str, DiagnosticStatus] = {}
         self._publication: Publication | None = None
 
-    def report(self, name: str, problem: str, advice: str) -> None:
+    def report(self, name: str, problem: str, advice: str, until: float | None = None) -> None:
         """Report a fault. It replaces an earlier fault of that name.
 
         Args:
             name: The kind of fault, a space and what is at fault, such as "disk /data/goals.db".
             problem: What is wrong.
             advice: What to do.
+            until: When it is no longer a fault (s since the epoch); None if it must be cleared.
         """
         values = [KeyValue(ADVICE, advice)]
+        if until is not None:
+            values.append(KeyValue(UNTIL, f"{until:.0f}"))
         fault = DiagnosticStatus(DiagnosticStatus.WARN, name, problem, values=values)
         if self._faults.get(name) != fault:
             self._faults[name] = fault
@@ -115,15 +128,20 @@ class LostFeedback:
         self._name = f"lost-feedback {action}"
         self._what = f"feedback messages of action {action} {how} node {node}"
         self._advice = advice
-        self._count = 0
-        self._reported = 0
+        self._count = self._reported = 0
+        self._time = 0.0
 
     def add(self, count: int) -> None:
-        """Count lost messages. A report follows when their number has doubled."""
+        """Count lost messages.
+
+        A report follows if their number has doubled, or if the last report is a minute old.
+        """
         self._count += count
-        if self._count >= 2 * self._reported:
-            self._reported = self._count
-            self._reports.report(self._name, f"{self._count} {self._what}", self._advice)
+        now = time.time()
+        if self._count >= 2 * self._reported or now - self._time >= AGAIN:
+            self._reported, self._time = self._count, now
+            problem = f"{self._count} {self._what}"
+            self._reports.report(self._name, problem, self._advice, now + LASTS)
 
     def close(self) -> None:
         """Leave the topic."""

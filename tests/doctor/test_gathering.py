@@ -15,9 +15,14 @@ from turtleact import QoS, TurtleactError
 from turtleact.doctor import gathering
 from turtleact.doctor.checks import Fault, find_faults
 from turtleact.doctor.gathering import take_snapshot
-from turtleact.fault_reports import FaultReports
+from turtleact.fault_reports import TOPIC, FaultReports
 from turtleact.interfaces import Message, get_interface, int32, int64
 from turtleact.interfaces.standard import Twist
+from turtleact.interfaces.standard.diagnostic_msgs.msg import (
+    DiagnosticArray,
+    DiagnosticStatus,
+    KeyValue,
+)
 from turtleact.node import Node
 from turtleact.transports import MemoryTransport, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint
@@ -195,6 +200,18 @@ async def test_what_a_process_reports_is_named_also_to_a_doctor_that_comes_later
             fault = await graph.only_fault(endpoints=1)
             assert str(fault) == f"{kind}: something is wrong; mend it"
         reports.close()
+
+
+@pytest.mark.parametrize(
+    ("until", "is_fault"), [("", True), ("soon", True), ("9e9", True), ("1e9", False)]
+)
+async def test_a_reported_fault_ends_at_its_time(address, until, is_fault):
+    values = [KeyValue("advice", "mend it"), KeyValue("until", until)]
+    async with graph_at(address) as graph:
+        node = await graph.node("server")
+        topic = node.publisher(DiagnosticArray, TOPIC, QoS(durability="transient_local"))
+        topic.publish(DiagnosticArray(status=[DiagnosticStatus(name="disk /a", values=values)]))
+        assert bool(await graph.faults(endpoints=1)) is is_fault
 
 
 async def test_a_graph_of_peers_alone_lacks_a_router(address):

@@ -34,7 +34,7 @@ from turtleact.doctor.snapshot import (
     own_fields,
 )
 from turtleact.errors import TurtleactError
-from turtleact.fault_reports import ADVICE, TOPIC
+from turtleact.fault_reports import ADVICE, TOPIC, UNTIL
 from turtleact.interfaces import WireFormat, get_interface, type_hash
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.interfaces.standard.diagnostic_msgs.msg import DiagnosticArray
@@ -201,13 +201,23 @@ async def _collect_reports(node: Node, reports: list[Report]) -> None:
         with anyio.move_on_after(REPORTING):
             async for message in subscription:
                 for status in message.status:
-                    advice = next((v.value for v in status.values if v.key == ADVICE), "")
-                    reports.append(Report(status.name, status.message, advice))
+                    said = {each.key: each.value for each in status.values}
+                    if _is_over(said.get(UNTIL, "")):
+                        continue
+                    reports.append(Report(status.name, status.message, said.get(ADVICE, "")))
                 left -= 1
                 if left <= 0:
                     return
     finally:
         await subscription.aclose()
+
+
+def _is_over(until: str) -> bool:
+    """Whether a fault was only to last until a time that has passed."""
+    try:
+        return bool(until) and float(until) < time.time()
+    except ValueError:  # another program may publish on the topic, too
+        return False
 
 
 # the session and its routers
