@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from turtleact.actions import serve_built_ins
 from turtleact.clock import Clock, make_clock
 from turtleact.goal_journal import GoalJournal, OnRestart
-from turtleact.node import Node, Transition, open_node
+from turtleact.node import Node, Transition, close_withdrawn, open_node
 from turtleact.sim.kinematics import SIDE
 from turtleact.sim.pictures import Snapshot
 from turtleact.sim.turtlesim import Turtlesim
@@ -52,7 +52,7 @@ class WorldNode(Node):
         would serve for a moment, and the log would report that.
         """
         if self._built_ins is not None:
-            await self._built_ins.close_withdrawn()
+            await close_withdrawn(self._built_ins)
         await super().aclose()
 
     @property

@@ -147,7 +147,21 @@ def parameter(
     ``handle.node.parameter(declaration).value``. If the node does not have the parameter yet, this
     expression declares it.
 
-    The arguments and errors are those of `turtleact.Node.parameter`.
+    Args:
+        name: The parameter's name; dots group parameters.
+        default: The first value. It sets the kind that all later values must have: `bool`,
+            `int`, `float`, `str`, `bytes`, or a list of one of the first four. Python's whole
+            numbers are accepted for a `float`.
+        description: What the parameter is for, with its unit.
+        range: The least and the greatest allowed number, and perhaps the step between allowed
+            numbers. Only an `int` or `float` can have a range. Both ends are allowed.
+        read_only: Whether the parameter keeps its first value.
+        validate: Called with each new value, including the first. To refuse a value, raise
+            `ValueError` with the reason, or return False.
+
+    Raises:
+        InvalidParameter: if ``default`` has an unsupported type or is out of range.
+        InvalidOption: if ``range`` or ``validate`` is not allowed.
 
     >>> max_speed = parameter("max_speed", 1.0, range=(0.0, 2.0))
     >>> max_speed.name, max_speed.default

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, asynccontextmanager, contextmanager
+from contextlib import ExitStack, asynccontextmanager, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast, overload
 
@@ -57,6 +57,7 @@ __all__ = [
     "Node",
     "ServerGoalHandle",
     "Transition",
+    "close_withdrawn",
     "local_server_of",
     "open_node",
     "resources_of",
@@ -444,15 +445,7 @@ class Node:
             name: The parameter's name; dots group parameters. With a name alone, this finds a
                 parameter that was declared before. With a declaration of `turtleact.parameter`,
                 this declares the parameter if the node does not have it yet.
-            default: The first value. It sets the kind that all later values must have: `bool`,
-                `int`, `float`, `str`, `bytes`, or a list of one of the first four. Python's whole
-                numbers are accepted for a `float`.
-            description: What the parameter is for, with its unit.
-            range: The least and the greatest allowed number, and perhaps the step between allowed
-                numbers. Only an `int` or `float` can have a range. Both ends are allowed.
-            read_only: Whether the parameter keeps its first value.
-            validate: Called with each new value, including the first. To refuse a value, raise
-                `ValueError` with the reason, or return False.
+            default: The first value. This and the options are those of `turtleact.parameter`.
 
         Raises:
             InvalidParameter: if the parameter is declared already; if ``default`` has an
@@ -476,10 +469,6 @@ class Node:
         name = resolve_name(topic, self.namespace, self.name)
         return sum(endpoint.kind == "publisher" for endpoint in self.transport.endpoints(name))
 
-    def stoppable(self) -> AbstractContextManager[None]:
-        """Return a block, for trio, that ends if a body or handler here raises `SystemExit`."""
-        return self._tasks.stoppable()
-
     def graph(self) -> Graph:
         """Return what exists on the graph now."""
         return graph_of(self.transport)
@@ -496,12 +485,6 @@ class Node:
             await self._resources.aclose()
         finally:
             self._presence.close()
-
-    async def close_withdrawn(self) -> None:
-        """Close the action servers that have made way for others, so that they do not come back."""
-        for server in self._servers():
-            if not server.is_open:
-                await server.aclose()
 
     def _check_open(self) -> None:
         self._home.check()
@@ -673,7 +656,7 @@ async def open_node(
         InvalidName: if the name or the namespace breaks ROS 2's rules.
     """
     node = Node(name, namespace, MemoryTransport() if transport is None else transport)
-    with node.stoppable():
+    with node._tasks.stoppable():  # a body may raise SystemExit; only trio needs this
         try:
             yield node
         finally:
@@ -683,6 +666,13 @@ async def open_node(
 def resources_of(node: Node) -> Resources:
     """Return the tracker of everything open on a node, for code that runs beside the node."""
     return node._resources
+
+
+async def close_withdrawn(node: Node) -> None:
+    """Close a node's action servers that have made way for others, so that none comes back."""
+    for server in node._servers():
+        if not server.is_open:
+            await server.aclose()
 
 
 def local_server_of(server: ActionServer[Any, Any, Any]) -> LocalActionServer:
