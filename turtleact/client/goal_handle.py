@@ -168,7 +168,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
     def __anext__(self) -> Coroutine[object, object, F]:
         self._reader.check_home()
-        return self._reader.read()
+        return _Reading(self._reader).read()
 
     def events(self) -> AsyncIterator[Event[F, R]]:
         """Iterate over the goal's events, from its acceptance to its result. Each has a ``kind``.
@@ -292,38 +292,13 @@ class GoalReader:
     @property
     def goal_id(self) -> bytes:
         """The goal's id, 16 bytes."""
-        return self._server.name_goal(self.goal)
+        return self.goal.id or self._server.name_goal(self.goal)
 
     def check_home(self) -> None:
         """Check that this is called in the client's event loop; otherwise raise an error."""
         self._home.check()
 
     # feedback
-
-    async def read(self) -> Any:  # noqa: ANN401  # the action's own class
-        """Return the next feedback message. Raise StopAsyncIteration when the goal has ended."""
-        # Messages in the log come first, even if the goal has ended. Checking the log and starting
-        # to wait happen in one step of the task, so no signal can fire in between and be lost.
-        goal = self.goal
-        while True:
-            log = goal.feedback
-            if log is not None:
-                if self._next < log.dropped:
-                    self.missed += log.dropped - self._next
-                    self._next = log.dropped
-                at = self._next - log.dropped
-                if at < len(log.items):
-                    self._next += 1
-                    if log.read is not None and self._is_sender:
-                        log.read = self._next
-                        if log.drained is not None:
-                            log.relieve()
-                    return log.items[at]
-            if goal.ended:
-                if goal.error is not None:
-                    raise goal.error
-                raise StopAsyncIteration
-            await self._server.signal(goal).wait()
 
     async def wait_for_change(self) -> None:
         """Wait for the goal's next change. Cancelling: safe."""
@@ -423,7 +398,48 @@ class GoalReader:
             await cancel_and_wait(self._server, self.goal, timeout)
 
 
-class _Iteration:
+class _Reading:
+    """Reads the feedback of a goal.
+
+    `read` is here and not in `GoalReader`, because an iterator can then use it as ``__anext__``. A
+    call more for each message would be noticed.
+    """
+
+    __slots__ = ("_reader",)
+
+    def __init__(self, reader: GoalReader) -> None:
+        self._reader = reader
+
+    async def read(self) -> Any:  # noqa: ANN401  # the action's own class
+        """Return the next feedback message. Raise StopAsyncIteration when the goal has ended."""
+        # Messages in the log come first, even if the goal has ended. Checking the log and starting
+        # to wait happen in one step of the task, so no signal can fire in between and be lost.
+        reader = self._reader
+        goal = reader.goal
+        while True:
+            log = goal.feedback
+            if log is not None:
+                at = reader._next - log.dropped
+                if at < 0:
+                    reader.missed -= at
+                    reader._next = log.dropped
+                    at = 0
+                items = log.items
+                if at < len(items):
+                    reader._next += 1
+                    if reader._is_sender and log.read is not None:
+                        log.read = reader._next
+                        if log.drained is not None:
+                            log.relieve()
+                    return items[at]
+            if goal.ended:
+                if goal.error is not None:
+                    raise goal.error
+                raise StopAsyncIteration
+            await reader._server.signal(goal).wait()
+
+
+class _Iteration(_Reading):
     """One ``async for`` loop. When the loop ends, the body no longer waits for its reader.
 
     Python does not report a ``break`` to the iterator: it only drops the iterator. An async
@@ -433,7 +449,7 @@ class _Iteration:
     reference cycle, the finalizer may run in any thread.
     """
 
-    __slots__ = ("_reader", "_thread")
+    __slots__ = ("_thread",)
 
     def __init__(self, reader: GoalReader) -> None:
         self._reader = reader
@@ -451,8 +467,7 @@ class _Feedback(_Iteration, Generic[F]):
     def __aiter__(self) -> Self:
         return self
 
-    def __anext__(self) -> Coroutine[object, object, F]:
-        return self._reader.read()
+    __anext__ = _Iteration.read
 
 
 class _Events(_Iteration, Generic[F, R]):
@@ -479,7 +494,7 @@ class _Events(_Iteration, Generic[F, R]):
             if status is not None:
                 return StatusChanged(status)
             if reader.next_unread is not None:
-                return FeedbackReceived(await reader.read())
+                return FeedbackReceived(await self.read())
             if goal.error is not None:
                 raise goal.error
             if goal.ended:

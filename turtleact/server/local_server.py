@@ -428,7 +428,8 @@ class LocalActionServer:
 
     async def attach(self, goal_id: bytes) -> Goal | None:
         """Return the goal with that id, or None. From now on, the goal's feedback is kept."""
-        await self.wait_until_restored()
+        if self.durable is not None:
+            await self.durable.restored.wait()
         goal = self.find(goal_id)
         if goal is not None:
             goal.is_streamed = True
