@@ -459,8 +459,12 @@ class Execution:
 
     def _fail(self, goal: Goal, error: BaseException) -> None:
         canceling = goal.status is _CANCELING
-        stop = _stop_in(error)
-        if stop is not None:
+        if is_cancellation(error, self._tasks):
+            self._end_canceled(goal)
+            # The traceback leads to the frames that have thrown the cancellation in, and they refer
+            # to the cancellation: a cycle for each goal, which only the garbage collector frees.
+            error.__traceback__ = None
+        elif (stop := _stop_in(error)) is not None:
             self.end(goal, GoalEvent.ABORT, None, STOPPED)
             self._tasks.stop_program(stop)
         elif isinstance(error, Abort):
@@ -468,11 +472,6 @@ class Execution:
         elif isinstance(error, Cancel) and (canceling or goal.reason):
             event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
             self._end_with(goal, event, error.result, "" if canceling else goal.reason)
-        elif is_cancellation(error, self._tasks):
-            self._end_canceled(goal)
-            # The traceback leads to the frames that have thrown the cancellation in, and they refer
-            # to the cancellation: a cycle for each goal, which only the garbage collector frees.
-            error.__traceback__ = None
         else:
             name, told = self.served.name, loggable(error)
             logger.error("the body of goal %s of %s failed", goal.hex, name, exc_info=told)

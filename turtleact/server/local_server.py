@@ -45,8 +45,10 @@ from turtleact.tasks import GRACE, Background, Signal, Tasks
 
 __all__ = ["SHUTDOWN", "LocalActionServer", "SlotRequest", "restore_all"]
 
+# Members of enums that each goal needs. Python 3.11 looks them up slowly in their classes.
 _ACCEPTED = GoalStatus.ACCEPTED
 _EXECUTING = GoalStatus.EXECUTING
+_CANCELING = GoalStatus.CANCELING
 _AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that starts without being seen ACCEPTED
 
 IN_A_ROW = 64
@@ -520,11 +522,7 @@ class LocalActionServer:
     async def _ask_and_cancel(self, goal: Goal) -> bool:
         """Cancel a goal if the user agrees. Return False if not, or if the goal has ended."""
         has_ended = not goal.status.is_active  # perhaps while the user was asked about another goal
-        if (
-            has_ended
-            or not self._callbacks.ask_about_cancels
-            or goal.status is GoalStatus.CANCELING
-        ):
+        if has_ended or not self._callbacks.ask_about_cancels or goal.status is _CANCELING:
             return self._cancel(goal)
         agreed = await self._callbacks.may_cancel(self.execution.make_handle(goal))
         return agreed and self._cancel(goal)
@@ -537,9 +535,9 @@ class LocalActionServer:
 
     def _cancel(self, goal: Goal) -> bool:
         """Cancel a goal. Return False if the goal has ended or is about to end."""
-        if goal.is_decided or not goal.status.is_active:
+        if goal.is_decided:
             return False
-        if goal.status is not GoalStatus.CANCELING:
+        if goal.status is not _CANCELING:
             self.execution.move(goal, GoalEvent.CANCEL_GOAL)
             if goal.body is not None and not goal.reason:  # else the body was cancelled before
                 goal.body.cancel()
@@ -547,7 +545,7 @@ class LocalActionServer:
 
     def evict(self, goal: Goal, reason: str) -> None:
         """Cancel a goal because the server decided so, unless its cancellation is under way."""
-        is_wanted = goal.status.is_active and goal.status is not GoalStatus.CANCELING
+        is_wanted = goal.status.is_active and goal.status is not _CANCELING
         if is_wanted and not goal.reason and not goal.is_decided:
             if not self.execution.is_suspended:  # a paused goal is still paused after a restart
                 self.pauses.end(goal)
@@ -596,7 +594,7 @@ class LocalActionServer:
         if record.is_paused:
             self.pauses.hold(goal)
         if why := durable.why_not_resumed(record):
-            canceling = record.status is GoalStatus.CANCELING
+            canceling = record.status is _CANCELING
             self.execution.move(goal, GoalEvent.EXECUTE)
             if canceling:
                 self.execution.move(goal, GoalEvent.CANCEL_GOAL)

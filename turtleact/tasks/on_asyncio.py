@@ -94,9 +94,9 @@ class AsyncioTasks:
         """Make a new signal."""
         return AsyncioSignal(self._loop)
 
-    async def checkpoint(self) -> None:
+    def checkpoint(self) -> Coroutine[object, object, None]:
         """Let other tasks run once."""
-        await asyncio.sleep(0)
+        return asyncio.sleep(0)
 
     def is_canceled(self) -> bool:
         """Whether somebody has cancelled the running task."""
