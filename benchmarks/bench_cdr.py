@@ -53,7 +53,7 @@ def samples() -> dict[str, Message]:
 
 
 def contenders(message: Message) -> tuple[dict[str, Contender], dict[str, Contender]]:
-    """What writes the message, and what reads it; the first is what the others stand against."""
+    """The functions that write and read the message. The others are compared with the first."""
     cls, data = type(message), encode(message)
     packed = msgspec.msgpack.encode(message)
     writers: dict[str, Contender] = {

@@ -48,17 +48,17 @@ CLIENTS = 3
 TARGETS = 20
 SPEED = 20
 REATTACH = 60.0
-"""How long a client waits for a server that it hears nothing from (s)."""
+"""How long a client waits for a silent server (s)."""
 
 PATIENCE = 60.0
-"""How long the first server may take to come, and the last goals to end (s)."""
+"""How long the first server may take to start, and the last goals to end (s)."""
 
 LONGEST = 2.4
-"""A server lives at most so long (s), counted from its fork."""
+"""A server lives at most this long (s), counted from its fork."""
 
 
 class Sent(NamedTuple):
-    """What a client knows of a goal that has ended.
+    """A client's facts about a goal that has ended.
 
     Attributes:
         goal_id: Its id.
@@ -74,7 +74,7 @@ class Broken(Exception):
 
 
 class Round(NamedTuple):
-    """What 100 kills have led to.
+    """The outcome of 100 kills.
 
     Attributes:
         ended: How many goals were accepted, all of which have ended as they should.
@@ -100,7 +100,7 @@ def free_address() -> str:
 
 
 def fork_servers(orders: Connection, path: str, address: str) -> None:
-    """Start and kill servers, each time for so long (s) as an order says, until one says 0."""
+    """Start and kill servers. Each order says how long the next server lives (s); 0 ends this."""
     from turtleact import app, cli, journal  # imported here and not in each server
     from turtleact.commands import serve
     from turtleact.commands.verbs import serve as verb
@@ -134,7 +134,7 @@ def fork_servers(orders: Connection, path: str, address: str) -> None:
 async def patrol_on(
     turtle: str, address: str, seed: int, sent: list[Sent], is_over: anyio.Event
 ) -> None:
-    """Send one patrol after the other until it is over; the last one still ends."""
+    """Send one patrol after the other until the round is over. The last patrol still ends."""
     chance = random.Random(f"{seed} {turtle}")
     retry = {"period_init_ms": 20, "period_max_ms": 20}
     quick = {"connect/retry": retry, "connect/timeout_ms": -1}
@@ -161,10 +161,10 @@ async def patrol_on(
 def check_end(
     goal_id: bytes, outcome: turtleact.Outcome[Patrol.Result], seen: list[Patrol.Feedback]
 ) -> None:
-    """Check what a client has heard of a goal.
+    """Check the feedback and outcome that a client got for a goal.
 
     Raises:
-        Broken: if it is not what the goal should have done.
+        Broken: if the goal should have done something else.
     """
     who, result = f"goal {goal_id.hex()}", outcome.result
     if outcome.status is not GoalStatus.SUCCEEDED:
@@ -188,10 +188,10 @@ def check_journal(path: Path, sent: list[Sent], ends: dict[bytes, int]) -> None:
     Args:
         path: The journal.
         sent: The goals that have ended.
-        ends: When each goal ended, as far as it was known before; is brought up to date.
+        ends: When each goal ended, as far as known before. This call updates it.
 
     Raises:
-        Broken: if it does not.
+        Broken: if a goal is missing or an end has changed.
     """
     records = {record.id: record for record in read_goals(path)}
     for each in sent:
@@ -210,7 +210,7 @@ def check_journal(path: Path, sent: list[Sent], ends: dict[bytes, int]) -> None:
 
 
 async def run(kills: int, seed: int, path: Path) -> tuple[list[Sent], dict[bytes, int]]:
-    """Kill servers while clients send goals; return the goals and when they ended.
+    """Kill servers while clients send goals. Return the goals and the times of their ends.
 
     Raises:
         Broken: if an invariant does not hold.

@@ -118,7 +118,7 @@ async def read_queue(queue: Queue) -> int:
 
 
 def start(body: Coroutine[object, object, T]) -> asyncio.Task[T]:
-    """A plain task; an eager one where Python has them, as the bodies of turtleact are."""
+    """Start a plain task, eagerly where Python can, like the bodies of turtleact."""
     if sys.version_info >= (3, 12):
         return asyncio.Task(body, loop=asyncio.get_running_loop(), eager_start=True)
     return asyncio.create_task(body)
@@ -278,7 +278,7 @@ async def leave(client: Client, times: int) -> None:
 
 
 def snapshots(feedback: int) -> Contender:
-    """Nothing but the checked copies that a goal needs."""
+    """Make only the checked copies that a goal needs."""
     goal, result, message = Count.Goal(), Count.Result(), Count.Feedback()
     copy_goal, copy_result = snapshotter(Count.Goal), snapshotter(Count.Result)
     copy_feedback = snapshotter(Count.Feedback)
@@ -332,7 +332,7 @@ async def compare(row: Row) -> str:
 
 
 def goal(ratio: float) -> float:
-    """The ratio to reach: against a plain task on 3.11, against an eager one from 3.12 on."""
+    """The ratio to reach, against a plain task on 3.11 and an eager task from 3.12 on."""
     return ratio if sys.version_info < (3, 12) else 1.7
 
 

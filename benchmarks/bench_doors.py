@@ -1,8 +1,8 @@
 """What does a goal cost inside the process, over Zenoh and over rosbridge, in one run?
 
 A goal is sent, publishes three feedback messages and succeeds. The time runs from sending it to
-having the result. Both ends are in this process, so only the way between them differs. The machine
-may have other work: compare ratios, not figures.
+having the result. Both ends are in this process, so only the connection between them differs. The
+machine may have other work: compare ratios, not figures.
 
 Run ``python -m benchmarks.bench_doors``.
 """

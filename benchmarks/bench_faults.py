@@ -42,7 +42,7 @@ TUNSETIFF, IFF_TUN, IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
 
 PERIOD = 0.1
 BEFORE, AFTER = 3.0, 4.0
-"""So long a goal runs before a fault and after it (s)."""
+"""A goal runs for this long before a fault and after it (s)."""
 
 TARGET = f"""
 import asyncio
@@ -60,7 +60,7 @@ FIBONACCI = "example_interfaces/action/Fibonacci"
 
 
 class Fault(NamedTuple):
-    """What is wrong: for how long, or to the end where that is 0."""
+    """A fault of the network, and how long it lasts; 0 means to the end."""
 
     name: str
     delay: float = 0.0
@@ -89,7 +89,7 @@ def ip(*arguments: str) -> None:
 
 
 class Cable:
-    """Two hosts, and what lies between them."""
+    """Two hosts, and the network between them."""
 
     def __init__(self) -> None:
         self.delay = self.loss = 0.0
@@ -112,7 +112,7 @@ class Cable:
         return end
 
     def take(self, fault: Fault) -> None:
-        """Be as a fault says."""
+        """Apply a fault."""
         self.delay, self.loss = fault.delay, fault.loss
         state = "down" if fault.is_down else "up"
         ip("-n", HOSTS[0], "link", "set", DEVICE.format(1), state)
@@ -147,7 +147,7 @@ class Cable:
 
 @contextmanager
 def cabled() -> Iterator[Cable]:
-    """Two hosts, and nothing left of them."""
+    """Give a block two hosts, and remove them after it."""
     try:
         cable = Cable()
         try:
@@ -160,7 +160,7 @@ def cabled() -> Iterator[Cable]:
 
 
 def start(host: str, folder: Path, *arguments: str) -> subprocess.Popen[str]:
-    """The command line on a host."""
+    """Start the command line on a host."""
     command = ["ip", "netns", "exec", host, sys.executable, "-m", "turtleact", *arguments]
     pipe = subprocess.PIPE
     return subprocess.Popen(command, cwd=folder, text=True, stdout=pipe, stderr=pipe)
@@ -176,7 +176,7 @@ def run(folder: Path, *arguments: str) -> tuple[int, str]:
 
 
 class Sender:
-    """A ``send-goal`` that is under way; each of its events with the time it came."""
+    """A ``send-goal`` that is under way, and its events with the times of their arrival."""
 
     def __init__(self, folder: Path, order: int) -> None:
         self.events: list[tuple[float, dict[str, object]]] = []
@@ -192,7 +192,7 @@ class Sender:
 
     @property
     def numbers(self) -> list[int]:
-        """The number of each feedback message that came."""
+        """The number of each feedback message that arrived."""
         told = [each["feedback"] for _, each in self.events if each["event"] == "feedback"]
         return [each["sequence"][0] for each in told]  # type: ignore[index]  # JSON of a Fibonacci
 

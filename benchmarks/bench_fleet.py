@@ -9,8 +9,8 @@ is sent with ``async with``, so its client also follows the status topic.
 In each row, all nodes declare their endpoints at once. "Met" is the time until each client can
 reach its server. Then another process joins; "joined" is the time until it knows everybody. Then
 100 goals are sent one after another, by the clients in turn, and 1,000 at once. CPU and bytes are
-those of the 1,000: of all processes together, per goal. Bytes are counted on the loopback device of
-a separate network, with all headers, once for each hop.
+measured for the 1,000 goals: of all processes together, per goal. Bytes are counted on the loopback
+device of a separate network, with all headers, once for each hop.
 
 Needs Linux, and root or user namespaces for that network. Run ``python -m benchmarks.bench_fleet``.
 """
@@ -46,7 +46,7 @@ IN_TURN = 100
 AT_ONCE = 1_000
 FEEDBACK = 10
 KEPT = 60.0
-"""A hundred clients that all hear a thousand goals take longer than 10 s to ask for results."""
+"""How long results are kept (s). A hundred clients with a thousand goals ask for results late."""
 NUMBERS = list(range(10))
 
 CLONE_NEWUSER, CLONE_NEWNET = 0x10000000, 0x40000000
@@ -69,7 +69,7 @@ Client: TypeAlias = ActionClient[Count.Goal, Count.Result, Count.Feedback]
 
 
 class Fleet(NamedTuple):
-    """What is measured: so many robots and clients, and how they talk."""
+    """The fleet of one row: the numbers of robots and clients, and how they talk."""
 
     mode: Mode
     servers: int
@@ -102,7 +102,7 @@ async def use(client: Client) -> float:
 
 
 async def told(pipe: Connection) -> object:
-    """The next thing that the bench says."""
+    """Wait for the next message of the benchmark."""
     loop = asyncio.get_running_loop()
     came = asyncio.Event()
     loop.add_reader(pipe.fileno(), came.set)
@@ -169,7 +169,7 @@ def run(role: str, pipe: Connection, mode: Mode, names: list[str]) -> None:
 
 
 class Usage(NamedTuple):
-    """What a process takes: CPU (s) since its start, memory (bytes) now."""
+    """The usage of a process: CPU (s) since its start, and memory (bytes) now."""
 
     cpu: float
     memory: int
@@ -215,7 +215,7 @@ class Process:
 
 @contextmanager
 def started(fleet: Fleet) -> Iterator[list[Process]]:
-    """The router, the servers, the clients; all have a session."""
+    """Give a block the router, the servers and the clients, each with a session."""
     robots = [f"r{number}" for number in range(fleet.servers)]
     wanted = [robots[number % fleet.servers] for number in range(fleet.clients)]
     processes = [Process("router", fleet.mode, [])]
@@ -237,14 +237,14 @@ def started(fleet: Fleet) -> Iterator[list[Process]]:
 
 
 def sent_bytes() -> int:
-    """What has gone over the loopback device so far."""
+    """How many bytes have gone over the loopback device so far."""
     lines = Path("/proc/self/net/dev").read_text().splitlines()
     [line] = [each for each in lines if each.strip().startswith("lo:")]
     return int(line.split()[1])
 
 
 async def join(fleet: Fleet) -> tuple[float, int]:
-    """How long it takes a newcomer to know all, and how many tokens that is."""
+    """How long a new process takes to know all tokens, and how many there are."""
     began = time.perf_counter()
     async with open_zenoh([AT], mode="client") as transport:
         await transport.explore()
@@ -305,7 +305,7 @@ def measure(fleet: Fleet) -> str:
 
 
 def isolate() -> None:
-    """A network of our own, with nothing but a loopback device."""
+    """Move to a separate network that has only a loopback device."""
     libc = ctypes.CDLL(None, use_errno=True)
     flags = CLONE_NEWNET if os.geteuid() == 0 else CLONE_NEWNET | CLONE_NEWUSER
     if libc.unshare(flags):

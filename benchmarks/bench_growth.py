@@ -36,7 +36,7 @@ IDLE = 10_000
 LIVE = [1_000, 10_000, 100_000]
 ROUNDS = 5
 BESIDE = 2_000
-"""So many goals are run one after another while the others live."""
+"""This many goals run one after another while the others live."""
 
 
 class Count(Action, type_name="bench_msgs/action/Count"):
@@ -54,7 +54,7 @@ Release = Callable[[list[object]], Awaitable[None]]
 
 
 class Gate:
-    """Its body waits until the gate is opened; a goal with a target is answered at once."""
+    """A server. Its body waits until the gate is opened, but a goal with a target ends at once."""
 
     def __init__(self) -> None:
         self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -66,7 +66,7 @@ class Gate:
 
 
 class Holder(NamedTuple):
-    """Starts goals, and lets go of them once they have ended."""
+    """Starts goals, and forgets them after they have ended."""
 
     start: Start
     release: Release
@@ -112,7 +112,7 @@ def hold_anyio(gate: Gate, group: TaskGroup) -> Holder:
 
 
 def hold_goals(client: Client) -> Holder:
-    """What ``async with`` holds: the object that was entered, and through it the handle."""
+    """A holder that keeps what ``async with`` keeps: the entered object, and with it the handle."""
 
     async def start(goal: Count.Goal) -> object:
         sending = client.send_goal(goal)
@@ -135,7 +135,7 @@ async def let_all_run() -> None:
 
 
 async def bytes_each(gate: Gate, holder: Holder) -> float:
-    """Memory of a goal that waits."""
+    """The memory of a waiting goal."""
     gc.collect()
     tracemalloc.start()
     held = [await holder.start(Count.Goal()) for _ in range(IDLE)]
@@ -169,9 +169,9 @@ def verdict(ratio: float, goal: float) -> str:
 
 
 class Live(NamedTuple):
-    """Seconds a goal of those that live together, and of those beside them.
+    """The seconds per goal, for goals that live together and for goals beside them.
 
-    And how many memory blocks a goal are left when all is over.
+    The last field is how many memory blocks per goal are left when all is over.
     """
 
     together: float

@@ -5,8 +5,8 @@ a thread as any server must. Accepting a goal needs one, and a whole goal two. T
 SQLite, if it is installed (``pip install dbos``): its workflow is durable when it has started and
 when it has ended.
 
-All take turns, one at a time; a ratio is the median of the rounds' ratios. Then 100 goals are in
-flight. Last, a journal with a million ended goals is opened and read.
+The contenders take turns. A ratio is the median of the rounds' ratios. Then 100 goals are in
+flight. Last, the benchmark opens and reads a journal with a million ended goals.
 
 Run it as ``python -m benchmarks.bench_journal``. The journals are in the current folder's file
 system, not in memory.
@@ -55,11 +55,12 @@ class Count(Action, type_name="bench_msgs/action/Count"):
 
 
 class Cost(NamedTuple):
-    """What one thing costs.
+    """The times of one job.
 
     Attributes:
-        accepted: Until it is known to be on disk (s); 0 if it is only measured as a whole.
-        ended: Until its end is known to be on disk (s), from the beginning.
+        accepted: The time until its start is known to be on disk (s); 0 if only the whole is
+            measured.
+        ended: The time from the beginning until its end is known to be on disk (s).
     """
 
     accepted: float
@@ -101,7 +102,7 @@ async def bare(folder: Path) -> AsyncIterator[Measure]:
 
 @asynccontextmanager
 async def goals(folder: Path) -> AsyncIterator[Measure]:
-    """A goal whose body ends when it is told to."""
+    """A goal with a body that ends on a signal."""
     gates = list[asyncio.Future[None]]()
 
     async def body(goal: Count.Goal) -> Count.Result:
@@ -162,7 +163,7 @@ async def dbos(folder: Path) -> AsyncIterator[Measure]:
 
 
 async def compare(folder: Path) -> None:
-    """Let all take turns, and print their times and ratios."""
+    """Let all contenders take turns, and print their times and ratios."""
     peers = {"bare commit": bare, "goal": goals}
     if importlib.util.find_spec("dbos"):
         peers["DBOS workflow"] = dbos
@@ -225,7 +226,7 @@ async def rush(folder: Path) -> None:
 
 
 def resident() -> int:
-    """The memory of this process (bytes); 0 where the system does not say."""
+    """The memory of this process (bytes); 0 if the system does not report it."""
     try:
         pages = Path("/proc/self/statm").read_text("ascii").split()[1]
     except OSError:

@@ -1,4 +1,4 @@
-"""What actions cost as tools: a call, the list of tools, and the start of ``turtleact mcp``.
+"""What do actions as tools cost: a call, the list of tools, and the start of ``turtleact mcp``?
 
 The peer is the SDK's own server with a tool that does nothing. Both are called in turn, in memory,
 by the SDK's client, with the newest and the older version of the protocol. Everything in memory is
@@ -61,7 +61,7 @@ async def main():
 
 anyio.run(main)
 """
-"""The least server on stdin and stdout that the SDK can make."""
+"""The smallest server on stdin and stdout that the SDK can make."""
 
 
 def empty_server() -> Server[Any]:
@@ -119,7 +119,7 @@ async def in_memory(mode: str) -> None:
 
 
 class Start(NamedTuple):
-    """When a server that was started had answered a request, and what that had cost.
+    """The times of the first answers of a new server, and their costs.
 
     Attributes:
         greeted: The time until it had answered ``initialize`` (s).
@@ -135,7 +135,7 @@ class Start(NamedTuple):
 
 
 def cpu_of(process: int) -> float:
-    """The processor time of a process (s), as Linux tells it."""
+    """The processor time of a process (s), as Linux reports it."""
     stat = Path(f"/proc/{process}/stat").read_text()
     times = stat.rpartition(")")[2].split()
     return (int(times[11]) + int(times[12])) / os.sysconf("SC_CLK_TCK")
@@ -168,7 +168,7 @@ def ask(program: subprocess.Popen[bytes], *messages: object) -> None:
 
 
 def best(*arguments: str) -> Start:
-    """The best of each figure."""
+    """Start a server several times, and return the best of each figure."""
     starts = [start(*arguments) for _ in range(STARTS)]
     return Start(*map(min, zip(*starts, strict=True)))
 

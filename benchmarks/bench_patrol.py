@@ -50,14 +50,14 @@ Client = ActionClient[Patrol.Goal, Patrol.Result, Patrol.Feedback]
 
 
 class Course(NamedTuple):
-    """Where a patrol begins, and its targets."""
+    """The start of a patrol, and its targets."""
 
     start: tuple[float, float, float]
     targets: list[tuple[float, float]]
 
 
 class Run(NamedTuple):
-    """What came of a patrol."""
+    """The outcome of a patrol."""
 
     seconds: float
     bound: float
@@ -118,7 +118,7 @@ class Patrols:
 
 
 def proportional(courses: list[Course]) -> tuple[list[Run], int]:
-    """The peer, straight on the world: it needs no goal for it."""
+    """Run the peer directly in the world, without a goal."""
     world, runs = WatchedWorld(), []
     for course in courses:
         world.teleport_absolute("turtle1", *course.start)

@@ -136,7 +136,7 @@ async def seconds_each(contender: Contender) -> float:
 
 
 async def print_table(title: str, contenders: dict[str, Contender]) -> None:
-    """The first contender is what the others are measured against."""
+    """Print a table. The other contenders are compared with the first."""
     rounds = [
         [await seconds_each(contender) for contender in contenders.values()] for _ in range(ROUNDS)
     ]

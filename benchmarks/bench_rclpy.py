@@ -1,8 +1,8 @@
 """How fast is turtleact's rclpy, beside the genuine one?
 
-Both run the same program, `benchmarks.rclpy_program`, in turns. turtleact's joins a router, as a
-program would on a real graph; the genuine one has the middleware that is installed. Without a
-genuine one, only turtleact's figures are printed, with the bars that they should pass.
+Both run the same program, `benchmarks.rclpy_program`, in turns. turtleact's rclpy joins a router,
+as a program would on a real graph. The genuine rclpy uses the installed middleware. Without a
+genuine rclpy, only turtleact's figures are printed, with the limits that they should keep.
 
 ``TURTLEACT_ROS=/path/to/python python -m benchmarks.bench_rclpy``; the variable names the Python
 that can import the genuine rclpy.
@@ -40,7 +40,7 @@ Figures = dict[str, float]
 
 
 def measure(*command: str) -> Figures:
-    """Run the program once. It shall measure its log, so nobody reads that."""
+    """Run the program once. The program measures its own log, so nobody reads the output."""
     ran = subprocess.run(
         [*command, str(PROGRAM)],
         stdout=subprocess.PIPE,

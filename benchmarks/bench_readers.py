@@ -58,7 +58,10 @@ def serve(line: Connection) -> None:
 
 
 async def _serve(line: Connection) -> None:
-    """Tells its port; at each word that comes, how late the poses were since the last."""
+    """Run the server.
+
+    It sends its port and, for each word it gets, the lateness of poses since then.
+    """
     came: list[float] = []
     loop = asyncio.get_running_loop()
     over = asyncio.Event()
@@ -86,7 +89,7 @@ async def _serve(line: Connection) -> None:
 
 
 def _memory() -> float:
-    """What the process holds (MB)."""
+    """The memory of the process (MB)."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
@@ -100,7 +103,7 @@ async def read(client: ClientConnection, came: list[float]) -> None:
 
 
 def talk(port: int, line: Connection) -> None:
-    """A client that sends wrong frames as fast as they are taken, and tells how long it took."""
+    """Run a client that sends wrong frames as fast as possible, and report how long it took."""
     with connect_patiently(f"ws://127.0.0.1:{port}", ping_interval=None) as client:
         begun = perf_counter()
         for _ in range(MALFORMED):
@@ -111,7 +114,7 @@ def talk(port: int, line: Connection) -> None:
 
 
 def deafen(port: int) -> socket.socket:
-    """A client that asks for much and reads nothing."""
+    """Open a client that asks for much and reads nothing."""
     deaf = socket.create_connection(("127.0.0.1", port))
     deaf.sendall(HANDSHAKE)
     for topic in ("/turtle1/pose", "/large"):
@@ -121,7 +124,7 @@ def deafen(port: int) -> socket.socket:
 
 
 async def measure(name: str, line: Connection, came: list[list[float]], seconds: float) -> None:
-    """Wait, and print what has happened meanwhile."""
+    """Wait for some seconds, and print what has happened in them."""
     line.send("begin")
     await asyncio.to_thread(line.recv)
     for each in came:

@@ -140,7 +140,7 @@ def compare_writers(folder: Path) -> None:
 
 
 async def fast(goal: Fibonacci.Goal) -> Body:
-    """Yield feedback for some seconds, as fast as it goes out."""
+    """Yield feedback for some seconds, as fast as it can be sent."""
     begun, count = time.monotonic(), 0
     sequence = list(range(10))
     while time.monotonic() - begun < goal.order:
@@ -177,7 +177,7 @@ async def serve(at: str) -> None:
 
 @contextmanager
 def program(*arguments: str, ready: str) -> Iterator[subprocess.Popen[str]]:
-    """A Python program that has printed a certain word; it gets SIGTERM at the end."""
+    """Run a Python program for a block, once it has printed a word. It gets SIGTERM at the end."""
     process = subprocess.Popen(
         [sys.executable, "-u", *arguments],
         stdout=subprocess.PIPE,

@@ -30,7 +30,7 @@ STEPS = 50
 COUNTS = [1, 10, 100, 1_000, 10_000, 100_000, 1_000_000]
 PEER_COUNTS = [1, 10, 100]
 WORK = 1_000_000
-"""About so many turtle-steps a round, but at least one command and at most 40."""
+"""About this many turtle-steps per round, but at least one command and at most 40."""
 
 Floats = npt.NDArray[np.float64]
 Contender = Callable[[], None]
@@ -100,14 +100,14 @@ robot:
 
 
 def in_the_open(count: int) -> tuple[Floats, Floats]:
-    """Circles that fit: turtles start a metre or more from the walls."""
+    """Speeds for circles that stay inside: turtles start a metre or more from the walls."""
     rng = np.random.default_rng(0)
     omega = rng.uniform(0.5, 2.0, count) * rng.choice([-1.0, 1.0], count)
     return np.abs(omega) * rng.uniform(0.1, 0.49, count), omega
 
 
 def into_the_walls(count: int) -> tuple[Floats, Floats]:
-    """Any speeds, held for ever: in the end many a turtle is pressed against a wall."""
+    """Any speeds, held for ever. In the end, many turtles are pressed against a wall."""
     rng = np.random.default_rng(0)
     return rng.uniform(-2.0, 2.0, count), rng.uniform(-2.0, 2.0, count)
 
@@ -131,7 +131,7 @@ def seconds_a_step(drive: Contender, repeats: int) -> float:
 def compare(
     ours: Contender, peer: Contender, *, rounds: int, repeats: int
 ) -> tuple[float, float, float]:
-    """Median seconds a step of both, and the median of the rounds' ratios."""
+    """The median seconds per step of both, and the median of the rounds' ratios."""
     ours()
     peer()
     measured = [

@@ -33,10 +33,10 @@ from turtleact.interfaces import int32
 IN_A_ROW = 100_000
 AT_ONCE = 20_000
 CANCELED = 5
-"""Of so many goals one is canceled."""
+"""One in this many goals is canceled."""
 
 FEEDBACK = 3
-"""So many messages of feedback a goal gives before it waits to be canceled, or goes on."""
+"""A goal publishes this many feedback messages before it waits to be canceled, or goes on."""
 
 
 class Count(Action, type_name="bench_msgs/action/Count"):
@@ -69,7 +69,7 @@ def is_canceled(number: int) -> bool:
 
 
 async def send(client: Client, number: int, tally: Tally) -> None:
-    """One goal from its request to its end, and what has come of it."""
+    """Send one goal, follow it to its end, and count its outcome."""
     async with client.send_goal(Count.Goal(number=number)) as handle:
         expected = 0
         async for feedback in handle:
@@ -85,7 +85,7 @@ async def send(client: Client, number: int, tally: Tally) -> None:
 
 
 def check(tally: Tally, goals: int) -> None:
-    """Nothing is lost, and nothing is there that was not sent."""
+    """Check that nothing is lost, and that nothing has come that was not sent."""
     canceled = len(range(0, goals, CANCELED))
     assert tally == {
         "feedback": FEEDBACK * goals,
@@ -95,7 +95,7 @@ def check(tally: Tally, goals: int) -> None:
 
 
 class Memory(NamedTuple):
-    """Bytes that Python holds: before the goals, after them, and at most."""
+    """The bytes that Python holds: before the goals, after them, and at most."""
 
     before: int
     after: int
@@ -114,7 +114,7 @@ async def at_once(client: Client, goals: int, tally: Tally) -> None:
 
 
 async def timed(way: Way, client: Client, goals: int) -> float:
-    """CPU seconds a goal."""
+    """The CPU seconds per goal."""
     tally = Tally()
     start = time.process_time()
     await way(client, goals, tally)
@@ -140,7 +140,7 @@ async def measured(way: Way, client: Client, goals: int) -> Memory:
 
 
 async def print_soak(way: Way, client: Client, goals: int) -> None:
-    """Run goals in ten parts in a row; or a tenth of them at once, and then all."""
+    """Run goals in ten parts one after another, or first a tenth at once and then all."""
     await timed(way, client, goals // 10)
     if way is in_a_row:
         tenths = [await timed(way, client, goals // 10) for _ in range(10)]
@@ -159,7 +159,7 @@ async def print_soak(way: Way, client: Client, goals: int) -> None:
 
 
 async def print_all(loop: str, share: int) -> None:
-    """Run a share of all goals on one loop."""
+    """Run a share of all goals on one event loop."""
     print(
         f"\n{loop}\n{'':>8} {'goals':>8} {'us each':>8} {'tenth':>8} {'last':>8} {'ratio':>7}"
         f" {'KiB before':>11} {'KiB after':>11} {'B a goal':>9} {'KiB peak':>11}"

@@ -2,8 +2,8 @@
 
 The first table has goals within one process, sent one by one, each on a node of its own that is
 watched in another way. Rounds are interleaved. A time is the processor time of the event loop's
-thread, and so does not contain what other programs do, nor the exporter's threads. A cost is the
-median of the rounds' differences from a node that is not watched.
+thread. It does not include other programs or the exporter's threads. A cost is the median of the
+rounds' differences from a node that is not watched.
 
 The second part sends 10,000 goals and exports their spans by OTLP over HTTP to a collector in the
 same process, which decodes them. Each goal must have two spans, and the server's must be the child
@@ -115,7 +115,7 @@ async def compare() -> None:
 
 
 def sampler_off() -> float:
-    """The time in which the SDK alone starts a span that is not sampled (us)."""
+    """The time that the SDK alone takes to start a span that is not sampled (us)."""
     tracer = OFF.get_tracer("bench")
     times = []
     for _ in range(ROUNDS):

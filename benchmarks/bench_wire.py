@@ -46,10 +46,10 @@ ROUNDS = 7
 GOALS = 200
 AT_ONCE = 100
 SMALL, LARGE = 20_000, 2_000
-"""So many feedback messages of ten ints, and of 4 kB."""
+"""The numbers of feedback messages of ten ints and of 4 kB."""
 
 IN_A_ROW, TOGETHER = 10_000, 1_000
-"""So many goals soak: one after another, and at once."""
+"""The numbers of goals of the soak: one after another, and at the same time."""
 
 KEPT = 10.0
 """How long a server keeps a result (s)."""
@@ -87,7 +87,7 @@ async def count(goal: Count.Goal) -> AsyncGenerator[Count.Feedback | Count.Resul
 
 
 class Awaited:
-    """Goals that are awaited."""
+    """Sends goals with ``await``."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -118,7 +118,7 @@ class Awaited:
 
 
 class Entered:
-    """Goals that are entered."""
+    """Sends goals with ``async with``."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -142,7 +142,7 @@ class Entered:
 
 
 async def serve_node(at: str, pipe: Connection) -> None:
-    """Serve both actions; answers each word with what the server still holds."""
+    """Serve both actions. Each word on the pipe is answered with what the server still holds."""
     async with (
         open_zenoh([], mode="router", listen=[f"tcp/{at}"]) as transport,
         turtleact.open_node("server", transport=transport) as node,
@@ -189,7 +189,7 @@ class Kind(NamedTuple):
     """A contender.
 
     Attributes:
-        needs: The packages that it is of, as they are imported and as they are installed.
+        needs: Its packages: their names for import and for installation.
     """
 
     name: str
@@ -208,13 +208,13 @@ KINDS = [
 
 
 def serve(number: int, at: str, pipe: Connection) -> None:
-    """The whole of a server's process."""
+    """Run a server's process."""
     asyncio.run(KINDS[number].serve(at, pipe))
 
 
 @asynccontextmanager
 async def serving(kind: Kind, folder: Path) -> AsyncIterator[tuple[str, Connection]]:
-    """A server in a process of its own: where it is, and what it is told by."""
+    """Run a server in its own process. The block gets its address and a connection for commands."""
     if kind.serve is peers.serve_socket:
         at = str(folder / "socket")
     else:
@@ -248,7 +248,7 @@ async def goals(contender: Contender) -> list[float]:
 
 
 async def in_flight(contender: Contender) -> float:
-    """Seconds a goal."""
+    """The seconds per goal."""
     left = iter(range(10 * AT_ONCE))
 
     async def work() -> None:
@@ -263,7 +263,7 @@ async def in_flight(contender: Contender) -> float:
 
 
 async def feedback(contender: Contender, count: int, *, is_large: bool) -> float:
-    """Seconds a message."""
+    """The seconds per message."""
     began = time.perf_counter()
     seen = await contender.feedback(count, is_large=is_large)
     assert seen == count, f"{count - seen} of {count} messages were lost"
@@ -271,7 +271,7 @@ async def feedback(contender: Contender, count: int, *, is_large: bool) -> float
 
 
 async def measure(contender: Contender) -> dict[str, float]:
-    """One round."""
+    """Measure one round."""
     gc.collect()
     each = await goals(contender)
     return {
@@ -314,13 +314,13 @@ async def compare(kinds: list[Kind], folder: Path) -> None:
 
 
 class State(NamedTuple):
-    """What a process holds.
+    """The resources that a process holds.
 
     Attributes:
         goals: Goals that its tables hold.
         tasks: What runs for them.
-        objects: What Python's garbage collector knows.
-        memory: Of the process (KiB).
+        objects: The objects that Python's garbage collector knows.
+        memory: The memory of the process (KiB).
     """
 
     goals: int
@@ -336,7 +336,7 @@ class State(NamedTuple):
 
 
 async def look(pipe: Connection) -> tuple[State, State]:
-    """What the server holds and what the client, once results are no longer kept."""
+    """The resources that server and client hold once results are no longer kept."""
     await asyncio.sleep(KEPT + 0.5)
     pipe.send("look")
     theirs = await asyncio.to_thread(pipe.recv)

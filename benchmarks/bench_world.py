@@ -5,7 +5,7 @@ and whether they drift; a fleet in which each turtle is driven by its own goal, 
 follows; patrols in virtual time; and the cost of a turtle in fleets of different sizes. The minimum
 of a tick is a loop that only sleeps.
 
-Takes one option: how many seconds to watch the ticks, 60 by default.
+The only option is how many seconds to watch the ticks, 60 by default.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ async def open_fleet(count: int) -> str:
 
 
 def move(count: int, turn: float) -> float:
-    """Microseconds a turtle and tick, its drawing included."""
+    """The microseconds per turtle and tick, drawing included."""
     world = World(count)
     pens = Pens(world)
     ticks = max(12, min(2_000, 200_000 // count))

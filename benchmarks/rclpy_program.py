@@ -33,7 +33,7 @@ def succeed(goal_handle: Any) -> Any:  # noqa: ANN401  # rclpy has no types
 
 
 def rate(act: Callable[[], object], times: int) -> float:
-    """How often a second something can be done."""
+    """How many times per second a function can be called."""
     for _ in range(10):
         act()
     began = time.perf_counter()
@@ -43,7 +43,7 @@ def rate(act: Callable[[], object], times: int) -> float:
 
 
 class Bench:
-    """Both ends of a topic, a service and an action, in one node."""
+    """A node with both ends of a topic, a service and an action."""
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("bench")

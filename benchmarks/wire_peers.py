@@ -1,7 +1,7 @@
 """Other ways to have a job done in another process, to compare turtleact with in `bench_wire`.
 
-Each does what a goal does with two calls, and sends feedback as separate messages. None checks
-anything, knows who exists, or tells others about its state.
+Each does the job of a goal with two calls, and sends feedback as separate messages. None of them
+checks values, discovers others, or publishes its state.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class Contender(Protocol):
         """Send a goal, and wait for its result."""
 
     async def feedback(self, count: int, *, is_large: bool) -> int:
-        """Have feedback sent; answers how much came before the result."""
+        """Ask for feedback. Return how many messages came before the result."""
 
     async def cancel(self) -> float:
-        """How long it takes from asking to cancel to the end (s)."""
+        """The time from the cancel request to the end (s)."""
 
 
 Serve: TypeAlias = Callable[[str, Connection], Coroutine[object, object, None]]
@@ -75,7 +75,7 @@ class Answer(msgspec.Struct):
 
 
 class Jobs:
-    """What the server of a peer knows of its jobs."""
+    """The jobs of a peer's server."""
 
     def __init__(self) -> None:
         self._ends: dict[int, asyncio.Future[None]] = {}
@@ -103,7 +103,7 @@ def feedback_of(job: Job) -> Answer:
 
 
 async def serve_until_told(pipe: Connection) -> None:
-    """Say that the server is there, and wait until nobody needs it."""
+    """Report that the server is ready, and wait until nobody needs it."""
     pipe.send("ready")
     with suppress(EOFError):
         await asyncio.to_thread(pipe.recv)
@@ -121,7 +121,7 @@ class Frames(Protocol):
 
 
 class SocketFrames:
-    """Messages on a socket: their length, and then they."""
+    """Messages on a socket. Each comes after its length."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._reader = reader
@@ -146,7 +146,7 @@ class SocketFrames:
 
 
 class Codec:
-    """How messages are written: msgpack for the floor, JSON for websockets."""
+    """The encoding of messages: msgpack for the floor, JSON for websockets."""
 
     def __init__(self, *, is_text: bool) -> None:
         kind = msgspec.json if is_text else msgspec.msgpack

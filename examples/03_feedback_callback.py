@@ -17,7 +17,7 @@ from turtleact.interfaces.standard import Fibonacci
 
 @turtleact.action(Fibonacci, "fibonacci")
 async def fibonacci(goal: Fibonacci.Goal) -> AsyncIterator[Fibonacci.Feedback | Fibonacci.Result]:
-    """The list that is yielded goes on growing; each reader has what was yielded."""
+    """The yielded list grows later. Each reader has a copy from the time of the ``yield``."""
     sequence = [0, 1]
     for i in range(1, goal.order):
         sequence.append(sequence[i] + sequence[i - 1])

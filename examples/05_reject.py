@@ -15,7 +15,7 @@ from turtleact.interfaces.standard import Fibonacci
 
 
 def check(goal: Fibonacci.Goal) -> GoalResponse:
-    """Asked once, before the body runs."""
+    """Called once, before the body runs."""
     if goal.order > 46:
         raise Reject(f"order {goal.order} is too large: 46 is the last that fits an int32")
     return GoalResponse.ACCEPT

@@ -19,7 +19,7 @@ Handle = ServerGoalHandle[Fibonacci.Goal, Fibonacci.Result, Fibonacci.Feedback]
 
 @turtleact.action(Fibonacci, "fibonacci")
 async def fibonacci(goal: Fibonacci.Goal, handle: Handle) -> Fibonacci.Result:
-    """A second parameter is the goal handle."""
+    """The second parameter is the goal handle."""
     feedback = Fibonacci.Feedback(partial_sequence=[0, 1])
     for _ in range(1, goal.order):
         feedback.partial_sequence.append(sum(feedback.partial_sequence[-2:]))

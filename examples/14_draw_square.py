@@ -21,7 +21,7 @@ SIDE = 2.0
 
 
 async def go_ahead(node: Node) -> TurtlePose:
-    """Drive until the side is done; answer where that is."""
+    """Drive until the side is done. Return the pose at its end."""
     poses = node.subscription(TurtlePose, "turtle1/pose")
     twists = node.publisher(Twist, "turtle1/cmd_vel")
     pose = start = await anext(poses)

@@ -17,7 +17,7 @@ from turtleact.interfaces.standard import Spawn, TurtlePose, Twist, Vector3
 
 
 async def mimic(node: Node, leader: str, follower: str) -> None:
-    """Tell a turtle the speeds of another, tick by tick."""
+    """Send a turtle the speeds of another, tick by tick."""
     twists = node.publisher(Twist, f"{follower}/cmd_vel")
     async for pose in node.subscription(TurtlePose, f"{leader}/pose"):
         ahead, turning = pose.linear_velocity, pose.angular_velocity
@@ -25,7 +25,7 @@ async def mimic(node: Node, leader: str, follower: str) -> None:
 
 
 async def watch(node: Node, turtle: str) -> None:
-    """Add up what a turtle does until it stands still."""
+    """Add up the way and the turn of a turtle until it stands still."""
     way = turn = 0.0
     async for pose in node.subscription(TurtlePose, f"{turtle}/pose"):
         way += pose.linear_velocity * 0.016

@@ -29,7 +29,7 @@ async def drive(node: Node, speed: Parameter[float]) -> None:
 
 
 async def follow(speed: Parameter[float]) -> None:
-    """Tell of each change."""
+    """Print each change of the parameter."""
     async for value in speed.changes():
         print(f"the parameter is now {value}")
 

@@ -42,7 +42,7 @@ TARGETS = [Point(x=9.0, y=7.0), Point(x=5.0, y=1.0), Point(x=1.0, y=7.0)]
 
 
 class GoalLeaf(Behaviour):
-    """Is RUNNING as long as its goal is; nothing in it waits but ``send``."""
+    """A leaf that is RUNNING while its goal runs. Only ``send`` waits."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class GoalLeaf(Behaviour):
         self.turtle = turtle
 
     def initialise(self) -> None:
-        """Begin anew: called by the first tick, and by the first one after an end."""
+        """Start again. The first tick, and the first tick after an end, call this."""
         self.handle: ClientGoalHandle[Any, Any] | None = None
         self.rejection = ""
         self.scope = anyio.CancelScope()
@@ -76,7 +76,7 @@ class GoalLeaf(Behaviour):
             self.rejection = str(error)
 
     def update(self) -> Status:
-        """Say how it goes: called by every tick."""
+        """Return the status. Every tick calls this."""
         if self.handle is None:
             self.feedback_message = self.rejection or "to be sent"
             return Status.FAILURE if self.rejection else Status.RUNNING
@@ -89,7 +89,7 @@ class GoalLeaf(Behaviour):
         return Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:  # noqa: ARG002  # py_trees passes it
-        """Let the goal go, sent or not; nothing happens to one that has ended."""
+        """Cancel the goal, sent or not. A goal that has ended is left alone."""
         if self.handle is None:
             self.scope.cancel()
         else:
@@ -103,7 +103,7 @@ class LowBattery(Behaviour):
         self.clock = clock
 
     def update(self) -> Status:
-        """Look at the battery: it loses 10 % a second."""
+        """Check the battery, which loses 10 % per second."""
         level = 100 - 10 * self.clock.time()
         self.feedback_message = f"{level:.0f} %"
         return Status.SUCCESS if level < 66 else Status.FAILURE

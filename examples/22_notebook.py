@@ -1,10 +1,11 @@
 # In a checkout: pip install .
 """A notebook has no block to stay in: one cell opens a world, others use it, and one closes it.
 
-The cells (``# %%``) also run as plain Python. There, ``run`` runs the event loop until something is
-done, and time stands still between the cells. In a notebook, the event loop is already running.
-Leave out the two cells that say so, write ``await …`` instead of ``run(…)``, and open the world
-with ``speed=1``, because time continues between the cells and ``"max"`` would race through hours.
+The cells (``# %%``) also run as plain Python. In plain Python, ``run`` runs the event loop until a
+cell is done, and time stands still between the cells. In a notebook, the event loop is already
+running. Leave out the two cells that say so, write ``await …`` instead of ``run(…)``, and open the
+world with ``speed=1``, because time continues between the cells and ``"max"`` would race through
+hours.
 
 Prints:
 

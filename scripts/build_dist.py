@@ -1,7 +1,7 @@
 """Builds the wheel and the sdist: ``python scripts/build_dist.py [FOLDER]`` (default: dist).
 
-Uses the build backend of the environment that it runs in; without one, it installs the backend into
-a new environment first.
+The script uses the build backend of its own environment. If there is none, it first installs the
+backend into a new environment.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def build(python: Path, folder: Path) -> None:
-    """Build both, with the backend of a Python."""
+    """Build the wheel and the sdist with the backend of a Python."""
     command: list[Path | str] = [
         python,
         "-m",

@@ -34,10 +34,10 @@ MOVED = {
     "LICENSE": "LICENSE.txt",
     "examples": "examples/index.md",
 }
-"""Where the site has what is not in docs/."""
+"""Where the site has files that are not in docs/."""
 
 REMOTE_WORKER = "https://unpkg.com/iframe-worker/shim"
-"""What Zensical's pages load if they are opened as files; docs/theme/search.js takes its place."""
+"""The script that Zensical's pages load if opened as files. docs/theme/search.js replaces it."""
 
 REMOTE_SCRIPT = re.compile(r"<script[^>]* src=[\"']?(\w+://[^\"'\s>]+)")
 
@@ -48,17 +48,20 @@ DOTS = re.compile("[\u2800-\u28ff\u2190-\u2199\u25cf\u2713]")
 FENCED = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)#\s]+)")
 PIPE = re.compile(r"(?<=`)\\\|(?=[^|`]*`)")
-"""A bar inside code in a table: the repository's reader needs the backslash, the site shows it."""
+"""A bar inside code in a table.
+
+In the repository it needs a backslash, which the site would show.
+"""
 
 PROOFS = re.compile(r"(?<=\| )(?:`[\w/]+\.py::\w+`(?:<br>)?)+(?= \|)")
-"""A cell of a table that names tests: the site folds it, because it is longer than the others."""
+"""A cell of a table that names tests. The site folds it, because it is longer than the others."""
 
 DRAWING = re.compile(r"^!\[(?P<text>[^\]]*)\]\((?P<path>\w+\.svg)\)$", re.MULTILINE)
 HEADING = re.compile(r"^# (.+)$", re.MULTILINE)
 
 
 class DeadLink(Exception):
-    """A link of a page leads to a file that the site does not have."""
+    """A page has a link to a file that the site does not have."""
 
     def __init__(self, page: str, target: str) -> None:
         super().__init__(f"{page}: the site has no page for the link to {target}")
@@ -88,8 +91,8 @@ def main() -> int:
 def finish(folder: Path) -> None:
     """Mend the pages that Zensical has built.
 
-    What the search needs at file:// is loaded from the site, not from a server on the internet.
-    Each dot of a drawing in a terminal is marked, so that the style can give it a width.
+    At file://, the pages load the search from the site, not from a server on the internet. Each dot
+    of a drawing in a terminal is marked, so that the style can give it a width.
 
     Raises:
         RemoteScript: if a page would still load a script from the internet.
@@ -144,7 +147,7 @@ def made() -> site_reference.Pages:
 
 
 def address(path: str) -> str:
-    """Where the site has a file of the repository; an empty string if it does not have it."""
+    """Where the site has a file of the repository; an empty string if it has no such file."""
     if path in MOVED:
         return MOVED[path]
     if path.startswith("docs/"):
@@ -155,7 +158,7 @@ def address(path: str) -> str:
 
 
 def relinked(source: str, text: str) -> str:
-    """A page whose links lead to pages of the site, and whose drawings are part of it."""
+    """Return a page with links to pages of the site, and with its drawings as part of the page."""
     page = address(source)
 
     def lead(link: re.Match[str]) -> str:
@@ -188,7 +191,7 @@ def _inline(drawing: re.Match[str]) -> str:
 
 
 def expanded(nav: Nav, pages: list[str]) -> Nav:
-    """The navigation with the pages of each folder in the place of its name."""
+    """The navigation, with the name of each folder replaced by the folder's pages."""
     if isinstance(nav, list):
         return [expanded(each, pages) for each in nav]
     if isinstance(nav, dict):

@@ -1,7 +1,7 @@
 """Checks a wheel and an sdist: ``python scripts/check_dist.py [FOLDER] [--tag TAG]``.
 
-Their metadata must say what ``pyproject.toml`` says, and they must hold what users and packagers
-need. With a tag, the version must be that of the tag, and ``CHANGELOG.md`` must have it.
+Their metadata must match ``pyproject.toml``, and they must contain what users and packagers need.
+With a tag, the version must be that of the tag, and ``CHANGELOG.md`` must have it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ IN_SDIST = ("LICENSE", "README.md", "pyproject.toml", "scripts/check_dist.py", "
 
 
 def problems_of(folder: Path, tag: str | None) -> Iterator[str]:
-    """What is wrong with the files in a folder."""
+    """Yield what is wrong with the files in a folder."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     wheels, sdists = sorted(folder.glob("*.whl")), sorted(folder.glob("*.tar.gz"))
     if len(wheels) != 1 or len(sdists) != 1:
@@ -44,7 +44,7 @@ def problems_of(folder: Path, tag: str | None) -> Iterator[str]:
 
 
 def problems_of_wheel(path: Path, project: dict[str, object]) -> Iterator[str]:
-    """What is wrong with a wheel."""
+    """Yield what is wrong with a wheel."""
     info = f"{project['name']}-{project['version']}.dist-info"
     with zipfile.ZipFile(path) as wheel:
         names = set(wheel.namelist())
@@ -63,7 +63,7 @@ def problems_of_wheel(path: Path, project: dict[str, object]) -> Iterator[str]:
 
 
 def problems_of_sdist(path: Path, project: dict[str, object]) -> Iterator[str]:
-    """What is wrong with an sdist."""
+    """Yield what is wrong with an sdist."""
     root = f"{project['name']}-{project['version']}"
     with tarfile.open(path) as sdist:
         names = set(sdist.getnames())
@@ -72,7 +72,7 @@ def problems_of_sdist(path: Path, project: dict[str, object]) -> Iterator[str]:
 
 
 def problems_of_metadata(metadata: Message, project: dict[str, object]) -> Iterator[str]:
-    """Where the metadata differ from ``pyproject.toml``."""
+    """Yield the differences of the metadata from ``pyproject.toml``."""
     expected = {
         "Name": project["name"],
         "Version": project["version"],
@@ -98,7 +98,7 @@ def problems_of_metadata(metadata: Message, project: dict[str, object]) -> Itera
 
 
 def problems_of_tag(tag: str, version: str) -> Iterator[str]:
-    """What is wrong with releasing a version under a tag."""
+    """Yield what is wrong with releasing a version under a tag."""
     if tag != f"v{version}":
         yield f"the tag is {tag!r}, but the version is {version}: expected 'v{version}'"
     changes = (ROOT / "CHANGELOG.md").read_text("utf-8")

@@ -1,21 +1,22 @@
-"""Counts what describes the structure of a package: ``python scripts/count.py [PACKAGE]``.
+"""Measures the structure of a package: ``python scripts/count.py [PACKAGE]``.
 
-Prints one table. All figures are about the package's ``.py`` files. Generated modules, which say
-"generated" in a comment on their first line, are left out. The definitions:
+The script prints one table. All figures are about the package's ``.py`` files. Generated modules,
+which say "generated" in a comment on their first line, are left out. The definitions:
 
 - A code line holds code: it is not blank, no comment, and no string that stands alone, such as a
-  docstring. A module's length is all its lines. A function's is its code lines from ``def`` to its
-  end, functions inside it included, which also count by themselves.
+  docstring. The length of a module is the number of all its lines. The length of a function is the
+  number of its code lines from ``def`` to its end. Inner functions are included, and also count by
+  themselves.
 - A small module has under 60 code lines. ``__init__.py`` is never counted as small.
 - The complexity of a function is McCabe's: one, and one more for each ``if``, loop, ``except``,
   ``case``, ``assert``, each ``for`` and ``if`` of a comprehension, and each further operand of
   ``and`` and ``or``.
-- Every ``#`` counts as a comment, also one behind code.
-- Public are all classes and functions without a leading underscore, wherever they are defined.
+- Every ``#`` counts as a comment, even behind code.
+- All classes and functions without a leading underscore are public, wherever they are defined.
 - Tests to source is the ratio of all lines of ``tests`` beside the package to the package's.
-- A cycle is a largest group of modules that import each other, directly or not. At run time
-  means: while they are loaded. With typing means: by any import statement, also one for the type
-  checker or inside a function. A package's ``__init__.py`` counts as a module of its own.
+- A cycle is a largest group of modules that import each other, directly or not. "Run time" counts
+imports while modules are loaded. "With typing" counts every import statement, including those for
+the type checker and inside functions. A package's ``__init__.py`` counts as a module of its own.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 @dataclass(frozen=True)
 class Module:
-    """One file of the package, read."""
+    """One file of the package that has been read."""
 
     name: str
     path: Path
@@ -55,12 +56,12 @@ class Module:
 
     @property
     def length(self) -> int:
-        """How many lines it has."""
+        """How many lines the file has."""
         return len(self.text.splitlines())
 
     @cached_property
     def tokens(self) -> list[tokenize.TokenInfo]:
-        """Its tokens."""
+        """The tokens of the file."""
         return list(tokenize.generate_tokens(io.StringIO(self.text).readline))
 
     @cached_property
@@ -76,7 +77,7 @@ class Module:
 
     @property
     def comments(self) -> int:
-        """How many comments it has."""
+        """How many comments the file has."""
         return sum(token.type == tokenize.COMMENT for token in self.tokens)
 
     @property
@@ -169,7 +170,7 @@ def cycles_of(modules: list[Module]) -> Cycles:
 
 
 def imports(module: Module, names: set[str], *, loaded: bool) -> Iterator[str]:
-    """The modules that a module imports, as long as it loads or at any time."""
+    """The modules that a module imports while it is loaded, or at any time."""
     for node in statements(module.tree, loaded=loaded):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in names)
@@ -182,7 +183,10 @@ def imports(module: Module, names: set[str], *, loaded: bool) -> Iterator[str]:
 
 
 def statements(node: ast.AST, *, loaded: bool) -> Iterator[ast.Import | ast.ImportFrom]:
-    """The imports below a node; only those that run when the module is loaded, if so asked."""
+    """The imports below a node.
+
+    With ``loaded``, only imports that run when the module is loaded.
+    """
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.Import | ast.ImportFrom):
             yield child
@@ -195,7 +199,7 @@ def statements(node: ast.AST, *, loaded: bool) -> Iterator[ast.Import | ast.Impo
 
 
 def origin(module: Module, node: ast.ImportFrom) -> str:
-    """The full name of what stands between ``from`` and ``import``."""
+    """The full name of the module between ``from`` and ``import``."""
     if not node.level:
         return node.module or ""
     parts = module.name.split(".")
@@ -268,7 +272,7 @@ def table(package: Path) -> list[tuple[str, str]]:
 
 
 def main() -> None:
-    """Print the table of the package that is named, else of this one; below it, its cycles."""
+    """Print the table of the named package, or of turtleact, and its cycles below the table."""
     here = Path(__file__).resolve().parents[1] / "turtleact"
     package = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else here
     for name, figures in table(package):

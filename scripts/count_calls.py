@@ -1,8 +1,8 @@
 """Counts the calls, functions and modules that one goal passes on its way over Zenoh.
 
-Server and client have an event loop each, in two threads of one process. A warm goal is sent again
-and again; the calls of Python functions of turtleact in all threads are counted, and divided by the
-number of goals. ``python scripts/count_calls.py -v`` lists the functions too.
+Server and client each have an event loop, in two threads of one process. A warm goal is sent again
+and again. The script counts the calls of turtleact's Python functions in all threads, and divides
+them by the number of goals. ``python scripts/count_calls.py -v`` lists the functions too.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Calls:
     """Counts calls by the code that is called.
 
     Attributes:
-        counted: How often each was called.
+        counted: How often each function was called.
         is_counting: Whether calls count now.
     """
 
@@ -37,17 +37,17 @@ class Calls:
         self.is_counting = False
 
     def __call__(self, frame: FrameType, event: str, _: object) -> None:
-        """What `sys.setprofile` calls; a coroutine that goes on is called again."""
+        """Called by `sys.setprofile`. A coroutine that goes on counts as another call."""
         if self.is_counting and event == "call":
             self.counted[frame.f_code] += 1
 
     def of_turtleact(self) -> dict[CodeType, int]:
-        """Those of turtleact alone, generated codecs not among them."""
+        """The calls of turtleact's functions, without those of generated codecs."""
         return {c: n for c, n in self.counted.items() if c.co_filename.startswith(WHERE)}
 
 
 async def count_to(goal: Fibonacci.Goal) -> Any:  # noqa: ANN401  # an async generator
-    """The shortest body: a result, no feedback."""
+    """The shortest body: it has a result and no feedback."""
     yield Fibonacci.Result(sequence=[goal.order])
 
 

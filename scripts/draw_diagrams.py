@@ -1,8 +1,8 @@
 """Prints a drawing of docs/architecture.md as SVG: ``python scripts/draw_diagrams.py layers``.
 
-The other drawings are ``path``, the way of a goal, and ``states``, made from the table that the
-code obeys. All have colours for light and dark. A test asserts that docs/ holds exactly what this
-script prints.
+The other drawings are ``path``, the way of a goal, and ``states``, which is made from the
+transition table of the code. All have colours for light and dark. A test asserts that docs/ holds
+exactly what this script prints.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ OUTSIDE: Final = (
     ("Your program", "bodies, clients, topics", 4, 5),
     ("Other processes", "turtleact, ROS 2 over Zenoh", 7, 7),
 )
-"""Who is outside: a name, a note, and the bands from the first to the last that it meets."""
+"""The things outside the package: a name, a note, and the first and last band that it touches."""
 
 LIVES: Final = ("your program", "ActionClient", "ActionServer", "your body")
 STEPS: Final = (
@@ -55,7 +55,7 @@ STEPS: Final = (
     (2, 1, "SUCCEEDED, result"),
     (1, 0, "await goal.result()"),
 )
-"""The way of a goal: from which life line to which, and what."""
+"""The way of a goal: for each arrow, its two life lines and its text."""
 
 PLACES: Final = {
     GoalStatus.ACCEPTED: (110, 50),
@@ -154,7 +154,7 @@ def modules() -> list[list[str]]:
 
 
 def layers() -> str:
-    """The layers of the package, and who is outside."""
+    """The drawing of the package's layers and of the things outside."""
     bands = modules()
     top, step, height = 20, 50, 40
     left, title, box, gap = 16, 132, 104, 6

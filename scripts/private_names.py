@@ -1,16 +1,16 @@
 """Finds the private names of other modules and packages: ``python scripts/private_names.py``.
 
 A private name begins with one underscore. Only the file that defines it may import, read or write
-it, be it a name of asyncio, anyio, uvloop, trio or zenoh, which may change with any release, or one
-of turtleact, which may change with any commit. A method may also use, on ``self`` or ``cls``, what
-a base class in the package defines. Text may name it on ``self`` only: whoever writes
-``getattr(loop, "_ready")`` does not mean a name of the same file.
+it. Names of asyncio, anyio, uvloop, trio or zenoh may change with any release, and names of
+turtleact with any commit. A method may also use private names of a base class in the package, on
+``self`` or ``cls``. Text may name a private name on ``self`` only: ``getattr(loop, "_ready")`` does
+not mean a name of the same file.
 
 A name counts as used where the code imports it (``import _signal``, ``from x._y import z``), spells
 it as an attribute (``loop._ready``), or gives it as text to a function that looks up attributes
 (``getattr(loop, "_ready")``, ``monkeypatch.setattr(loop, "_ready", …)``). Looking into objects
-through ``gc`` and ``ctypes.pythonapi`` counts as well. Names that are public in spite of their
-underscore are listed in `DOCUMENTED`, what else is allowed in `ALLOWED`.
+through ``gc`` and ``ctypes.pythonapi`` counts as well. `DOCUMENTED` lists names that are public in
+spite of their underscore. `ALLOWED` lists other exceptions.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ ALLOWED: set[tuple[str, str]] = {
     # each. It is listed because `pythonapi` could also reach what is private.
     ("turtleact/transports/rmw_zenoh/session.py", "pythonapi"),
 }
-"""A file, and a name that it may use in spite of the rules.
+"""Pairs of a file and a name that the file may use in spite of the rules.
 
-What is private is only read, has a fallback, and a test removes the name to prove that."""
+Such a name is only read and has a fallback. A test removes the name to prove that."""
 
 DOCUMENTED = {
     *("_asdict", "_field_defaults", "_fields", "_make", "_replace"),  # collections.namedtuple
@@ -46,7 +46,7 @@ DOCUMENTED = {
 }
 
 INSIDES = {"get_referents", "get_referrers", "pythonapi"}
-"""What shows the insides of objects without a name."""
+"""Functions that reach the insides of objects without a name."""
 
 LOOKUPS = {
     "attrgetter",
@@ -58,7 +58,7 @@ LOOKUPS = {
     "patch",
     "setattr",
 }
-"""The functions that take a name as text; ``object`` is that of ``mock.patch.object``."""
+"""The functions that take a name as text. ``object`` is that of ``mock.patch.object``."""
 
 TEXT = "text"
 """Stands for the owner of a name that is given as text."""
@@ -120,7 +120,7 @@ def defined_by(node: ast.AST) -> Iterator[str]:
 
 
 def names_used(module: ast.Module) -> Iterator[tuple[int, str, str]]:
-    """The line, the owner if that is a plain name, and the private name, of each use."""
+    """Yield the line, the owner if it is a plain name, and the private name of each use."""
     for node in ast.walk(module):
         if isinstance(node, ast.stmt | ast.expr):
             for owner, name in used_by(node):
@@ -151,7 +151,7 @@ def used_by(node: ast.stmt | ast.expr) -> Iterator[tuple[str, str]]:
 
 
 def main() -> int:
-    """Print the uses, one a line."""
+    """Print the uses, one per line."""
     uses = private_uses(Path(__file__).parents[1])
     print(*uses, sep="\n", end="\n" if uses else "")
     print(f"{len(uses)} uses of private names" if uses else "no private names of other modules")

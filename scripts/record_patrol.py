@@ -1,10 +1,10 @@
-"""Prints docs/patrol.svg: the patrol of README.md, as it really ran.
+"""Prints docs/patrol.svg: the patrol of README.md from an actual run.
 
     python scripts/record_patrol.py > docs/patrol.svg
 
-The run is in virtual time, so the picture is the same every time; a test compares the two. The
-colours are those of turtlesim. The animation is SMIL, in real time; where there is none, the end is
-shown.
+The run is in virtual time, so the picture is the same every time. A test compares it with the file.
+The colours are those of turtlesim. The animation is SMIL, in real time. Viewers without SMIL show
+the end.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ REACHED = "rgb(255,221,87)"
 
 
 class Message(msgspec.Struct, frozen=True):
-    """A line of text, and when it was said (s)."""
+    """A line of text, and when it appeared (s)."""
 
     time: float
     text: str
 
 
 class Recording(msgspec.Struct, frozen=True):
-    """What a patrol left behind; a pose comes each tick."""
+    """The record of a patrol, with a pose for each tick."""
 
     poses: Sequence[TurtlePose]
     reached: Sequence[float]
@@ -54,7 +54,7 @@ class Recording(msgspec.Struct, frozen=True):
 
     @property
     def samples(self) -> range:
-        """The ticks at which the animation shows a pose, the last one again and again."""
+        """The ticks at which the animation shows a pose. The last tick is repeated."""
         return range(0, len(self.poses) - 1 + SAMPLE + round(HOLD / DT), SAMPLE)
 
     @property
@@ -63,7 +63,7 @@ class Recording(msgspec.Struct, frozen=True):
         return (len(self.samples) - 1) * SAMPLE * DT
 
     def at_samples(self, values: Sequence[str]) -> str:
-        """What a pose gives, for each sample."""
+        """The values of a pose, for each sample, as SMIL needs them."""
         return ";".join(values[min(tick, len(values) - 1)] for tick in self.samples)
 
 
@@ -91,7 +91,7 @@ async def record() -> Recording:
 
 
 def words_of(feedback: Patrol.Feedback) -> str:
-    """A line of feedback."""
+    """The line of text for a feedback message."""
     state = "reached" if feedback.is_reached else "ahead"
     return (
         f"Feedback: target {feedback.index + 1} {state}, {feedback.distance_remaining:.2f} m to go"
@@ -99,7 +99,7 @@ def words_of(feedback: Patrol.Feedback) -> str:
 
 
 def words_of_result(result: Patrol.Result) -> str:
-    """The caption that stays."""
+    """The line of text for the result, which stays."""
     return (
         f"SUCCEEDED: {result.reached} targets, {result.distance:.2f} m,"
         f" {result.duration:.2f} s of simulated time"
@@ -131,7 +131,7 @@ def draw(recording: Recording) -> str:
 
 
 def draw_trail(recording: Recording) -> str:
-    """The line that the pen draws, as long as the turtle has come."""
+    """The line that the pen draws, up to the turtle."""
     points = [(round(px(pose.x), 1), round(py(pose.y), 1)) for pose in recording.poses]
     grown = list(accumulate((math.dist(*leg) for leg in pairwise(points)), initial=0.0))
     length = short(grown[-1])
@@ -145,7 +145,7 @@ def draw_trail(recording: Recording) -> str:
 
 
 def draw_target(number: int, place: tuple[float, float], time: float, length: float) -> str:
-    """A target's disc of tolerance and its number; both light up once it is reached."""
+    """A target's disc of tolerance and its number. Both light up when the target is reached."""
     x, y = short(px(place[0])), short(py(place[1]))
     times = f'keyTimes="0;{short(time / length, 4)}" calcMode="discrete"'
     lit = animate("animate", "fill", f"white;{REACHED}", length, times)
@@ -158,7 +158,7 @@ def draw_target(number: int, place: tuple[float, float], time: float, length: fl
 
 
 def draw_turtle(recording: Recording) -> str:
-    """The turtle, in its last pose; the animation moves it along."""
+    """The turtle in its last pose. The animation moves it."""
     places = [f"{short(px(pose.x))},{short(py(pose.y))}" for pose in recording.poses]
     turns = [short(-math.degrees(theta)) for theta in unwrapped(recording.poses)]
     along, turn = (
@@ -178,7 +178,7 @@ def draw_turtle(recording: Recording) -> str:
 
 
 def draw_captions(recording: Recording) -> Iterable[str]:
-    """The feedback as it came, each line until the next; the result stays."""
+    """The feedback lines, each shown until the next comes. The result stays."""
     length = recording.length
     said = [Message(0.0, "Goal accepted"), *recording.messages]
     for message, after in pairwise([*said, Message(length, "")]):
@@ -222,7 +222,7 @@ def py(y: float) -> float:
 
 
 def short(value: float, digits: int = 1) -> str:
-    """A number as short as it can be said to so many digits."""
+    """The shortest text of a number, rounded to some digits."""
     return f"{round(value, digits) + 0.0:g}"
 
 

@@ -29,7 +29,7 @@ MODULES = {
     "turtleact.testing": "Virtual time, and a network with faults.",
     "turtleact.web": "rosbridge, and the page.",
 }
-"""The modules with public names that `turtleact` itself does not have."""
+"""The modules with public names that are not in `turtleact` itself."""
 
 
 def examples() -> Pages:
@@ -49,7 +49,7 @@ def examples() -> Pages:
 
 
 def api() -> Pages:
-    """A page for each group of public names, and one for each module with more of them."""
+    """A page for each group of public names, and one for each module in `MODULES`."""
     page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
     section = page.partition("## Public names\n")[2].partition("\n## ")[0]
     table = [row.split("|")[1:3] for row in section.splitlines() if row.startswith("| ")][1:]
@@ -134,7 +134,7 @@ def _command(name: str, command: Any, level: str = "##") -> str:  # noqa: ANN401
 
 
 def _panel(option: Any) -> tuple[bool, str]:  # noqa: ANN401  # as above
-    """The heading of an option; the options without a heading come first."""
+    """The sort key of an option by its heading. Options without a heading come first."""
     return bool(option.rich_help_panel), option.rich_help_panel or ""
 
 

@@ -1,8 +1,8 @@
 """Tries a wheel in an empty environment: ``python scripts/test_dist.py [FOLDER]`` (default: dist).
 
-``--tests`` then runs the tests of the sdist beside it against the installed wheel; what follows are
-arguments of pytest. ``--borrow`` installs no dependency, and uses the packages of the environment
-that runs this script: quick, and without a network.
+``--tests`` then runs the tests of the sdist in the same folder against the installed wheel. All
+further arguments are for pytest. ``--borrow`` installs no dependencies, and uses the packages of
+the environment that runs this script. That is quick and needs no network.
 """
 
 from __future__ import annotations
@@ -56,7 +56,10 @@ class Environment:
             (library / "borrowed.pth").write_text("\n".join(others), "utf-8")
 
     def install(self, *requirements: str) -> None:
-        """Install packages; only the wheel itself, if it borrows the others."""
+        """Install packages.
+
+        If the environment borrows the others, install only the wheel itself.
+        """
         offline = ["--no-index", "--no-deps", "--ignore-installed"] if self._borrows else []
         pip = [
             sys.executable,
