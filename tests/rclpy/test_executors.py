@@ -44,6 +44,48 @@ def test_a_message_reaches_a_subscription(node, executor):
     assert heard == ["hello"]
 
 
+def test_a_spin_ends_although_another_one_has_seen_that_its_future_is_done(context, node):
+    future = Future()
+
+    class Overtaken(SingleThreadedExecutor):
+        """Its future is done, and another spin looks for work, right before it sleeps."""
+
+        def _sleep(self, *arguments):
+            if not future.done():
+                future.set_result(None)
+                self.spin_once(timeout_sec=0)
+            super()._sleep(*arguments)
+
+    executor = Overtaken(context=context)
+    executor.add_node(node)
+    executor.spin_until_future_complete(future)  # the test would time out here
+    assert future.done()
+
+
+def test_two_executors_may_take_nodes_from_each_other(context):
+    both = threading.Barrier(2)
+
+    class Meeting(SingleThreadedExecutor):
+        def remove_node(self, node):
+            both.wait(5)
+            super().remove_node(node)
+
+    executors = [Meeting(context=context), Meeting(context=context)]
+    nodes = [rclpy.create_node(name, context=context) for name in ("one", "two")]
+    for executor, node in zip(executors, nodes, strict=True):
+        executor.add_node(node)
+    taking = [
+        threading.Thread(target=executor.add_node, args=[node], daemon=True)
+        for executor, node in zip(executors, reversed(nodes), strict=True)
+    ]
+    for thread in taking:
+        thread.start()
+    for thread in taking:
+        thread.join(5)
+        assert not thread.is_alive()
+    assert [each.executor for each in nodes] == list(reversed(executors))
+
+
 def test_a_subscription_keeps_the_newest_messages_of_its_depth(node, executor):
     heard = []
     node.create_subscription(String, "chatter", lambda message: heard.append(message.data), 2)

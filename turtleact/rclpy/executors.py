@@ -5,9 +5,11 @@ executor. An executor works in rounds. A round first runs all tasks that can go 
 ready entity once: the waitables of all nodes, then the timers, subscriptions, guard conditions,
 clients and services of each node.
 
-Threads: `_wake` protects only its own flag and condition. Nodes, tasks and groups have locks of
-their own, and no callback runs while one of those is held. The waiting thread takes the data from
-an entity and reserves its group; the callback itself may run in another thread.
+Threads: the thread that spins waits, takes the data from an entity and reserves its group; the
+callback itself may run in another thread. Several threads may spin at the same time, because a
+callback may spin its own executor. So queues are only popped, never looked at first, and each
+thread counts for itself which wakes it has seen. Nodes, tasks and groups have locks of their own;
+no callback runs, and no second lock is taken, while one of them is held.
 """
 
 from __future__ import annotations
@@ -124,7 +126,7 @@ class Executor(Block):
         self._nodes_lock = threading.RLock()
         self._is_shutdown = False
         self._wake = threading.Condition(threading.Lock())
-        self._is_woken = False
+        self._wakes = 0
         self._ready: deque[Task] = deque()  # those whose next step can run
         self._round: deque[tuple[Spinnable, Entity]] = deque()
         self._work = _WorkTracker()
@@ -156,7 +158,9 @@ class Executor(Block):
             if node in self._nodes:
                 return False
             self._nodes[node] = None
-            node.executor = self
+        # Without the lock: this takes that of the executor that has had the node until now. Two
+        # executors that take nodes from each other would wait for each other for ever.
+        node.executor = self
         self.wake()
         return True
 
@@ -174,7 +178,7 @@ class Executor(Block):
     def wake(self) -> None:
         """Make the executor look for work. Any thread may call this."""
         with self._wake:
-            self._is_woken = True
+            self._wakes += 1
             self._wake.notify_all()
 
     # ending
@@ -278,7 +282,7 @@ class Executor(Block):
                 raise ExternalShutdownException
             if condition():
                 raise ConditionReachedException
-            self._is_woken = False  # whatever comes from now on is noticed in `_sleep`
+            seen = self._wakes  # `_sleep` notices whatever comes from now on
             work = self._next_work(nodes)
             if work is not None:
                 return work
@@ -286,7 +290,7 @@ class Executor(Block):
                 raise ConditionReachedException
             if end is not None and time.monotonic() >= end:
                 raise TimeoutException
-            self._sleep(end, nodes)
+            self._sleep(seen, end, nodes)
 
     def _wait_for_ready_callbacks(
         self,
@@ -368,8 +372,13 @@ class Executor(Block):
         """
         return isinstance(error, InvalidHandle) and not self._context.ok()
 
-    def _sleep(self, end: float | None, nodes: list[Spinnable] | None) -> None:
-        """Wait for a wake-up, for something that is due, or until ``end`` (s, monotonic)."""
+    def _sleep(self, seen: int, end: float | None, nodes: list[Spinnable] | None) -> None:
+        """Wait until something is due, or until ``end`` (s, `time.monotonic`).
+
+        Returns at once if anything has woken the executor after the first ``seen`` wakes. A flag
+        would not do: another thread that spins would lower it, and what it looks for may not be
+        what this thread waits for.
+        """
         now = time.monotonic()
         left = None if end is None else end - now
         for _, entity in _in_order(self.get_nodes() if nodes is None else nodes):
@@ -381,7 +390,7 @@ class Executor(Block):
             if due is not None and (left is None or due < left):
                 left = due
         with self._wake:
-            if self._is_woken or (left is not None and left <= 0):
+            if self._wakes != seen or (left is not None and left <= 0):
                 return
             if LONGEST_LOCK is not None:
                 left = LONGEST_LOCK if left is None else min(left, LONGEST_LOCK)

@@ -80,6 +80,7 @@ class Timer(Entity):
         self._last_call = clock.now_ns()
         self._next_call = self._last_call + timer_period_ns
         self._is_canceled = not autostart
+        self._lock = threading.Lock()
         self._on_reset: Callable[[int], object] | None = None
         self.callback = callback
         # A timer of simulated time must be looked at when that time changes.
@@ -170,14 +171,15 @@ class Timer(Entity):
 
     def take(self) -> Anything:
         """Count a call, and return its `TimerInfo`."""
-        if not self.is_ready_now():
-            return NOTHING
-        now = self._clock.now_ns()
-        expected, self._last_call = self._next_call, now
-        self._next_call = expected + self._period
-        if self._next_call <= now:  # late: keep the phase, and skip what was missed
-            missed = (now - expected) // self._period if self._period else 0
-            self._next_call = expected + (missed + 1) * self._period if self._period else now
+        with self._lock:  # two threads that spin must not call it twice for one beat
+            if not self.is_ready_now():
+                return NOTHING
+            now = self._clock.now_ns()
+            expected, self._last_call = self._next_call, now
+            self._next_call = expected + self._period
+            if self._next_call <= now:  # late: keep the phase, and skip what was missed
+                missed = (now - expected) // self._period if self._period else 0
+                self._next_call = expected + (missed + 1) * self._period if self._period else now
         return TimerInfo(
             expected_call_time=expected, actual_call_time=now, clock_type=self._clock.clock_type
         )

@@ -181,7 +181,8 @@ class ServerGoalHandle(Subscriptable):
         if not isinstance(feedback, self._action_server.action_type.Feedback):
             raise TypeError(f"expected feedback of the action, not {type(feedback)}")
         if not self._is_destroyed:
-            self.goal.published += 1
+            with self._lock:  # clients wait for as many messages as are counted here
+                self.goal.published += 1
             self._action_server.publish_feedback(self.goal.id or b"", feedback)
 
     def succeed(self, response: Anything = None) -> None:
@@ -566,8 +567,14 @@ class ActionServer(Waitable):
     def _expire(self) -> None:
         """Forget the goals whose results were kept long enough."""
         now, before = time.monotonic_ns(), len(self._goal_handles)
-        while self._first_expiry() <= now:
-            _, goal_id = self._expiries.popleft()
+        while self._expiries:
+            try:
+                due, goal_id = self._expiries.popleft()
+            except IndexError:  # another thread that spins has taken it
+                break
+            if due > now:
+                self._expiries.appendleft((due, goal_id))
+                break
             handle = self._goal_handles.pop(goal_id, None)
             if handle is not None:
                 handle.destroy()
