@@ -17,12 +17,11 @@ from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.impl.waiting import wait_for_answer, wait_until
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import QoSProfile
-from turtleact.rclpy.service_introspection import ServiceIntrospectionState
+from turtleact.rclpy.service_introspection import Introspected
 from turtleact.rclpy.task import Future
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
-    from turtleact.rclpy.clock import Clock
     from turtleact.rclpy.context import Context
 
 __all__ = ["Client"]
@@ -30,7 +29,7 @@ __all__ = ["Client"]
 logger = RcutilsLogger("rclpy.client")
 
 
-class Client(Subscriptable, Entity):
+class Client(Introspected, Subscriptable, Entity):
     """Calls a service. `Node.create_client` makes one.
 
     Args:
@@ -63,6 +62,7 @@ class Client(Subscriptable, Entity):
         self._full_name = full_name
         self.qos_profile = qos_profile
         self._end = end
+        self.service_events = (end.events,)
         self._get_executor = get_executor
         self._pending: dict[int, Future] = {}
         self._waiting: deque[tuple[int, bytes]] = deque()
@@ -130,16 +130,6 @@ class Client(Subscriptable, Entity):
                 if pending is future:
                     del self._pending[number]
                     break
-
-    def configure_introspection(
-        self,
-        clock: Clock,
-        service_event_qos_profile: QoSProfile,
-        introspection_state: ServiceIntrospectionState,
-    ) -> None:
-        """Choose what is published about the calls, on ``SERVICE/_service_event``."""
-        with self.handle:
-            self._end.events.configure(clock, service_event_qos_profile, introspection_state)
 
     def service_is_ready(self) -> bool:
         """Whether a call would reach a server now."""

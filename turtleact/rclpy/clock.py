@@ -58,9 +58,7 @@ class JumpThreshold:
         min_backward: Duration | None,
         on_clock_change: bool = True,
     ) -> None:
-        if min_forward is not None and min_forward.nanoseconds < 0:
-            raise ValueError("min_forward must be a positive non-zero duration")
-        if min_forward is not None and min_forward.nanoseconds == 0:
+        if min_forward is not None and min_forward.nanoseconds <= 0:
             raise ValueError("min_forward must be a positive non-zero duration")
         if min_backward is not None and min_backward.nanoseconds >= 0:
             raise ValueError("min_backward must be a negative non-zero duration")

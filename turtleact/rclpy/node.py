@@ -25,8 +25,7 @@ from turtleact.rclpy.impl.connection import Connection, Sender
 from turtleact.rclpy.impl.entity import Block, Handle
 from turtleact.rclpy.impl.node_graph import NodeGraph
 from turtleact.rclpy.impl.node_parameters import NodeParameters
-from turtleact.rclpy.impl.rcutils_logger import LOG, RcutilsLogger
-from turtleact.rclpy.impl.rosout import rosout_of
+from turtleact.rclpy.impl.rcutils_logger import LOG, RcutilsLogger, rosout_of
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.logging import get_logger
 from turtleact.rclpy.messages.classes import interface_class, type_name_of

@@ -14,19 +14,18 @@ from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import QoSProfile
-from turtleact.rclpy.service_introspection import ServiceEvents, ServiceIntrospectionState
+from turtleact.rclpy.service_introspection import Introspected, ServiceEvents
 from turtleact.transports.base import Closeable
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
-    from turtleact.rclpy.clock import Clock
 
 __all__ = ["Service"]
 
 logger = RcutilsLogger("rclpy.service")
 
 
-class Service(Subscriptable, Entity):
+class Service(Introspected, Subscriptable, Entity):
     """Answers requests. `Node.create_service` makes one.
 
     Args:
@@ -60,7 +59,7 @@ class Service(Subscriptable, Entity):
         self._full_name = full_name
         self.callback = callback
         self.qos_profile = qos_profile
-        self._events = events
+        self.service_events = (events,)
         self.handler = RequestHandler(self._receive, events)
         self._waiting: deque[tuple[bytes, Callable[[bytes, str], object]]] = deque()
         self._opened: Closeable | None = None
@@ -71,16 +70,6 @@ class Service(Subscriptable, Entity):
         """The full name of the service."""
         with self.handle:
             return self._full_name
-
-    def configure_introspection(
-        self,
-        clock: Clock,
-        service_event_qos_profile: QoSProfile,
-        introspection_state: ServiceIntrospectionState,
-    ) -> None:
-        """Choose what is published about the calls, on ``SERVICE/_service_event``."""
-        with self.handle:
-            self._events.configure(clock, service_event_qos_profile, introspection_state)
 
     def opened(self, opened: Closeable) -> None:
         """Remember the transport's end, to close it."""
@@ -127,6 +116,7 @@ class Service(Subscriptable, Entity):
         return f"the service {self._full_name}"
 
     def _close(self) -> None:
-        self._events.close()
+        for each in self.service_events:
+            each.close()
         if self._opened is not None:
             self._opened.close()

@@ -9,6 +9,7 @@ Source: rclpy ``service_introspection.py``; rcl ``service_event_publisher.c``.
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import Protocol
 
@@ -21,7 +22,7 @@ from turtleact.rclpy.messages.codec import decode, encode, hash_of
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.transports.base import Endpoint, EndpointKind
 
-__all__ = ["ServiceEvents", "ServiceIntrospectionState"]
+__all__ = ["Introspected", "ServiceEvents", "ServiceIntrospectionState"]
 
 logger = RcutilsLogger("rclpy.service_introspection")
 
@@ -125,3 +126,30 @@ class ServiceEvents(CallEvents):
             sender.publish(encode(event, type(event)))
         except Exception as error:
             logger.error(f"an event of {self._topic} cannot be published: {error}")
+
+
+class Introspected:
+    """An entity with one end of a service, or of the three services of an action.
+
+    Attributes:
+        service_events: The events of each of these services.
+    """
+
+    service_events: Sequence[ServiceEvents]
+
+    def configure_introspection(
+        self,
+        clock: Clock,
+        service_event_qos_profile: QoSProfile,
+        introspection_state: ServiceIntrospectionState,
+    ) -> None:
+        """Choose what is published about the calls of each service.
+
+        Args:
+            clock: Tells the times of the events.
+            service_event_qos_profile: The quality of service of the topic
+                ``SERVICE/_service_event``.
+            introspection_state: What is published.
+        """
+        for each in self.service_events:
+            each.configure(clock, service_event_qos_profile, introspection_state)

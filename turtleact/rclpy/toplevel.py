@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
-from types import TracebackType
-from typing import Self
 
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.executors import Executor, SingleThreadedExecutor
+from turtleact.rclpy.impl.entity import Block
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.node import Node
 from turtleact.rclpy.parameter import Parameter
@@ -55,7 +55,7 @@ class _Global:
 _global = _Global()
 
 
-class InitContextManager:
+class InitContextManager(Block):
     """The result of `init`: a context manager that shuts the context down.
 
     Args:
@@ -67,15 +67,7 @@ class InitContextManager:
         self.context = context
         self._is_default = is_default
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def _leave(self) -> None:
         try_shutdown(context=None if self._is_default else self.context)
 
 
@@ -147,33 +139,24 @@ def create_node(node_name: str, **options: Anything) -> Node:
     return Node(node_name, **options)
 
 
-class _Borrowed:
-    """A node that is in an executor for a while, and then goes back to its earlier executor.
+@contextmanager
+def _borrowed(node: Node, executor: Executor | None) -> Iterator[Executor]:
+    """Have a node in an executor for a while; then it goes back to its earlier executor.
 
     rclpy would leave the node without an executor, and its callbacks would never run again.
     """
-
-    def __init__(self, node: Node, executor: Executor) -> None:
-        self._node = node
-        self._executor = executor
-        before = node.executor
-        self._before = before if before is not None and node in before.get_nodes() else None
-
-    def __enter__(self) -> Executor:
-        self._executor.add_node(self._node)
-        return self._executor
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if self._before is self._executor:
-            return
-        self._executor.remove_node(self._node)
-        if self._before is not None:
-            self._before.add_node(self._node)
+    used = get_global_executor() if executor is None else executor
+    before = node.executor
+    if before is not None and node not in before.get_nodes():
+        before = None
+    used.add_node(node)
+    try:
+        yield used
+    finally:
+        if before is not used:
+            used.remove_node(node)
+            if before is not None:
+                before.add_node(node)
 
 
 def spin_once(
@@ -186,7 +169,7 @@ def spin_once(
         executor: The executor; None means the global one.
         timeout_sec: How long to wait (s). None or a negative number means for ever.
     """
-    with _Borrowed(node, get_global_executor() if executor is None else executor) as used:
+    with _borrowed(node, executor) as used:
         used.spin_once(timeout_sec=timeout_sec)
 
 
@@ -200,7 +183,7 @@ def spin(node: Node, executor: Executor | None = None) -> None:
     Raises:
         ExternalShutdownException: if the context is shut down elsewhere than in a callback.
     """
-    with _Borrowed(node, get_global_executor() if executor is None else executor) as used:
+    with _borrowed(node, executor) as used:
         while used.context.ok():
             used.spin_once()
 
@@ -219,7 +202,7 @@ def spin_until_future_complete(
         executor: The executor; None means the global one.
         timeout_sec: How long to run callbacks (s). None or a negative number means for ever.
     """
-    with _Borrowed(node, get_global_executor() if executor is None else executor) as used:
+    with _borrowed(node, executor) as used:
         used.spin_until_future_complete(future, timeout_sec)
 
 

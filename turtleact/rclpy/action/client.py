@@ -31,13 +31,12 @@ from turtleact.rclpy.qos import (
     qos_profile_action_status_default,
     qos_profile_services_default,
 )
-from turtleact.rclpy.service_introspection import ServiceIntrospectionState
+from turtleact.rclpy.service_introspection import Introspected
 from turtleact.rclpy.task import Future
 from turtleact.rclpy.waitable import NumberOfEntities, Waitable
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
-    from turtleact.rclpy.clock import Clock
     from turtleact.rclpy.node import Node
 
 __all__ = ["ActionClient", "ClientGoalHandle"]
@@ -120,7 +119,7 @@ class ClientGoalHandle(Subscriptable):
         return self._action_client.get_result_async(self)
 
 
-class ActionClient(Waitable):
+class ActionClient(Introspected, Waitable):
     """Sends goals to an action.
 
     Args:
@@ -162,6 +161,7 @@ class ActionClient(Waitable):
         self._ends = {
             name: self._kind.join(name) for name in ("send_goal", "cancel_goal", "get_result")
         }
+        self.service_events = [end.events for end in self._ends.values()]
         self._opened = [
             self._kind.subscribe_feedback(feedback_sub_qos_profile, self._take_feedback),
             self._kind.subscribe_status(status_sub_qos_profile, self._take_status),
@@ -249,16 +249,6 @@ class ActionClient(Waitable):
     def wait_for_server(self, timeout_sec: float | None = None) -> bool:
         """Wait until the service has a server, without spinning. Return whether it has one."""
         return wait_until(self.server_is_ready, timeout_sec, self._node.context.ok)
-
-    def configure_introspection(
-        self,
-        clock: Clock,
-        service_event_qos_profile: QoSProfile,
-        introspection_state: ServiceIntrospectionState,
-    ) -> None:
-        """Choose what is published about the calls of the three services."""
-        for end in self._ends.values():
-            end.events.configure(clock, service_event_qos_profile, introspection_state)
 
     # what comes; any thread
 

@@ -33,13 +33,12 @@ from turtleact.rclpy.qos import (
     qos_profile_action_status_default,
     qos_profile_services_default,
 )
-from turtleact.rclpy.service_introspection import ServiceIntrospectionState
+from turtleact.rclpy.service_introspection import Introspected
 from turtleact.rclpy.task import Future
 from turtleact.rclpy.waitable import NumberOfEntities, Waitable
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
-    from turtleact.rclpy.clock import Clock
     from turtleact.rclpy.node import Node
 
 __all__ = [
@@ -207,7 +206,7 @@ class ServerGoalHandle(Subscriptable):
         self.update(event)
 
 
-class ActionServer(Waitable):
+class ActionServer(Introspected, Waitable):
     """Serves an action.
 
     Args:
@@ -269,9 +268,10 @@ class ActionServer(Waitable):
         self._feedback = self._kind.advertise_feedback(feedback_pub_qos_profile)
         self._status = StatusTopic(node, self._kind, status_pub_qos_profile, self._held)
         services = ("cancel_goal", "get_result", "send_goal")
-        self._events = {service: self._kind.events(service) for service in services}
+        events = {service: self._kind.events(service) for service in services}
+        self.service_events = tuple(events.values())
         self._handlers = {
-            service: RequestHandler(partial(self._receive, service), self._events[service])
+            service: RequestHandler(partial(self._receive, service), events[service])
             for service in services
         }
         self._opened = [self._kind.serve(*each) for each in self._handlers.items()]
@@ -314,16 +314,6 @@ class ActionServer(Waitable):
         if not callable(execute_callback):
             raise TypeError("Failed to register goal execution callback: not callable")
         self._execute_callback = execute_callback
-
-    def configure_introspection(
-        self,
-        clock: Clock,
-        service_event_qos_profile: QoSProfile,
-        introspection_state: ServiceIntrospectionState,
-    ) -> None:
-        """Choose what is published about the calls of the three services."""
-        for events in self._events.values():
-            events.configure(clock, service_event_qos_profile, introspection_state)
 
     # as a waitable
 
@@ -380,7 +370,7 @@ class ActionServer(Waitable):
         super().destroy()
         for goal_handle in list(self._goal_handles.values()):
             goal_handle.destroy()
-        for each in (*self._opened, *self._events.values()):
+        for each in (*self._opened, *self.service_events):
             each.close()
         self._feedback.close()
         self._status.close()

@@ -18,10 +18,13 @@ from typing import TypeAlias
 
 import msgspec
 
+from turtleact.rclpy.impl.connection import Sender
 from turtleact.rclpy.impl.logging_severity import LoggingSeverity
 from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages.codec import encode
 
-__all__ = ["LOG", "RcutilsLogger", "Record", "Rosout"]
+__all__ = ["LOG", "RcutilsLogger", "Record", "Rosout", "rosout_of"]
 
 UNNAMED = ""
 DEFAULT_FORMAT = "[{severity}] [{time}] [{name}]: {message}"
@@ -60,6 +63,27 @@ class Record(msgspec.Struct, frozen=True):
 
 Rosout: TypeAlias = Callable[[Record], object]
 """A function that publishes a record on ``/rosout``."""
+
+
+def rosout_of(sender: Sender) -> Rosout:
+    """Return a function that publishes each record."""
+    log: Anything = interface_class("rcl_interfaces/msg/Log")
+    stamp: Anything = interface_class("builtin_interfaces/msg/Time")
+
+    def publish(record: Record) -> None:
+        seconds, rest = divmod(record.stamp, 1_000_000_000)
+        message = log(
+            stamp=stamp(sec=seconds, nanosec=rest),
+            level=int(record.severity),
+            name=record.name,
+            msg=record.text,
+            file=record.file,
+            function=record.function,
+            line=record.line,
+        )
+        sender.publish(encode(message, log))
+
+    return publish
 
 
 class _Log:
