@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import anyio
 import httpx
 import pytest
 
@@ -30,6 +31,28 @@ async def test_metrics_are_for_programs_on_this_machine(path, headers, status):
             assert "--metrics 0.0.0.0:PORT" in answer.text
         if status == 200:
             assert (answer.text, answer.headers["content-type"]) == ("up 1\n", CONTENT_TYPE)
+
+
+async def test_programs_that_do_not_read_keep_no_other_waiting():
+    async with (
+        open_metrics(lambda: "up 1\n" * 1_000_000, "127.0.0.1", 0) as url,
+        httpx.AsyncClient() as client,
+    ):
+        port = int(url.rpartition(":")[2].partition("/")[0])
+        stuck = [await anyio.connect_tcp("127.0.0.1", port) for _ in range(2)]
+        for stream, sent in zip(stuck, (b"\r\n\r\n", b""), strict=True):
+            await stream.send(b"GET /metrics HTTP/1.1\r\nHost: localhost" + sent)
+        sizes: list[int] = []
+
+        async def scrape() -> None:
+            sizes.append(len((await client.get(url)).content))
+
+        async with anyio.create_task_group() as group:
+            for _ in range(2):
+                group.start_soon(scrape)
+        assert sizes == [5_000_000, 5_000_000]
+        for stream in stuck:
+            await stream.aclose()
 
 
 async def test_on_all_addresses_any_host_name_will_do():
