@@ -14,6 +14,10 @@ __all__ = ["goal_id_bytes", "new_goal_id"]
 
 _POOLED = 256
 
+# What becomes of each octet that holds the version or the variant.
+_VERSION = bytes(octet & 0x0F | 0x40 for octet in range(256))
+_VARIANT = bytes(octet & 0x3F | 0x80 for octet in range(256))
+
 
 class _Pool:
     """A stock of ids. A forked child starts without it, so that no id is used twice."""
@@ -26,8 +30,8 @@ class _Pool:
     def draw(self) -> bytes:
         if not self._stock:
             noise = bytearray(os.urandom(16 * _POOLED))
-            noise[6::16] = bytes(octet & 0x0F | 0x40 for octet in noise[6::16])  # the version
-            noise[8::16] = bytes(octet & 0x3F | 0x80 for octet in noise[8::16])  # the variant
+            noise[6::16] = noise[6::16].translate(_VERSION)
+            noise[8::16] = noise[8::16].translate(_VARIANT)
             self._stock += [bytes(noise[at : at + 16]) for at in range(0, len(noise), 16)]
         return self._stock.pop()
 

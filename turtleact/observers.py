@@ -12,6 +12,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any, Final, TypeAlias
 
 import msgspec
@@ -145,6 +146,9 @@ class Hook(GoalObserver):
             CURRENT_GOAL.reset(token)
 
 
+_wants_acceptance = attrgetter("wants_acceptance")
+
+
 class Observers:
     """The observers of one server or client.
 
@@ -194,7 +198,7 @@ class Observers:
     @property
     def want_acceptance(self) -> bool:
         """Whether any observer must hear of ACCEPTED; see `GoalObserver.wants_acceptance`."""
-        return any(observer.wants_acceptance for observer in self._watchers)
+        return any(map(_wants_acceptance, self._watchers))
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Tell all observers of a goal's new state."""

@@ -19,6 +19,7 @@ Source: rmw_zenoh_cpp ``detail/attachment_helpers.cpp``, Jazzy from 0.2.4 to Rol
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 
 import msgspec
 
@@ -71,6 +72,7 @@ def write_attachment(sequence: int, stamp: int, gid: bytes, note: str = "") -> b
     return LAYOUT.pack(sequence, stamp, GID_SIZE, gid) + note_tail(note)
 
 
+@lru_cache(maxsize=4)  # almost all replies of a server have the same note
 def note_tail(note: str) -> bytes:
     """Encode a note, which the caller puts behind an attachment without a note."""
     if not note:
