@@ -178,6 +178,8 @@ class Context:
             self._is_ok = False
             callbacks, self._callbacks = self._callbacks, []
             nodes = list(self._nodes)
+        # From now on no node can be made, and no spin goes on. The lock is free: a callback of the
+        # program may use the context in any way, and a node that is being destroyed does.
         PROCESS.contexts.discard(self)
         for node in nodes:
             with contextlib.suppress(Exception):

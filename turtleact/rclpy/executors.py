@@ -346,6 +346,8 @@ class Executor(Block):
             note_blocked(entity)
             return None
         entity.blocked_since = 0.0
+        # Only now that the group is reserved: whatever is taken here is sure to be handled. Another
+        # thread that spins may have been faster; then there is nothing to take, and no task.
         try:
             taken = entity.take()
         except BaseException:

@@ -98,6 +98,7 @@ class Subscription(Subscriptable, Entity):
 
     def deliver(self, data: bytes) -> None:
         """Receive a message. The transport may call this in any thread."""
+        # A deque needs no lock: with a full one, appending drops the oldest message in one step.
         self._waiting.append((data, time.time_ns()))
         for each in self.event_handlers:
             each.noted()

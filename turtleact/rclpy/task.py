@@ -225,7 +225,9 @@ class Task(Future):
             RUNNING.task = before
             self._executing = False
             self._task_lock.release()
-        # The future may have become done since the step: then `park` refuses.
+        # Only now that the lock is free may another thread run the next step, which it does as soon
+        # as the task is parked or resumed. The future may have become done since the step: then
+        # `park` refuses.
         if self._is_pending and (self.awaited is None or not self.awaited.park(self)):
             self.resume()
 

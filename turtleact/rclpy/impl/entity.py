@@ -72,6 +72,7 @@ class Handle:
         with self._lock:
             self._users -= 1
             is_last = self._is_destroyed and not self._users
+        # Without the lock, because closing may lead back here.
         if is_last and self._close is not None:
             self._close()
 
