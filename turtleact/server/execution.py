@@ -123,7 +123,7 @@ class Execution:
         self.outlet: FeedbackOutlet | None = None
         self.is_suspended = False
         self.bodies: dict[BodyTask, Goal] = {}
-        self._body = served.body
+        self._body, self._name = served.body, served.name
         self._table = table
         self._tasks = tasks
         self._now = now
@@ -150,7 +150,7 @@ class Execution:
             context.run(self.observers.enter_body, goal)
         task = goal.body = BodyTask(self, goal, self._tasks)
         self.bodies[task] = goal
-        task.start(self.served.name, context)
+        task.start(self._name, context)
 
     def open_body(self, goal: Goal, task: BodyTask) -> Coroutine[object, object, object]:
         """Return the coroutine that runs a goal's body. Called in the body's task."""
@@ -188,7 +188,8 @@ class Execution:
         except BaseException as raised:  # an observer stops the program
             self._fail(goal, raised)
         finally:
-            self._forget(task)
+            self.bodies.pop(task, None)
+            self._ended.fire()
 
     async def _drive(self, goal: Goal, steps: Steps) -> object:
         """Run a generator to its end. Return its result, or None if it yielded no result."""
@@ -376,7 +377,8 @@ class Execution:
             task = goal.body
             self._end_canceled(goal)
             if isinstance(task, BodyTask):
-                self._forget(task)
+                self.bodies.pop(task, None)
+                self._ended.fire()
 
     def end(self, goal: Goal, event: GoalEvent, result: object, reason: str = "") -> None:
         """Decide how a goal ends, and announce the end.
@@ -528,11 +530,6 @@ class Execution:
         if self.bodies and not self._tasks.can_let_go:
             logger.error("%s waits for its bodies: trio cannot let go of a task", self.served.name)
             await wait_while(lambda: self.bodies, self._ended, math.inf)
-
-    def _forget(self, task: BodyTask) -> None:
-        """Remove the task of a body that has ended."""
-        self.bodies.pop(task, None)
-        self._ended.fire()
 
 
 async def _awaiting(running: Awaitable[object]) -> object:

@@ -146,6 +146,7 @@ class LocalActionServer:
         self.slot_name = options.get("slot") or ""
         self._callbacks = Callbacks(served.name, options, tasks)
         self.durable = self._open_durable(options)
+        self._accepts_slowly = self._callbacks.ask_about_goals or self.durable is not None
         self._cancels_lost = options.get("on_client_lost", "keep") == "cancel"
         self._table = GoalTable(options.get("result_timeout", 10.0))
         release = None if slot is None else self._release
@@ -239,7 +240,7 @@ class LocalActionServer:
 
         With a ``goal_callback`` or a journal, accepting may take time.
         """
-        if self._callbacks.ask_about_goals or self.durable is not None:
+        if self._accepts_slowly:
             return None
         try:
             return self._admit(self._new_goal(order, order.request, is_streamed=is_streamed))
@@ -280,7 +281,8 @@ class LocalActionServer:
             held = self._find_known(known, durable)
             return self._join(held, goal.request, is_streamed=is_streamed)
         try:
-            self._check_open()  # the server may have been closed while the disk was waited for
+            if not self.is_open:  # it may have been closed while the disk was waited for
+                raise GoalRejected(self._why_closed)
             return self._admit(goal)
         except GoalRejected:
             await durable.withdraw(goal)
@@ -330,9 +332,9 @@ class LocalActionServer:
                 del self._preparing[sender]
                 self._lost.discard(sender)
 
-    def _check_open(self) -> None:
-        if not self.is_open:
-            raise GoalRejected(f"the server of '{self.name}' is shutting down")
+    @property
+    def _why_closed(self) -> str:
+        return f"the server of '{self.name}' is shutting down"
 
     def _new_goal(self, order: GoalOrder, request: object, *, is_streamed: bool = False) -> Goal:
         """Make a goal that starts at once. If the goal has to wait, its state is set back later.
@@ -341,7 +343,8 @@ class LocalActionServer:
             InvalidGoal: if the request does not fit the action.
             GoalRejected: if the server is closed.
         """
-        self._check_open()
+        if not self.is_open:
+            raise GoalRejected(self._why_closed)
         on_feedback = order.on_feedback
         if on_feedback is not None:  # runs in the sender's context, not the body's
             on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
