@@ -114,23 +114,29 @@ async def test_a_disk_is_looked_at_again_and_again(monkeypatch, tmp_path):
             assert told(await anext(reader)) == []
 
 
-async def test_a_disk_that_does_not_answer_keeps_nobody_waiting(monkeypatch, tmp_path):
-    asked, gone = threading.Event(), threading.Event()
+async def test_a_disk_that_does_not_answer_is_reported_and_keeps_nobody_waiting(
+    monkeypatch, tmp_path
+):
+    mended = threading.Event()
 
     def hang(_: object) -> Usage:
-        asked.set()
-        gone.wait()
-        return Usage(10**12, 0, 0)
+        mended.wait()
+        return Usage(10**12, 0, 10**12)
 
+    for name in ("LOOK_EVERY", "SILENT_AFTER"):
+        monkeypatch.setattr(fault_reports, name, 0.0)
     monkeypatch.setattr(shutil, "disk_usage", hang)
-    async with (
-        turtleact.open_node("lab") as node,
-        watching_disk(node.transport, "/lab", tmp_path, "recording"),
-    ):
-        while not asked.is_set():
-            await settle()
+    async with turtleact.open_node("lab") as node:
+        reader = node.subscription(DiagnosticArray, TOPIC, LATCHED)
+        async with watching_disk(node.transport, "/lab", tmp_path, "recording"):
+            problem = f"the disk of the recording {tmp_path} does not answer"
+            assert told(await anext(reader)) == [(f"disk {tmp_path}", problem)]
+            mended.set()
+            assert told(await anext(reader)) == []
+            mended.clear()
+            assert told(await anext(reader)) == [(f"disk {tmp_path}", problem)]
     assert all(each.daemon for each in threading.enumerate() if str(tmp_path) in each.name)
-    gone.set()
+    mended.set()
 
 
 async def test_a_client_reports_feedback_that_has_not_arrived(monkeypatch):

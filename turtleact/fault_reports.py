@@ -61,6 +61,9 @@ SMALL: Final = 0.05
 LOOK_EVERY: Final = 10.0
 """The interval at which free disk space is checked (s, event loop time)."""
 
+SILENT_AFTER: Final = 10.0
+"""How long a disk may take to say how much space is free (s, event loop time)."""
+
 
 class FaultReports:
     """Publishes the faults of one node.
@@ -171,9 +174,20 @@ async def watching_disk(
 
 async def _watch_disk(reports: FaultReports, path: Path, what: str) -> None:
     name = f"disk {path}"
+
+    async def report_silence() -> None:
+        await anyio.sleep(SILENT_AFTER)
+        problem = f"the disk of the {what} {path} does not answer"
+        reports.report(
+            name, problem, "look at the drive, and at the network if it is a network drive"
+        )
+
     while True:
-        # A thread asks, because a network drive that has gone may keep it waiting for ever.
-        problem = await run_in_daemon(partial(disk_fault, path, what), name)
+        async with anyio.create_task_group() as group:
+            group.start_soon(report_silence)
+            # A thread asks, because a network drive that has gone may keep it waiting for ever.
+            problem = await run_in_daemon(partial(disk_fault, path, what), name)
+            group.cancel_scope.cancel()
         if problem:
             reports.report(name, problem, "free some space, or move it to another disk")
         else:
