@@ -65,14 +65,21 @@ async def test_bytes_are_recorded_and_played_as_they_are(tmp_path):
                 await talker.transport.wait_for_change()
             for number in range(100):
                 said.publish(String(data=str(number)))
-            await client.send_goal(Fibonacci.Goal(order=3))
-            while run.count < 100 + 1 + 1 + 2 + 2:
+            while run.count < 100 + 1:
                 await anyio.sleep(0.01)
+            is_complete = False
+            while not is_complete:  # until the server knows the readers of its events
+                count = run.count
+                await client.send_goal(Fibonacci.Goal(order=3))
+                with anyio.move_on_after(1):
+                    while run.count < count + 1 + 2 + 2:
+                        await anyio.sleep(0.01)
+                    is_complete = True
         found = [each async for each in recording.read(tmp_path / "run")]
         texts = [each.value.data for each in found if each.topic == "/said"]
         assert texts == [str(number) for number in range(100)]
         assert [each.data for each in found if each.topic == "/map"] == [encode(String(data="old"))]
-        [goal] = await recording.goals(tmp_path / "run")
+        *_, goal = await recording.goals(tmp_path / "run")
         assert (goal.goal.order, goal.result.sequence, goal.feedback_count) == (3, [3], 1)
         assert run.lost == 0
 
@@ -86,7 +93,7 @@ async def test_bytes_are_recorded_and_played_as_they_are(tmp_path):
             selection=recording.Selection(topics=frozenset({"/said"}), all_actions=True),
             send_goals=True,
         )
-        assert played.goals == {("/fibonacci", "SUCCEEDED"): 1}
+        assert set(played.goals) == {("/fibonacci", "SUCCEEDED")}
         assert played.messages == 100
         with anyio.fail_after(5):
             assert [(await anext(heard)).data for _ in range(100)] == texts
