@@ -5,7 +5,9 @@
    its queue and thread.
 2. A body that yields feedback as fast as it can, over Zenoh, with `bag record` in another process:
    how much is recorded a second, and whether anything is lost.
-3. A goal with feedback over Zenoh, with and without a recorder, in another process and in the same.
+3. A goal with 0, 10 and 50 feedback messages over Zenoh: alone, with its feedback read by another
+   process that drops it inside Zenoh, and recorded by another process with all contents
+   (introspection). The three take turns, a few goals each. Then the same within one process.
 4. An hour of poses at 62.5 Hz in virtual time: how the memory grows.
 5. ``bag info`` of a file of 1 GB, as a command and in Python.
 
@@ -32,11 +34,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TypeAlias
 
+import zenoh
+from zenoh.handlers import RingChannel
+
 import turtleact
 from turtleact import recording
 from turtleact.app import open_world
 from turtleact.interfaces import encode, get_message, type_hash
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
+from turtleact.introspection import Introspection
 from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import schema_of
@@ -46,10 +52,14 @@ from turtleact.recording.storage import Channel
 ROUNDS = 3
 MESSAGES = 50_000
 FEEDBACK_SECONDS = 3
-GOALS = 60
-FEEDBACK_OF_A_GOAL = 50
+GOALS = 20
+BLOCKS = 30
+FEEDBACK_OF_A_GOAL = (0, 10, 50)
+SHOWN: dict[str, Introspection] = {"alone": "off", "heard": "off", "recorded": "contents"}
+"""The actions whose goals are compared, and their introspection."""
 HOUR = 3600
 GIGABYTE = 10**9
+Client: TypeAlias = turtleact.ActionClient[Fibonacci.Goal, Fibonacci.Result, Fibonacci.Feedback]
 Body: TypeAlias = AsyncIterator[Fibonacci.Feedback | Fibonacci.Result]
 
 TOPIC = "/bench/_action/feedback"
@@ -170,7 +180,17 @@ async def serve(at: str) -> None:
         turtleact.open_node("bench", transport=graph) as node,
     ):
         node.action_server(Fibonacci, "fast", fast)
-        node.action_server(Fibonacci, "short", short)
+        for name, shown in SHOWN.items():
+            node.action_server(Fibonacci, name, short, introspection=shown)
+        print("ready", flush=True)
+        await asyncio.sleep(300)
+
+
+async def hear(at: str) -> None:
+    """Read the feedback of an action, and drop it before it reaches Python."""
+    settings = zenoh.Config.from_json5(f'{{mode: "client", connect: {{endpoints: ["{at}"]}}}}')
+    with zenoh.open(settings) as session:
+        session.declare_subscriber("*/heard/_action/feedback/**", RingChannel(1))
         print("ready", flush=True)
         await asyncio.sleep(300)
 
@@ -222,16 +242,13 @@ async def record_fast(at: str, path: Path) -> None:
     )
 
 
-async def time_goals(node: turtleact.Node) -> float:
+async def time_goals(client: Client, feedback: int) -> float:
     """The median time of a goal (s)."""
-    client = node.action_client(Fibonacci, "/short")
-    await client.wait_for_server()
     took = []
     for _ in range(GOALS):
         begun = time.perf_counter()
-        await client.send_goal(Fibonacci.Goal(order=FEEDBACK_OF_A_GOAL))
+        await client.send_goal(Fibonacci.Goal(order=feedback))
         took.append(time.perf_counter() - begun)
-    await client.aclose()
     return statistics.median(took)
 
 
@@ -240,31 +257,42 @@ async def compare_goals(at: str, folder: Path) -> None:
         turtleact.open_zenoh([at], mode="client", config={}) as graph,
         turtleact.open_node("client", transport=graph) as node,
     ):
-        await time_goals(node)
-        alone, recorded = list[float](), list[float]()
-        for number in range(ROUNDS):
-            alone.append(await time_goals(node))
-            with recorder(at, folder / f"goals{number}", "/short"):
-                recorded.append(await time_goals(node))
-        tell_goals("over Zenoh, recorder in another process", alone, recorded)
+        clients = {name: node.action_client(Fibonacci, f"/{name}") for name in SHOWN}
+        for each in clients.values():
+            await each.wait_for_server()
+        with (
+            program("-m", "benchmarks.bench_recording", "hear", at, ready="ready"),
+            recorder(at, folder / "goals", "/recorded"),
+        ):
+            for feedback in FEEDBACK_OF_A_GOAL:
+                took = {name: list[float]() for name in clients}
+                for number in range(BLOCKS * len(clients)):
+                    name = list(clients)[number % len(clients)]
+                    took[name].append(await time_goals(clients[name], feedback))
+                    await asyncio.sleep(0.04)  # what is still on its way must not count for others
+                tell_goals("over Zenoh", feedback, took)
+
+
+async def compare_goals_here(folder: Path) -> None:
     async with turtleact.open_node("bench") as node:
         node.action_server(Fibonacci, "short", short)
-        await time_goals(node)
-        alone, recorded = [], []
-        for number in range(ROUNDS):
-            alone.append(await time_goals(node))
-            async with recording.record(node, folder / f"own{number}", actions=["/short"]):
-                recorded.append(await time_goals(node))
-        tell_goals("all in one process", alone, recorded)
+        client = node.action_client(Fibonacci, "/short")
+        for feedback in FEEDBACK_OF_A_GOAL:
+            took: dict[str, list[float]] = {"alone": [], "recorded": []}
+            for number in range(BLOCKS):
+                took["alone"].append(await time_goals(client, feedback))
+                path = folder / f"own{feedback}-{number}"
+                async with recording.record(node, path, actions=["/short"]):
+                    took["recorded"].append(await time_goals(client, feedback))
+            tell_goals("in one process", feedback, took)
 
 
-def tell_goals(where: str, alone: list[float], recorded: list[float]) -> None:
-    ratio = statistics.median(one / other for one, other in zip(recorded, alone, strict=True))
-    print(
-        f"a goal with {FEEDBACK_OF_A_GOAL} feedback messages, {where}: "
-        f"{statistics.median(alone) * 1e3:.2f} ms alone, "
-        f"{statistics.median(recorded) * 1e3:.2f} ms recorded, x{ratio:.3f}"
-    )
+def tell_goals(where: str, feedback: int, took: dict[str, list[float]]) -> None:
+    print(f"a goal with {feedback} feedback messages, {where}")
+    for name, each in took.items():
+        pairs = zip(each, took["alone"], strict=True)
+        ratio = statistics.median(one / alone for one, alone in pairs)
+        print(f"  {name:13} {statistics.median(each) * 1e6:7.0f} us  x{ratio:.3f}")
 
 
 # --- 4. an hour -----------------------------------------------------------------------------------
@@ -335,6 +363,7 @@ def main() -> None:
         with program("-m", "benchmarks.bench_recording", "serve", at, ready="ready"):
             asyncio.run(record_fast(at, folder / "fast"))
             asyncio.run(compare_goals(at, folder))
+        asyncio.run(compare_goals_here(folder))
         asyncio.run(record_an_hour(folder / "hour"))
         look_at_a_large_file(folder)
 
@@ -342,5 +371,7 @@ def main() -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["serve"]:
         asyncio.run(serve(sys.argv[2]))
+    elif sys.argv[1:2] == ["hear"]:
+        asyncio.run(hear(sys.argv[2]))
     else:
         main()
