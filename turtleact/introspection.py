@@ -43,7 +43,7 @@ from turtleact.transports.base import CallObserver, QoS
 if TYPE_CHECKING:
     from turtleact.transports.base import Endpoint, MakeEndpoint, Transport
 
-__all__ = ["EVENT_QOS", "Introspection", "ServiceEvents", "event_topic"]
+__all__ = ["EVENT_QOS", "GATHER", "Introspection", "ServiceEvents", "event_topic"]
 
 logger = logging.getLogger("turtleact.services")
 

@@ -53,17 +53,30 @@ async def test_with_contents_all_is_known(tmp_path):
     assert done.duration is not None
     assert 0 <= done.duration < 10
     assert (aborted.status, aborted.result) == (GoalStatus.ABORTED, Fibonacci.Result([1]))
-    assert (rejected.accepted, rejected.states, rejected.reason) == (False, [], "rejected")
+    assert aborted.reason == "too far"
+    assert (rejected.accepted, rejected.states, rejected.reason) == (False, [], "negative")
     assert rejected.duration is None
 
 
 @pytest.mark.parametrize("introspection", ["off", "metadata"])
 async def test_without_contents_states_and_feedback_are_known(tmp_path, introspection):
-    done, aborted = await recorded(tmp_path / "run", introspection, 3, 5, -1)
+    done, aborted = await recorded(tmp_path / "run", introspection, 3, 5)
     assert (done.status, done.feedback_count) == (GoalStatus.SUCCEEDED, 3)
     assert (aborted.status, aborted.feedback_count) == (GoalStatus.ABORTED, 5)
     assert done.goal is done.result is None
+    assert (done.reason, aborted.reason) == ("", "too far")
     assert done.type_name == "example_interfaces/action/Fibonacci"
+
+
+async def test_the_reason_of_a_rejection_is_known_without_its_contents(tmp_path):
+    [rejected] = await recorded(tmp_path / "run", "metadata", -1)
+    assert (rejected.accepted, rejected.reason, rejected.goal) == (False, "negative", None)
+
+
+def test_a_rejection_without_a_reason_is_called_one():
+    """Bags of ROS 2 have no reasons."""
+    goal = RecordedGoal(action="/fibonacci", id=bytes(16), stamp=0, accepted=False)
+    assert goal.reason == "rejected"
 
 
 async def test_a_goal_that_has_not_ended_says_so(tmp_path):

@@ -69,10 +69,10 @@ async def test_bytes_are_recorded_and_played_as_they_are(tmp_path):
                 await anyio.sleep(0.01)
             is_complete = False
             while not is_complete:  # until the server knows the readers of its events
-                count = run.count
+                before = run.count
                 await client.send_goal(Fibonacci.Goal(order=3))
                 with anyio.move_on_after(1):
-                    while run.count < count + 1 + 2 + 2:
+                    while run.count < before + 1 + 2 + 2:
                         await anyio.sleep(0.01)
                     is_complete = True
         found = [each async for each in recording.read(tmp_path / "run")]
@@ -97,6 +97,25 @@ async def test_bytes_are_recorded_and_played_as_they_are(tmp_path):
         assert played.messages == 100
         with anyio.fail_after(5):
             assert [(await anext(heard)).data for _ in range(100)] == texts
+
+
+async def test_the_reasons_of_goals_in_another_process_are_recorded(tmp_path):
+    async def give_up(goal):
+        yield Fibonacci.Feedback([7])
+        raise turtleact.Abort("no way")
+
+    async with two_nodes() as (talker, recorder):
+        talker.action_server(Fibonacci, "fibonacci", give_up)
+        await appeared(recorder, "/fibonacci/_action/send_goal", "service")
+        client = recorder.action_client(Fibonacci, "fibonacci")
+        async with recording.record(recorder, tmp_path / "run", actions=["/fibonacci"]):
+            await appeared(recorder, "/fibonacci/_action/reason")  # now that somebody reads it
+            for _ in range(3):  # at first the server may not know its reader yet
+                with pytest.raises(turtleact.GoalAborted):
+                    await client.send_goal(Fibonacci.Goal())
+                await anyio.sleep(0.02)
+    *_, goal = await recording.goals(tmp_path / "run")
+    assert (goal.status.name, goal.reason) == ("ABORTED", "no way")
 
 
 async def test_a_type_that_the_recorder_does_not_know_is_recorded_as_bytes(tmp_path):

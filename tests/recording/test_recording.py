@@ -215,6 +215,27 @@ async def test_offers_and_hashes_are_recorded(node, tmp_path):
     bag.close()
 
 
+async def test_a_topic_that_cannot_be_recorded_is_named_and_the_others_are_recorded(
+    tmp_path, caplog
+):
+    class Choosy(MemoryTransport):
+        def subscribe(self, endpoint, format, deliver, *, in_any_thread=False):
+            if endpoint.name == "/odd":
+                raise TurtleactError("no room")
+            return super().subscribe(endpoint, format, deliver, in_any_thread=in_any_thread)
+
+    async with open_node("lab", transport=Choosy()) as node:
+        odd, said = node.publisher(String, "/odd"), node.publisher(String, "/said")
+        async with recording.record(node, tmp_path / "run") as run:
+            odd.publish(String(data="x"))
+            said.publish(String(data="y"))
+            node.publisher(String, "/late")
+            await run.wait_changed()
+        assert run.unrecorded == {"/odd": "no room"}
+        assert run.count == 1
+    assert caplog.text.count("topic /odd cannot be recorded: no room") == 1
+
+
 def test_a_raw_format_leaves_bytes_alone():
     format = RawFormat("RIHS01_1", WireFormat(String).encode)
     assert format.decode(b"abc") == format.encode(b"abc") == b"abc"

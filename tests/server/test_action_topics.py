@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import gc
+from contextlib import suppress
 from typing import Any, cast
 
 import anyio
+import pytest
 
+import turtleact
 from turtleact import Abort, GoalStatus
 from turtleact.goal import Goal
+from turtleact.goal_wire import GoalReason, reason_topic
 from turtleact.interfaces import WireFormat, decode
 from turtleact.interfaces.standard import GoalStatusArray
 from turtleact.observers import FeedbackLost, GoalObserver, News
 from turtleact.server.action_topics import FeedbackTopic, StatusTopic
 from turtleact.server.local_server import LocalActionServer
 
-from ..lab import Count, Lab, goal, lab, settle
+from ..lab import Count, Lab, goal, lab, result, settle
 
 
 class Topic:
@@ -208,3 +212,43 @@ async def test_no_goal_is_kept_for_those_who_do_not_read_bytes():
             await send(served, 0)
         assert goals_in_memory() <= before
         check(source)
+
+
+# --- reasons
+
+
+async def act_or_give_up(request: Count.Goal) -> Any:
+    if request.upto == 1:
+        raise Abort("too low")
+    return result(*range(request.upto))
+
+
+def choose(request: Count.Goal) -> turtleact.GoalResponse:
+    if request.upto < 0:
+        raise turtleact.Reject("negative")
+    return turtleact.GoalResponse.ACCEPT
+
+
+@pytest.mark.parametrize(
+    ("upto", "told"),
+    [(2, []), (1, [(GoalStatus.ABORTED, "too low")]), (-1, [(GoalStatus.UNKNOWN, "negative")])],
+)
+async def test_ends_without_success_and_rejections_have_reasons(upto, told):
+    async with turtleact.open_node("lab") as node:
+        node.action_server(
+            Count, "count", act_or_give_up, goal_callback=choose, introspection="metadata"
+        )
+        reader = node.subscription(GoalReason, reason_topic("/count"))
+        with suppress(turtleact.GoalAborted, turtleact.GoalRejected):
+            await node.action_client(Count, "count").send_goal(goal(upto))
+        found: list[Any] = reader.drain()
+        assert [(each.status, each.reason) for each in found] == told
+        assert all(any(each.goal_id.uuid) for each in found)
+
+
+async def test_lists_of_all_endpoints_leave_reasons_out():
+    async with turtleact.open_node("lab") as node:
+        node.action_server(Count, "count", act_or_give_up)
+        name = reason_topic("/count")
+        assert node.transport.endpoints(name)
+        assert name not in {each.name for each in node.transport.endpoints()}

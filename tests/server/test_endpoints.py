@@ -26,7 +26,7 @@ from ..lab import Count, Gate, count, feedback, goal, lab, result, running, sett
 
 IMPLIED = implied(Count)
 LATCHED = QoS(depth=10, durability="transient_local")
-TOPICS = ("/count/_action/feedback", "/count/_action/status", "/count/_action/paused")
+TOPICS = tuple(f"/count/_action/{each}" for each in ("feedback", "status", "paused", "reason"))
 ID = UUID(bytes(range(16)))
 OTHER = UUID(bytes(range(16, 32)))
 
@@ -313,8 +313,8 @@ async def test_the_services_answer_those_who_are_elsewhere():
 async def test_what_goes_over_a_wire_has_the_hashes_of_its_types():
     transport = Notebook()
     async with lab(count, transport=transport):
-        pausing = ("/set_paused", "/paused", "/pause", "/resume")
-        names = [name for name in transport.formats if not name.endswith(pausing)]
+        own = ("/set_paused", "/paused", "/pause", "/resume", "/reason")
+        names = [name for name in transport.formats if not name.endswith(own)]
         hashed = [transport.formats[name].type_hash for name in names]
         known = (CancelGoal, IMPLIED.get_result, IMPLIED.send_goal)
         topics = (IMPLIED.feedback_message, GoalStatusArray)

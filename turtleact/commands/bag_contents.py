@@ -153,11 +153,12 @@ def _actions(info: BagInfo, reading: _Reading | None) -> list[str]:
     actions = _actions_of(info)
     lines = [_row("Actions:", str(len(actions))), "Action information: "]
     for action in actions:
+        topics = ["feedback", "status", *(["reason"] if "reason" in action.parts else [])]
         lines.append(
-            f"  Action: {action.name} | Type: {action.type_name} | Topics: 2 | Service: 3 | "
-            "Serialization Format: cdr"
+            f"  Action: {action.name} | Type: {action.type_name} | Topics: {len(topics)} | "
+            "Service: 3 | Serialization Format: cdr"
         )
-        for part in ("feedback", "status"):
+        for part in topics:
             topic = action.parts.get(part)
             lines.append(f"    Topic: {part} | Count: {topic.count if topic else 0}")
         for part in ("send_goal", "cancel_goal", "get_result"):
@@ -263,7 +264,7 @@ def _goal_row(goal: RecordedGoal) -> tuple[str, ...]:
         str(goal.feedback_count),
         _short(goal.goal),
         _short(goal.result),
-        goal.reason if goal.accepted is not False else "",
+        goal.reason if goal.accepted is not False else goal.told,
     )
 
 

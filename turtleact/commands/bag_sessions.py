@@ -29,7 +29,7 @@ PATIENCE = 10.0
 """After a signal, closing the bag may take this long (s)."""
 
 FAILED = 1
-"""The exit status if nothing could be played."""
+"""The exit status if nothing could be played, or a topic could not be recorded."""
 
 
 class RecordOrder(NamedTuple):
@@ -53,7 +53,9 @@ class RecordOrder(NamedTuple):
 
 
 def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> int:
-    """Record until a signal comes, and return the exit status: 0, as for ``ros2 bag record``.
+    """Record until a signal comes, and return the exit status.
+
+    It is 0, as for ``ros2 bag record``, or 1 if a topic could not be recorded.
 
     Raises:
         BagError: if the bag cannot be created, or the disk is full.
@@ -82,7 +84,9 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
         return 0
 
     status = graph.run(reach, record_on, interrupts)
-    return 0 if recorded else status
+    if not recorded:
+        return status
+    return FAILED if recorded[0].unrecorded else 0
 
 
 async def tell(recording: Recording) -> None:
@@ -164,6 +168,8 @@ def _sum_up_recording(recording: Recording) -> None:
     note(f"{counted(recording.count, 'message')} recorded in {recording.path}")
     for topic, count in sorted(lost.items(), key=lambda each: -each[1])[:MOST_NAMED]:
         note(f"lost: {counted(count, 'message')} of topic '{topic}'")
+    for topic, reason in sorted(recording.unrecorded.items()):
+        note(f"not recorded: topic '{topic}': {reason}")
     if len(lost) > MOST_NAMED:
         note(f"lost in all: {counted(sum(lost.values()), 'message')} of {len(lost)} topics")
 

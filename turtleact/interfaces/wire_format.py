@@ -226,8 +226,8 @@ class EventFormat(WireFormat):
     >>> events, requests = EventFormat(lambda: SetBool), WireFormat(SetBool, asks=True)
     >>> sent = requests.encode(SetBool.Request(data=True))
     >>> event = events.decode(events.write(events.info(0, 7, bytes(16), 1), request=sent))
-    >>> event.request, event.response
-    ([SetBool.Request(data=True)], [])
+    >>> event.request[0].data, event.response
+    (True, [])
     """
 
     def __init__(self, find_service: Callable[[], object]) -> None:

@@ -40,6 +40,8 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
         feedback_count: How many feedback messages were recorded.
         result: The result; None if it was not recorded.
         is_begun_before: Whether the goal was accepted before the recording began.
+        told: Why the goal was rejected or ended without success, as its server published it; empty
+            if the bag does not say.
     """
 
     action: str
@@ -52,6 +54,7 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
     feedback_count: int = 0
     result: Any = None
     is_begun_before: bool = False
+    told: str = ""
 
     @property
     def status(self) -> GoalStatus:
@@ -72,8 +75,10 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
     def reason(self) -> str:
         """Why the goal did not succeed, as far as the bag shows it.
 
-        ROS 2 has no field for the reason of an abort, so the bag has none either.
+        Servers of turtleact publish reasons. The messages of ROS 2 have no field for them.
         """
+        if self.told:
+            return self.told
         if self.accepted is False:
             return "rejected"
         return "" if self.status in ENDED else "its end was not recorded"
@@ -128,6 +133,11 @@ class Gathering:
         if part == "feedback":
             goal = self._goal(action, message.value.goal_id.uuid, message)
             goal.feedback_count += 1
+        elif part == "reason":
+            goal = self._goal(action, message.value.goal_id.uuid, message)
+            goal.told = message.value.reason
+            if message.value.status == GoalStatus.UNKNOWN:
+                goal.accepted = False
         elif part == "status":
             for each in message.value.status_list:
                 self._note_status(action, each, message)

@@ -7,6 +7,7 @@ introspection, so a recording may lack goals and results; `turtleact bag info` s
 
 from __future__ import annotations
 
+import logging
 from collections.abc import AsyncIterator, Collection, Iterable
 from contextlib import asynccontextmanager
 from functools import partial
@@ -17,10 +18,12 @@ import anyio
 import anyio.to_thread
 
 from turtleact.clock import WallClock
-from turtleact.errors import InvalidInterface, UnknownInterface
+from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface
 from turtleact.fault_reports import watching_disk
+from turtleact.goal_wire import GoalReason, reason_topic
 from turtleact.graph import SEND_GOAL
 from turtleact.interfaces import Message, WireFormat, get_interface, type_hash
+from turtleact.introspection import GATHER
 from turtleact.names import resolve_name
 from turtleact.node import Node
 from turtleact.recording.bag_writer import BagWriter, Split
@@ -32,6 +35,8 @@ from turtleact.recording.spool import CAPACITY, Spool
 from turtleact.recording.storage import Channel
 from turtleact.tasks import Background, current_tasks, thread_work
 from turtleact.transports.base import Closeable, Endpoint, QoS, RawFormat
+
+logger = logging.getLogger("turtleact.recording")
 
 __all__ = ["RecordOptions", "Recording", "record"]
 
@@ -66,15 +71,18 @@ class Recording:
     Attributes:
         path: The folder or file.
         topics: The topics that are recorded so far.
+        unrecorded: Why topics cannot be recorded, by topic.
     """
 
     def __init__(self, node: Node, path: Path, selection: Selection, spool: Spool) -> None:
         self.path = path
         self.topics: list[str] = []
+        self.unrecorded: dict[str, str] = {}
         self._node = node
         self._selection = selection
         self._spool = spool
         self._subscriptions: dict[_Key, Closeable] = {}
+        self._failed: set[_Key] = set()
         self._changed = current_tasks().signal()
         self._is_over = False
 
@@ -136,13 +144,22 @@ class Recording:
             if each.kind == "publisher" and self._selection.wants(each.name, each.type_name):
                 key = _Key(each.name, each.type_name, each.type_hash)
                 offered.setdefault(key, []).append(each)
-        for key in self._events(endpoints):
+        for key in self._unlisted(endpoints):
             if not any(each[:2] == key[:2] for each in offered):
                 offered[key] = []
         checkpoint = current_tasks().checkpoint
         for key, publishers in offered.items():
-            if self._record(key, publishers):
+            if key not in self._failed and self._try_to_record(key, publishers):
                 await checkpoint()
+
+    def _try_to_record(self, key: _Key, publishers: list[Endpoint]) -> bool:
+        try:
+            return self._record(key, publishers)
+        except TurtleactError as error:  # the other topics matter, too
+            logger.error("topic %s cannot be recorded: %s", key.topic, error)
+            self._failed.add(key)
+            self.unrecorded[key.topic] = str(error)
+            return False
 
     async def _watch(self) -> None:
         """Record what appears on the graph, until cancelled."""
@@ -154,16 +171,28 @@ class Recording:
             seen = transport.changes
             await self._look()
 
+    async def _wait_for_events(self) -> None:
+        """Wait for the events of other processes, which send them a little later."""
+        if self._is_over:
+            return
+        transport = self._node.transport
+        topics = [each.topic for each in self._subscriptions if each.topic.endswith(EVENT)]
+        for topic in topics:
+            here = transport.local_endpoints(topic)
+            if any(each.kind == "publisher" for each in set(transport.endpoints(topic)) - {*here}):
+                await anyio.sleep(2 * GATHER)
+                return
+
     def _close(self) -> None:
         """Leave all topics."""
         for each in self._subscriptions.values():
             each.close()
 
-    def _events(self, endpoints: Iterable[Endpoint]) -> Iterable[_Key]:
-        """Yield the event topics of the selected actions and services.
+    def _unlisted(self, endpoints: Iterable[Endpoint]) -> Iterable[_Key]:
+        """Yield the topics of the selected actions and services with events, and with reasons.
 
-        A publisher of events may show itself only when somebody subscribes to them. The recorder
-        therefore subscribes to these topics even if it sees no publisher.
+        Their publishers may show themselves only when somebody subscribes. The recorder therefore
+        subscribes to these topics even if it sees no publisher.
         """
         for each in endpoints:
             if each.kind != "service":
@@ -178,6 +207,7 @@ class Recording:
                         ("get_result", f"{owner}_GetResult_Event"),
                     ):
                         yield _Key(f"{name}/_action/{part}{EVENT}", type_name, "")
+                    yield _Key(reason_topic(name), GoalReason.type_name, "")
             elif "/_" not in each.name and self._selection.wants_owner("service", each.name):
                 yield _Key(f"{each.name}{EVENT}", f"{each.type_name}_Event", "")
 
@@ -273,6 +303,8 @@ async def record(
             async with watching_disk(node.transport, own, folder, "recording"):
                 yield recording
         finally:
+            with anyio.CancelScope(shield=True):  # bounded
+                await recording._wait_for_events()
             await watch.aclose()
     finally:
         recording._close()

@@ -26,7 +26,7 @@ REQUESTS: Final = frozenset({0, 1})
 Owner: TypeAlias = Literal["topic", "service", "action"]
 
 _ACTION = re.compile(
-    rf"(?P<name>.+)/_action/(?P<part>feedback|status|(send_goal|cancel_goal|get_result){EVENT})"
+    rf"(?P<name>.+)/_action/(?P<part>feedback|status|reason|(send_goal|cancel_goal|get_result){EVENT})"
 )
 
 

@@ -3,7 +3,7 @@
 ::
 
     endpoints                answers clients in other processes
-    action_topics publishes feedback and status while somebody reads those topics
+    action_topics            publishes feedback, status and reasons while somebody reads them
     pause_endpoints          pauses goals for clients in other processes
     local_server             decides which goals are accepted and which are canceled
     goal_handle | callbacks  the handle given to bodies; the user's callbacks

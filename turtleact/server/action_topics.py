@@ -1,4 +1,4 @@
-"""The two topics of an action server: feedback, and the status of all its goals.
+"""The topics of an action server: feedback, the status of all its goals, and reasons.
 
 Messages are created and sent only while somebody reads the topic.
 Source: rcl_action ``rcl_action_get_goal_status_array``; the ROS 2 design article "Actions".
@@ -11,17 +11,17 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 from turtleact.goal import Goal, GoalStatus
-from turtleact.goal_wire import pack_state, write_states
+from turtleact.goal_wire import GoalReason, pack_state, reason_topic, write_states
 from turtleact.interfaces import SECOND, Action, FeedbackFormat, Message, WireFormat, implied
 from turtleact.interfaces.standard import UUID, GoalStatusArray, GoalStatusMessage
 from turtleact.observers import FeedbackLost, GoalObserver
 from turtleact.server.local_server import LocalActionServer
-from turtleact.transports.base import Endpoint, Publication, Source, Transport
+from turtleact.transports.base import Endpoint, MakeEndpoint, Publication, QoS, Source, Transport
 
 if TYPE_CHECKING:
     from turtleact.fault_reports import LostFeedback
 
-__all__ = ["FeedbackTopic", "StatusTopic"]
+__all__ = ["FeedbackTopic", "ReasonTopic", "StatusTopic"]
 
 
 class FeedbackTopic(Source):
@@ -189,3 +189,53 @@ class StatusTopic(GoalObserver):
         self._server.observers.remove(self)
         if self._publication is not None:
             self._publication.close()
+
+
+class ReasonTopic(Source, GoalObserver):
+    """Publishes why goals were rejected, or ended without success. ROS 2 has no such topic.
+
+    Recorders read it: the messages of ROS 2 have no field for a reason, and the note that carries
+    the reason to the client is not part of any message.
+
+    Args:
+        server: The server.
+        transport: The transport to open the topic on.
+        endpoint: A function that describes the endpoint.
+    """
+
+    def __init__(
+        self, server: LocalActionServer, transport: Transport, endpoint: MakeEndpoint
+    ) -> None:
+        self._server = server
+        name, type_name = reason_topic(server.name), GoalReason.type_name
+        described = endpoint("publisher", name, type_name, QoS(depth=100))
+        self._publication = transport.advertise(described, WireFormat(GoalReason), self)
+
+    @property
+    def wants_acceptance(self) -> bool:
+        """No: only ends have a reason."""
+        return False
+
+    def readers_changed(self, *, has_readers: bool) -> None:
+        """Observe goals only while somebody reads, because observers cost time for each goal."""
+        self._server.observers.remove(self)
+        if has_readers:
+            self._server.observers.add(self)
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
+        """Publish the reason of an end, if it has one."""
+        if after.is_terminal and goal.reason:
+            self._publish(self._server.name_goal(goal), after, goal.reason)
+
+    def rejected(self, goal_id: bytes, reason: str) -> None:
+        """Publish why a goal was rejected."""
+        if self._publication.has_readers:
+            self._publish(goal_id, GoalStatus.UNKNOWN, reason)
+
+    def close(self) -> None:
+        """Leave the topic."""
+        self._server.observers.remove(self)
+        self._publication.close()
+
+    def _publish(self, goal_id: bytes, status: GoalStatus, reason: str) -> None:
+        self._publication.publish(GoalReason(UUID(goal_id), int(status), reason))

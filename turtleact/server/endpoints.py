@@ -37,7 +37,7 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
-from turtleact.server.action_topics import FeedbackTopic, StatusTopic
+from turtleact.server.action_topics import FeedbackTopic, ReasonTopic, StatusTopic
 from turtleact.server.local_server import LocalActionServer
 from turtleact.server.pause_endpoints import PauseEndpoints
 from turtleact.services import LocalServiceServer, service_events
@@ -102,8 +102,8 @@ class ActionEndpoints:
         self._introspection = introspection
         if introspection == "off":
             self._send_goal.goal_server = server
-        unlisted: MakeEndpoint = partial(_unlisted, endpoint)
-        self._pausing = PauseEndpoints(server, transport, unlisted, tasks)
+        self._unlisted: MakeEndpoint = partial(_unlisted, endpoint)
+        self._pausing = PauseEndpoints(server, transport, self._unlisted, tasks)
         self._services: list[Closeable] = []
         self._topics: list[Closeable] = []
 
@@ -125,6 +125,9 @@ class ActionEndpoints:
             described = describe("service", service.name, type_name)
             service.observer = self._observer(service, described)
         self._pausing.open()
+        reasons = ReasonTopic(self._server, self._transport, self._unlisted)
+        self._topics.append(reasons)
+        self._send_goal.on_rejection = reasons.rejected
         for service, type_name in services:
             described = describe("service", service.name, type_name)
             offered = self._transport.serve(described, WireFormat(service.find_type), service)
@@ -255,6 +258,7 @@ class _SendGoal(_ActionService):
             messages, too.
         expect_readers: Called with the first goal from another process, because the goal's client
             reads feedback.
+        on_rejection: Called with the id of each goal that is rejected, and the reason.
     """
 
     goal_server: LocalActionServer
@@ -264,6 +268,7 @@ class _SendGoal(_ActionService):
     ) -> None:
         super().__init__(server, names.send_goal, tasks)
         self.expect_readers: Callable[[], None] | None = None
+        self.on_rejection: Callable[[bytes, str], None] | None = None
         self._get_result = get_result
 
     def find_type(self) -> Any:  # noqa: ANN401  # a service class
@@ -278,11 +283,11 @@ class _SendGoal(_ActionService):
         try:
             goal = self.server.take_nowait(self._order(request, caller), is_streamed=False)
         except GoalRejected as rejected:
-            respond(self._decided(rejected))
+            respond(self._rejected(request, rejected))
             return True
         if goal is None:
             return False
-        respond(self._decided(goal))
+        respond(self._accepted(goal))
         return True
 
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
@@ -291,8 +296,8 @@ class _SendGoal(_ActionService):
             with self._get_result.expecting(order.goal_id):
                 goal = await self.server.take(order, is_streamed=False)
         except GoalRejected as rejected:
-            return self._decided(rejected)
-        return self._decided(goal)
+            return self._rejected(request, rejected)
+        return self._accepted(goal)
 
     def _order(self, request: Any, caller: bytes) -> GoalOrder:  # noqa: ANN401
         if caller and self.expect_readers is not None:
@@ -303,12 +308,15 @@ class _SendGoal(_ActionService):
             raise GoalRejected(NAMELESS)
         return GoalOrder(request.goal, caller, 0.0, goal_id)
 
-    def _decided(self, outcome: Goal | GoalRejected) -> Reply:
+    def _accepted(self, goal: Goal) -> Reply:
         response = self._implied.send_goal.Response
-        if isinstance(outcome, GoalRejected):
-            note = GoalNote(outcome.reason, is_closing=not self.server.is_open)
-            return Reply(response(accepted=False), note.write())
-        return Reply(response(accepted=True, stamp=stamp_of(outcome.stamp)), OURS)
+        return Reply(response(accepted=True, stamp=stamp_of(goal.stamp)), OURS)
+
+    def _rejected(self, request: Any, rejected: GoalRejected) -> Reply:  # noqa: ANN401
+        if self.on_rejection is not None:
+            self.on_rejection(bytes(request.goal_id.uuid), rejected.reason)
+        note = GoalNote(rejected.reason, is_closing=not self.server.is_open)
+        return Reply(self._implied.send_goal.Response(accepted=False), note.write())
 
 
 class _CancelGoal(_ActionService):
