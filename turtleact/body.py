@@ -8,8 +8,8 @@ coroutine function  ``handle.publish_feedback(...)``    ``return A.Result(...)``
 ==================  ==================================  =============================
 
 A body takes the goal message. If it has a second parameter, it also gets the server's goal handle.
-`ActionBody` describes these signatures to type checkers. They reject a body that uses another
-action's messages.
+`ActionBody` describes these signatures to type checkers. Type checkers reject a body that uses
+another action's messages.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Clocks: wall time, scaled wall time, and virtual time.
 
-Every wait of turtleact goes through a `Clock`. Virtual time stands still while any task can run. It
-jumps to the next deadline once every task waits. A simulated minute therefore passes in
-milliseconds, and two runs of the same program see the same times. Every clock can be stopped.
+Every wait of turtleact goes through a `Clock`. Virtual time stands still while any task can run.
+Virtual time jumps to the next deadline once every task waits. A simulated minute therefore passes
+in milliseconds, and two runs of the same program see the same times. Every clock can be stopped.
 
 Measure with `Clock.time`: it counts seconds from an arbitrary start, and never goes backwards.
 `Clock.now` is ROS time, in nanoseconds since the epoch. Messages to others carry it as their stamp.
@@ -223,7 +223,7 @@ class VirtualClock:
     Some task must call `run`. Sleepers with the same deadline wake one at a time, in the order in
     which they went to sleep. Each sleeper wakes when everything that the previous one caused has
     been done. Virtual time does not stand still for tasks that wait for the network, a thread or
-    wall time. It stands still while a journal writes.
+    wall time. Virtual time stands still while a journal writes.
     """
 
     def __init__(self) -> None:

@@ -86,7 +86,7 @@ class FaultReports:
             name: The kind of fault, a space and what is at fault, such as "disk /data/goals.db".
             problem: What is wrong.
             advice: What to do.
-            until: When it is no longer a fault (s since the epoch); None if it must be cleared.
+            until: When the fault ends by itself (s since the epoch); None if `clear` must end it.
         """
         values = [KeyValue(ADVICE, advice)]
         if until is not None:

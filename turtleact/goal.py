@@ -195,16 +195,16 @@ class Goal(msgspec.Struct, eq=False):
         id: The 16 bytes of its id; None until somebody asks for the id.
         on_feedback: The sender's callback for feedback.
         is_streamed: Whether feedback must be kept for a reader.
-        parent: The goal whose body sent this one, if any.
+        parent: The goal with the body that sent this goal, if any.
         sender: The client that sent it.
         feedback: The feedback kept so far; created by the first message or the first reader.
-        last_feedback: The newest message, which is always kept. It may stay as the bytes that were
-            sent until somebody in this process looks at it.
+        last_feedback: The newest message, which is always kept. It may remain as the bytes that
+            were sent until somebody in this process reads it.
         result: The partial result; once the goal has ended, the result.
         reason: Why the goal was aborted, or why it is about to be.
         listener: Notified of each change.
-        end_callbacks: Called once the goal has ended and observers have been told. They must not
-            raise.
+        end_callbacks: Called once the goal has ended and observers have been told. These callbacks
+            must not raise exceptions.
         body: The running body, as long as it can be canceled.
         ended: When it ended (ns since the epoch); 0 before.
         is_decided: Whether the goal's end has been decided. With a journal, the end is announced a
@@ -422,7 +422,7 @@ class GoalTable:
         return sorted(dict.fromkeys([*self._named.values(), *self._active]), key=_by_stamp)
 
     def expire(self, now: int) -> None:
-        """Forget the goals whose time is over, except those that somebody waits for."""
+        """Forget the goals that have expired, except those that somebody waits for."""
         expiries = self._expiries
         while expiries and expiries[0][0] <= now:
             goal = self._named[heapq.heappop(expiries)[1]]

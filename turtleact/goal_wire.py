@@ -191,7 +191,7 @@ class PausedGoals(Message, type_name="turtleact_interfaces/msg/PausedGoals"):
     """The goals of an action that are paused.
 
     Attributes:
-        goal_ids: Their ids.
+        goal_ids: The ids of the goals.
     """
 
     goal_ids: list[UUID] = []

@@ -3,7 +3,7 @@
 Completion needs this list within milliseconds, so this module imports nothing heavy.
 
 Source: rclpy ``node.py``, ``get_topic_names_and_types`` and the functions beside it; ros2cli for
-what is hidden.
+the rules of hidden names.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A web server on a port for the length of a block, shared by the doors that have one.
 
 It is uvicorn, which needs asyncio or uvloop, but leaves signals and logging to the program. This
-module knows neither what is served nor who may connect.
+module knows neither the app that it serves nor the rules for access.
 
 Source: uvicorn ``server.py`` and ``config.py``.
 """
@@ -29,7 +29,7 @@ PORT_ERRORS: Final = (errno.EADDRINUSE, errno.EACCES)
 
 
 class Config(uvicorn.Config):
-    """uvicorn's configuration, without its logging and without headers that tell what it is.
+    """uvicorn's configuration, without its logging and without headers that identify uvicorn.
 
     Args:
         app: The app.

@@ -1,7 +1,7 @@
 """Tells observers about the goals of a server or client. One list serves all purposes.
 
-The status topic, users' hooks and telemetry are observers. An observer only watches. The list logs
-whatever an observer raises, so that it never affects a goal.
+The status topic, users' hooks and telemetry are observers. An observer only watches. If an observer
+raises an exception, the list logs it, so that the exception never affects a goal.
 
 All observers hear of one change before any of them hears of the next. If an observer causes a
 change, for example by canceling a goal, all observers hear of the current change first.

@@ -1,4 +1,7 @@
-"""The built-in actions. They drive turtles through a node's topics and actions only."""
+"""The built-in actions.
+
+The built-in actions drive turtles through a node's topics and actions only.
+"""
 
 from __future__ import annotations
 

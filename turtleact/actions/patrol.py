@@ -90,7 +90,7 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
         Attributes:
             index: The index of the target that the turtle is heading for or has reached, counted
                 from 0.
-            target: That target.
+            target: The place of that target (m).
             is_reached: Whether the turtle has just reached that target. If false, the turtle is on
                 its way there.
             reached: How many targets have been reached so far, over all rounds.

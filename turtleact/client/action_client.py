@@ -439,8 +439,8 @@ Coroutine.register(SendGoal)
 class _InOwnContext(Coroutine[object, object, T]):
     """Runs a coroutine of the caller's task in a copy of the task's context.
 
-    The caller's context stays unchanged, whatever the coroutine sets. Tokens of context variables
-    could not guarantee that, because a coroutine may be closed in another context.
+    The coroutine never changes the caller's context. Tokens of context variables could not
+    guarantee that, because a coroutine may be closed in another context.
     """
 
     __slots__ = ("_context", "_running")

@@ -3,7 +3,7 @@
 This module also finds out which kind of server is at the other end. How it sends requests depends
 on that. A ROS 2 service queues ten requests that its node has not taken yet. If more arrive, it
 silently drops the oldest. The client therefore sends only a few at a time. Servers of turtleact
-drop no requests. They attach a note to each answer, which identifies them.
+drop no requests. A server of turtleact attaches a note to each answer, which identifies the server.
 
 Source: rcl_action ``action_client.c``; rmw_zenoh_cpp ``rmw_service_data.cpp``, ``add_new_query``;
 rmw ``qos_profiles.h``.
@@ -133,7 +133,7 @@ class ClientEndpoints:
     Args:
         transport: The transport to open them on.
         endpoint: A function that describes each endpoint.
-        names: Their names.
+        names: The names of the endpoints.
         action_type: The action.
         introspection: Which events of the three services are published.
 

@@ -443,10 +443,10 @@ class _Iteration(_Reading):
     """One ``async for`` loop. When the loop ends, the body no longer waits for its reader.
 
     Python does not report a ``break`` to the iterator: it only drops the iterator. An async
-    generator would learn of the ``break`` from the event loop's hooks. But it could not continue
-    after a cancelled ``anext``, and trio warns about every generator that is not exhausted.
-    Therefore the finalizer of this plain iterator reports the end. If the iterator is part of a
-    reference cycle, the finalizer may run in any thread.
+    generator would learn of the ``break`` from the event loop's hooks. But an async generator could
+    not continue after a cancelled ``anext``, and trio warns about every generator that is not
+    exhausted. Therefore the finalizer of this plain iterator reports the end. If the iterator is
+    part of a reference cycle, the finalizer may run in any thread.
     """
 
     __slots__ = ("_thread",)

@@ -515,8 +515,8 @@ class RemoteGoals:
     def _show(self, remote: RemoteGoal) -> None:
         """Tell the observers that this client has sent a goal, before anything else of it.
 
-        Feedback does not travel with the acceptance and may arrive before it. So whichever arrives
-        first leads to this call.
+        Feedback does not travel with the acceptance and may arrive before it. So the first of the
+        two leads to this call.
         """
         if remote.is_sender and not remote.is_observed:
             remote.is_observed = True

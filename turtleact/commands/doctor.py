@@ -56,8 +56,8 @@ def run(reach: Reach, interrupts: Interrupts, *, as_json: bool, verbose: bool) -
 async def _open(reach: Reach) -> AsyncIterator[Node | Fault]:
     """Open a node on the graph. If that fails, give the block the fault instead.
 
-    The node talks through the router only. It therefore also sees nodes that hang: the router shows
-    them until their lease ends, while a peer would have to connect to them first.
+    The node talks through the router only. The node therefore also sees nodes that hang. The router
+    shows such nodes until their lease ends, while a peer would have to connect to them first.
 
     Raises:
         UsageError: if the ``--config`` file is at fault.

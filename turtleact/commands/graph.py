@@ -4,8 +4,8 @@ A verb is a coroutine function that takes a `Node` and returns the exit status. 
 and opens nothing by itself.
 
 A command may find no router, an empty domain, or an action that nobody serves. From here, a server
-that is off looks the same as a server in another domain. The messages about that therefore name
-what is in reach instead.
+that is off looks the same as a server in another domain. Messages about such a server therefore
+name the things that are in reach.
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@ server holds, ``cancel_goal`` cancels them, and ``get_result`` waits for their e
 a server of turtleact; see `turtleact.commands.pause_requests`.
 
 A server publishes its status when a goal changes, and its last message is latched; a server that
-never had a goal may publish nothing. So the commands wait for latched messages, but not for long.
-A latched message may also outlive a server that hangs. Therefore the commands ask each server to
-cancel a goal that does not exist. A working server answers that request.
+never had a goal may publish nothing. The commands therefore wait for latched messages, but not for
+long. A latched message may also outlive a server that hangs. Therefore the commands ask each server
+to cancel a goal that does not exist. A working server answers that request.
 
 Source: the ROS 2 design article "Actions"; action_msgs/srv/CancelGoal; rcl_action
 ``action_server.c`` for the contents and times of messages.

@@ -17,11 +17,11 @@ The alarm ends the process unless the start is over within `GRACE`.
   Python would notice a signal that comes just before a blocking write only after the write.
 - After the loop, a signal has no effect. In the end, signals are ignored.
 
-One handler, set once, does all of this. With the loop's own signal handling, Python's default
-handler would be active just before and after the loop, and print a traceback. The handler wakes the
-loop through ``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. While the loop or a read
-waits in the system, it also waits for a socket to which the system writes each signal. Without
-that, Python would notice a signal that came just before the wait only after the wait.
+One signal handler, set once, does all of this. With the loop's own signal handling, Python's
+default handler would be active just before and after the loop, and print a traceback. The handler
+wakes the loop through ``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. While the loop
+or a read waits in the system, it also waits for a socket to which the system writes each signal.
+Without that, Python would notice a signal that came just before the wait only after the wait.
 
 Windows has neither an alarm clock nor a way to wait for a file. Threads do both there.
 """

@@ -1,6 +1,7 @@
 """Implements the verbs of ``param``, and reads the first values of parameters for ``serve``.
 
-A node serves its parameters with six services. Their answers are printed as in ``ros2``.
+A node serves its parameters with six services. The answers of these services are printed as in
+``ros2``.
 
 ``serve`` takes first values from ``-p NAME:=VALUE`` and ``--params-file FILE``. As in ROS 2,
 ``NAME`` may begin with the name of a node (``lab:max_speed``), a file has a block for each node,

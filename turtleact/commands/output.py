@@ -56,7 +56,7 @@ def say_table(rows: Iterable[Sequence[str]], widths: list[int] | None = None) ->
 
     Args:
         rows: The rows, at least one.
-        widths: The widths of the columns in what was printed before; they grow with these rows.
+        widths: The widths of the columns of earlier rows. They grow with these rows.
     """
     rows = list(rows)
     widths = [0] * len(rows[0]) if widths is None else widths

@@ -73,7 +73,7 @@ class Watch:
         """Check the files once. List the files that have changed, unless they are still changing.
 
         An editor may write a file in parts, remove it and rename another, or save several files in
-        a row. So a change counts once two checks in a row have found the same state.
+        a row. A change therefore counts only after two checks in a row have found the same state.
         """
         stamps = self._stamps()
         is_at_rest = stamps == self._last

@@ -91,8 +91,8 @@ def _drive(
     If something stops the loop, ``interrupts`` tell the task to end.
 
     An exception such as SystemExit leaves the loop in the middle of a turn, and ``loop.stop()`` at
-    the end of one. Either way, the loop can run again. It must do so, because running goals must
-    end and their clients need an answer.
+    the end of one. Either way, the loop can run again. The loop must run again, because running
+    goals must end and their clients need an answer.
     """
     cause: BaseException | None = None
     # `run_until_complete` would not do: it removes its callback when an exception leaves the loop,

@@ -127,7 +127,7 @@ def choose_transcript(
     """Choose the transcript: JSON if asked for, live on a terminal that can show it, else plain.
 
     Args:
-        view: What was asked for.
+        view: The view that the user wants.
         wants_feedback: Whether to print each feedback message.
         wants_feedback_live: Whether to do so on a live display too. If left out, ``wants_feedback``
             decides.
@@ -345,9 +345,9 @@ class Sending:
     async def _heed_interrupts(self, sending: anyio.CancelScope, beside: TaskGroup) -> None:
         """At the first signal, cancel the goal or its sending. At the second, give up waiting.
 
-        Neither the server's answer nor the goal's end is certain: a body may swallow its
-        cancellation, a server may refuse it, hang, or be gone. So one signal is enough to end the
-        program, `CANCEL_TIMEOUT` seconds later.
+        The server's answer and the goal's end are uncertain. A body may swallow its cancellation,
+        and a server may refuse to cancel, hang, or be gone. One signal is therefore enough to end
+        the program, `CANCEL_TIMEOUT` seconds later.
         """
         await self._interrupts.wait(1)
         if self._sent is None:

@@ -359,7 +359,7 @@ async def _open_graph(
     """Open the graph that the user wants. By default, be its router, or else a peer of the router.
 
     Args:
-        service: What the user wants.
+        service: What to serve, and at which endpoints.
         opened: A list to which the graph and its endpoints are appended.
         clock: The clock of the graph.
     """

@@ -398,7 +398,7 @@ class LogLine(NamedTuple):
     Attributes:
         short: The line as the display shows it.
         full: The line as it is printed at the end.
-        subject: What the line is about, if a later line about the same subject replaces it.
+        subject: The subject of the line, if later lines about the same subject replace it.
     """
 
     short: str

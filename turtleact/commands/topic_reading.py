@@ -53,7 +53,7 @@ ABSENCE = 1.0
 
 
 class Order(NamedTuple):
-    """What the user wants.
+    """The topic to read, and how to print its messages.
 
     Attributes:
         name: The topic.

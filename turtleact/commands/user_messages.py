@@ -40,7 +40,7 @@ PATIENCE = 5.0
 
 
 class Order(NamedTuple):
-    """What the user wants.
+    """The messages to publish, and the topic.
 
     Attributes:
         name: The topic.

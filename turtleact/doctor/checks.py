@@ -287,7 +287,7 @@ def incompatible_qos(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def _lack(policy: Policy, reader: Endpoint) -> str:
-    """What a subscription asks for, beyond what is offered."""
+    """The part of a subscription's requested quality of service that is not offered."""
     limits = {"deadline": reader.times.deadline, "lease": reader.times.lease}
     limit = limits.get(policy)
     return LACKS[policy] if limit is None else f"{LACKS[policy]} ({limit / 1e9:g} s)"

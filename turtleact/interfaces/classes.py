@@ -1,8 +1,8 @@
 """Makes classes from definitions, and the further types that ROS 2 derives from them.
 
-``make_message`` and its siblings do the same as a class statement. They know neither files nor
-known interfaces. The caller passes ``find``, which returns the class of an interface or raises
-``UnknownInterface``.
+``make_message`` and its siblings do the same as a class statement. These functions know neither
+files nor known interfaces. The caller passes ``find``, which returns the class of an interface or
+raises ``UnknownInterface``.
 
 ROS 2 never sends a goal, result or feedback alone: each travels in a message or service generated
 for its action. A service's introspection sends ``NAME_Event``. ``implied`` and ``event_message``
@@ -258,7 +258,7 @@ def made_event(service: type[Service]) -> type[Message]:
 def service(
     type_name: str, request: Mapping[str, object], response: Mapping[str, object]
 ) -> type[Service]:
-    """Make a service whose parts have these fields."""
+    """Make a service with these fields in its parts."""
     name, body = naming(type_name)
     body["Request"] = message(f"{type_name}_Request", request)
     body["Response"] = message(f"{type_name}_Response", response)

@@ -1,9 +1,9 @@
 """Converts messages to checked copies, dicts, and times in nanoseconds, and back.
 
-``snapshot`` runs for every goal, feedback and result. It therefore generates a function for each
-class. That function makes a few comparisons per field, allocates only the copy, and accepts only
-values of exactly the expected Python type. The module ``values`` converts all other values, or
-reports what is wrong.
+``snapshot`` runs for every goal, feedback and result. This module therefore generates a function
+for each class. That function makes a few comparisons per field, allocates only the copy, and
+accepts only values of exactly the expected Python type. The module ``values`` converts all other
+values, or reports what is wrong.
 
 Source: builtin_interfaces/msg/Time, for the times.
 """

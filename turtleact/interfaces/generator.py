@@ -156,7 +156,7 @@ class Module:
         return ["\n".join(section) for section in sections if section]
 
     def use(self, module: str, name: str, *, alias: str = "") -> str:
-        """Import a name, and return what it is called in this module.
+        """Import a name, and return the name that it has in this module.
 
         A field may have the same name as its type, as in ``byte byte``. A type checker would then
         mistake the field for the type, so the type gets another name.

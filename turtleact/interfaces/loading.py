@@ -316,7 +316,9 @@ def ships(package: str, known: tuple[str, ...]) -> bool:
 
 
 def class_of(definition: Definition) -> Interface:
-    """Return the class for a definition. That is a known class if it has the same definition.
+    """Return the class for a definition.
+
+    If a known class has the same definition, that class is returned.
 
     Raises:
         InvalidInterface: if the definition uses an unknown message, or a message contains itself.
@@ -346,7 +348,7 @@ def build(definition: Definition, making: tuple[str, ...]) -> Interface:
 
 
 def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
-    """Return the class with that full name, or None. It may be read from its file."""
+    """Return the class with that full name, or None. The class may be read from its file."""
     if type_name in making:
         circle = " in ".join([type_name, *reversed(making[making.index(type_name) :])])
         raise InvalidInterface(f"a message contains itself: {circle}", source=making[0])

@@ -244,7 +244,7 @@ def sounded(document: Document, value: object, depth: int) -> object:
 
 
 def with_spelled_bools(value: object) -> object:
-    """Return a plain value whose bools are shown in errors as YAML and JSON write them."""
+    """Return a plain value with bools that errors show as YAML and JSON write them."""
     if isinstance(value, dict):
         return {key: with_spelled_bools(item) for key, item in value.items()}
     if isinstance(value, list):

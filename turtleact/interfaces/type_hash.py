@@ -70,7 +70,7 @@ def type_hash(cls: Interface) -> str:
     """Return the type hash of a message, service or action, as in ROS 2 from Iron on.
 
     The hash is computed once per class, on first use. Nodes send the hashes of messages and
-    services, including those derived from an action. They do not send an action's own hash.
+    services, including those derived from an action. Nodes do not send an action's own hash.
 
     Raises:
         InvalidInterface: if the class has no type name.

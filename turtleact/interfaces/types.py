@@ -183,11 +183,14 @@ class Registry:
         return list(self._known)
 
     def state(self) -> dict[str, object]:
-        """Return what is registered now, for `restore`."""
+        """Return everything that is registered now, for `restore`."""
         return {name: copy(value) for name, value in vars(self).items()}
 
     def restore(self, state: Mapping[str, object]) -> None:
-        """Restore what was registered when `state` was called, and forget everything since."""
+        """Restore the classes that were registered when `state` was called.
+
+        Forget all later ones.
+        """
         vars(self).update({name: copy(value) for name, value in state.items()})
 
     @contextlib.contextmanager

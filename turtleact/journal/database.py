@@ -379,7 +379,9 @@ def _add(columns: dict[str, object], change: GoalChange) -> None:
 
 
 def _lock(path: Path) -> sqlite3.Connection:
-    """Take the lock that lets only one process write the journal. It is freed with the process.
+    """Take the lock that lets only one process write the journal.
+
+    The lock is freed with the process.
 
     The lock is a transaction in a second, empty SQLite file, which works alike on all systems.
     """

@@ -169,7 +169,7 @@ class Journal:
             raise self._error
 
     async def aclose(self) -> None:
-        """Write what is left and close the file."""
+        """Write the remaining jobs, and close the file."""
         with self._changed:
             self._is_closing = True
             self._deadline = time.monotonic() + CLOSING

@@ -4,8 +4,8 @@ One call of a tool sends one goal and answers at its end. A call that is cancell
 and waits for the goal's end, because the block of `turtleact.client.action_client.SendGoal` does
 that. A client that goes away cancels its calls, too.
 
-`Board` reads the status topics, from the first question on. Their last message is latched, so a
-goal that was accepted before is there, too.
+`Board` reads the status topics, from the first question on. The last message of a status topic is
+latched, so a goal that was accepted earlier is known, too.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ units.
   are required; numbers, texts and bools then start at zero.
 - A field of a nested message is never required, as in ROS.
 - Constants become an ``enum`` if their names begin with the field's: ``STATUS_OK`` for ``status``.
-  Constants whose values are single bits can be combined, so the description lists them instead.
+  Constants that are single bits can be combined, so the description lists them instead.
   In a result, the description also lists them, because a server may send another value.
 
 Source: JSON Schema 2020-12; the ROS 2 article "Interface definition".

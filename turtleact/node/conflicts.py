@@ -7,13 +7,14 @@ service. A second node chooses one of these:
 - ``refuse``: its `action_server` raises and names the first node.
 - ``wait``: it begins to serve when the first node has gone. This is useful for restarts and
 failover.
-- ``withdraw``: it withdraws when any other node, in any process, serves the name. Its running goals
-  finish. When no other node serves the name any more, it serves it again. The built-in actions do
+- ``withdraw``: it withdraws when any other node, in any process, serves the name. The running goals
+of the second node finish. When no other node serves the name any more, it serves it again. The
+built-in actions do
   this.
 
-A restarted node may still see its predecessor: a node of the same name whose process has just died
-and whose lease has not run out. The restarted node is not refused: it waits until the predecessor
-is gone.
+A restarted node may still see its predecessor: a node of the same name. Its process has just died,
+and its lease has not run out. The restarted node is not refused: it waits until the predecessor is
+gone.
 
 Across processes, all of this depends on discovery: a server counts only after it has been
 discovered.

@@ -1,4 +1,4 @@
-"""Decides whose rclpy a program gets: the genuine one, or turtleact's.
+"""Decides which rclpy a program gets: the genuine one, or turtleact's.
 
 The two are never mixed. The genuine rclpy is used if it can be imported together with a message.
 Another process tries that import, because an import that fails halfway cannot be undone.

@@ -131,7 +131,8 @@ def expand_topic_name(topic_name: str, node_name: str, node_namespace: str) -> s
     """Return the absolute form of a name of a topic or service.
 
     Args:
-        topic_name: The name; ``~`` and ``{node}`` stand for the node, ``{ns}`` for the namespace.
+        topic_name: The name. ``~`` and ``{node}`` stand for the node, and ``{ns}`` for the
+            namespace.
         node_name: The name of the node.
         node_namespace: Its namespace.
 

@@ -30,7 +30,7 @@ class Publisher(Subscriptable, Destroyable):
         full_name: The full name of the topic.
         qos_profile: The quality of service.
         event_handlers: The waitables of its events.
-        callback_group: Their group.
+        callback_group: The callback group of these events.
         count_subscriptions: Counts the subscriptions of the topic.
     """
 

@@ -401,7 +401,7 @@ def qos_check_compatible(
 ) -> tuple[QoSCompatibility, str]:
     """Return whether these profiles of a publisher and a subscription fit, and if not, why.
 
-    turtleact and rmw_zenoh never keep two endpoints apart, whatever their profiles.
+    turtleact and rmw_zenoh connect two endpoints even if their profiles do not fit.
     """
     del publisher_qos, subscription_qos
     return QoSCompatibility.OK, ""

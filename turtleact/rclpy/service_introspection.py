@@ -28,7 +28,7 @@ logger = RcutilsLogger("rclpy.service_introspection")
 
 
 class ServiceIntrospectionState(IntEnum):
-    """What is published: nothing; only who called when; or also the requests and responses."""
+    """What is published: nothing, only who called when, or also the requests and responses."""
 
     OFF = 0
     METADATA = 1

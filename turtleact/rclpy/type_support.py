@@ -24,7 +24,7 @@ def check_for_type_support(msg_or_srv_type: Anything) -> None:
 
     Raises:
         AttributeError: if it is no such class.
-        NoTypeSupportImportedException: if it is a class of ROS whose type support is not loaded.
+        NoTypeSupportImportedException: if it is a class of ROS without loaded type support.
     """
     if is_interface(msg_or_srv_type):
         return

@@ -199,7 +199,7 @@ class Reading:
     """Reads the messages of a bag in a thread, and decodes them in the event loop.
 
     Args:
-        bag: The bag; whoever opened it closes it.
+        bag: The bag. Its opener must close it.
         wanted: Which messages to read.
         is_decoded: Whether to decode them.
     """

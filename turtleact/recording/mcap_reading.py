@@ -96,7 +96,7 @@ class McapFile:
     def messages(self, wanted: Range) -> Iterator[Raw]:
         """Yield the messages of a range, ordered by stamp.
 
-        Those of one stamp stay in the file's order.
+        Messages with the same stamp stay in the file's order.
 
         Raises:
             BagError: if a chunk is damaged.

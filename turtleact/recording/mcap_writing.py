@@ -216,7 +216,7 @@ class McapWriter:
         """Write the index and close the file.
 
         The current chunk must have been written. If the disk has no room for the index, the last
-        chunks are removed; `counts` then has what is left.
+        chunks are removed. `counts` then counts the remaining messages.
 
         Raises:
             OSError: if there is still no room. The file is readable, but not closed.

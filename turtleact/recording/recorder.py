@@ -269,8 +269,8 @@ async def record(
             most ``capacity`` bytes wait to be written.
 
     Raises:
-        BagError: if the folder or file exists or cannot be created. It is raised at the end of the
-            block if the disk was full; what was recorded until then can be read.
+        BagError: if the folder or file exists or cannot be created. If the disk was full, the error
+            is raised at the end of the block; everything recorded before that can be read.
         InvalidName: if a name breaks ROS 2's rules.
         TypeError: if an option does not exist.
     """

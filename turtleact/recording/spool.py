@@ -128,7 +128,7 @@ class Spool:
             self._weight += size + OVERHEAD
 
     def close(self) -> None:
-        """Write what is left, close the bag and wait for that. Blocks."""
+        """Write the remaining messages, close the bag, and wait for the thread. This blocks."""
         with self._changed:
             self._is_closing = True
             self._changed.notify_all()

@@ -1,7 +1,7 @@
 """Draws goals, feedback and turtles for a terminal: makes rich renderables of plain values.
 
-There is no logic and no time here: `turtleact.commands` decides what is shown, and how often. Only
-this package imports rich.
+This package has no logic and no time: `turtleact.commands` decides what to show, and how often.
+Only this package imports rich.
 """
 
 from turtleact.render.lines import Picture, lines

@@ -1,7 +1,7 @@
 """Draws a map of the world in braille characters: walls, trails, turtles and their targets.
 
-Each cell is 2 dots wide and 4 high, which makes the dots square on a terminal whose cells are twice
-as high as wide. A cell has one colour: that of its last dot.
+Each cell is 2 dots wide and 4 high, which makes the dots square on a terminal with cells that are
+twice as high as wide. A cell has one colour: that of its last dot.
 
 Source: the Unicode Standard, "Braille Patterns", U+2800: a bit for each dot.
 """
@@ -66,7 +66,7 @@ class MapView(NamedTuple):
     Attributes:
         side: The length of each of the world's four walls (m), above zero.
         turtles: The turtles.
-        ink: The drawings.
+        ink: The drawings of the turtles.
         targets: The targets of the turtles.
     """
 
@@ -107,7 +107,7 @@ def _cell(x: float, y: float, columns: int, rows: int) -> tuple[int, int]:
 
 
 def _label(marks: Marks, turtle: Turtle, cell: tuple[int, int], drawn: Sequence[str]) -> None:
-    """Put a turtle's name beside, above or below it, where it hides least of what was drawn."""
+    """Put a turtle's name beside, above or below the turtle, where the name hides least."""
     name = shortened(printable(turtle.name), LONGEST_NAME)
     row, column = cell
     last = len(drawn[0]) - len(name)

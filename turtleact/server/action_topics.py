@@ -108,7 +108,10 @@ class FeedbackTopic(Source):
                 self._tell_of_loss(goal)
 
     def _tell_of_loss(self, goal: Goal) -> None:
-        """Tell the observers that feedback was dropped. It may be that of an older goal."""
+        """Tell the observers that feedback was dropped.
+
+        The dropped feedback may be that of an older goal.
+        """
         lost, self._dropped = self._publication.dropped - self._dropped, self._publication.dropped
         self._server.observers.noted(goal, FeedbackLost(lost))
 

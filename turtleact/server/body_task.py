@@ -32,7 +32,7 @@ class Runner(Protocol):
         """Return the coroutine that runs the goal's body. Called in the body's task."""
 
     def close_body(self, goal: Goal, task: BodyTask, error: BaseException) -> None:
-        """End a goal whose body has ended: with StopIteration if it has returned."""
+        """End a goal after its body. ``error`` is StopIteration if the body has returned."""
 
     def end_unstarted(self, goal: Goal) -> None:
         """End a goal that was cancelled before its body took the first step."""

@@ -1,6 +1,6 @@
 """Opens an action's endpoints on the graph: three services and two topics, for any node.
 
-Clients in the same process do not need them. They serve everybody else: nodes that send
+Clients in the same process do not need them. The endpoints serve everybody else: nodes that send
 ``SendGoal`` requests, cancel other nodes' goals, ask for results, or read feedback and status.
 Nothing is created or published before somebody asks or reads.
 

@@ -179,7 +179,7 @@ class Execution:
         return _awaiting(cast("Awaitable[object]", running))
 
     def close_body(self, goal: Goal, task: BodyTask, error: BaseException) -> None:
-        """End a goal whose body has ended: with StopIteration if it has returned."""
+        """End a goal after its body. ``error`` is StopIteration if the body has returned."""
         try:
             if isinstance(error, StopIteration):
                 self._succeed(goal, error.value)
@@ -420,7 +420,7 @@ class Execution:
         self._call_back(goal)
 
     def _announce_written_end(self, goal: Goal, event: GoalEvent, reason: str) -> None:
-        """End a goal whose end is in the journal, unless the server was stopped meanwhile."""
+        """End a goal after its end is in the journal, unless the server was stopped meanwhile."""
         if not goal.ended:
             self._announce_end(goal, event, reason)
             self._ended.fire()
@@ -513,7 +513,7 @@ class Execution:
 
         Args:
             grace: How long bodies may clean up (s).
-            reason: The reason for goals whose bodies are given up.
+            reason: The reason of goals that end because their bodies are given up.
         """
         await wait_while(lambda: self.bodies, self._ended, grace)
         for task, goal in list(self.bodies.items()):

@@ -109,7 +109,7 @@ class LocalActionServer:
         slot: The slot in which goals run; None if goals never wait for one another.
 
     Attributes:
-        served: As given.
+        served: The argument ``served``.
         name: The fully qualified name of the action.
         is_open: Whether it accepts goals.
         execution: Runs the bodies.
@@ -253,7 +253,7 @@ class LocalActionServer:
     ) -> Goal:
         """Accept a goal once it is on disk, or join the goal that already has its id.
 
-        Cancelling: takes effect at the next wait, when the goal is held.
+        Cancelling: takes effect at the next wait after the server holds the goal.
         """
         await durable.restored.wait()
         goal_id = order.goal_id or new_goal_id()
@@ -296,7 +296,7 @@ class LocalActionServer:
         return goal
 
     def _find_known(self, record: GoalRecord, durable: DurableGoals) -> Goal:
-        """Return the goal of a record. A goal whose result has expired is held again."""
+        """Return the goal of a record. If the goal's result has expired, the goal is held again."""
         goal = self.find(record.id)
         if goal is None:
             if not durable.owns(record) or not record.ended:
@@ -381,7 +381,8 @@ class LocalActionServer:
     def _show_accepted(self, goal: Goal) -> None:
         """Show observers a goal that starts at once, in its ACCEPTED state if one wants that.
 
-        An observer may cancel the goal. It then never becomes EXECUTING and never starts.
+        An observer may cancel the goal. A goal that an observer cancels never becomes EXECUTING and
+        never starts.
         """
         if not self.observers.want_acceptance:
             self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _EXECUTING)
@@ -624,7 +625,7 @@ class LocalActionServer:
     # closing
 
     async def _suspend(self, durable: DurableGoals) -> None:
-        """Stop the bodies. Their goals go on after a restart."""
+        """Stop the bodies. The goals of these bodies go on after a restart."""
         self.execution.is_suspended = True
         self.slot = None
         for goal in self._table.active:

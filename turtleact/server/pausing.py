@@ -5,8 +5,8 @@ body stands still at ``await handle.checkpoint()``, if it is declared with ``pau
 ``on_pause``, if there is one, brings the robot to rest. A body that is neither kind runs on, and
 ``on_pause`` alone pauses its goal.
 
-ROS 2 has no state for this: a paused goal is EXECUTING. It keeps its place in its slot. A cancel, a
-preemption and the end of the server reach it at once.
+ROS 2 has no state for this: a paused goal is EXECUTING. A paused goal keeps its place in its slot.
+A cancel, a preemption and the end of the server reach it at once.
 
 Source: VDA 5050 ``startPause`` and ``stopPause`` for the expectations of users.
 """
@@ -228,7 +228,7 @@ class Pauses:
         self._set(goal, is_paused=True)
 
     def enter(self, goal: Goal, parent: Goal) -> None:
-        """Make a new goal a child of its parent, the goal whose body sent it.
+        """Make a new goal a child of its parent. The parent's body has sent it.
 
         If the parent is paused or being paused, the goal begins paused. Parent and child are
         resumed together.

@@ -12,5 +12,5 @@ draws the lines of a fleet; `pictures` turns a drawing into SVG and PNG.
 As a node:
 
 - `turtlesim` is the world, with a `turtle` for each of its turtles.
-- `world_services` is what the world offers beyond turtlesim: time, all poses, pictures.
+- `world_services` offers more than turtlesim does: control of time, all poses, pictures.
 """

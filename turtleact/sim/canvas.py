@@ -111,7 +111,7 @@ def ink(colour: Colour) -> int:
 
 
 def _within(low: float, high: float) -> tuple[int, int]:
-    """The range of pixels (first, last + 1) whose centres are in ``low <= c < high``."""
+    """The range of pixels (first, last + 1) with centres in ``low <= c < high``."""
     if low >= high or low >= SIZE or high <= 0.0:
         return 0, 0
     begin = ceil(low - 0.5) if low > 0.0 else 0

@@ -11,8 +11,8 @@ places differed by 6e-14 m.
 
 For collisions, each turtle is a disc. If a step would make two discs overlap and bring them closer
 than before, neither turtle moves. A turtle that has stayed in its place may block a third turtle,
-which then stays too, and so on. So discs that lie apart never come to overlap, discs that overlap
-can only part, and the order of the turtles does not matter.
+which then stays too, and so on. Discs that lie apart therefore never come to overlap, and discs
+that overlap can only part. The order of the turtles does not matter.
 
 This module knows no names, no ROS and no clock.
 
@@ -202,8 +202,8 @@ class Fleet:
     def _rearrange(self, order: _Indices) -> None:
         """Keep these turtles, in this order. Each starts a new motion from where it is.
 
-        Two fleets with the same turtles are then equal to the last bit, whatever happened to them
-        before.
+        Two fleets with the same turtles are then equal to the last bit, even if they had different
+        histories.
         """
         self._place, self._theta = self._place[order], self._theta[order]
         self._speeds, self._turn = self._speeds.take(order, axis=1), self._turn[order]
@@ -323,7 +323,7 @@ class _Block:
         return 1 in self._over_bytes
 
     def over(self) -> _Indices:
-        """The turtles whose angle is out of range."""
+        """The turtles with an angle out of range."""
         at: _Indices = self._over.nonzero()[0] + self.where.start
         return at
 
@@ -383,7 +383,7 @@ def _complex(real: _Floats, imag: _Floats) -> _Complexes:
 
 
 def _near(places: _Complexes, some: _Indices, distance: float) -> tuple[_Indices, _Indices]:
-    """The pairs of turtles nearer than a distance (m) of which at least one is in ``some``."""
+    """The pairs of turtles nearer than a distance (m), if at least one turtle is in ``some``."""
     cells = np.floor(places.imag / distance).astype(np.int64) * _COLUMNS
     cells += np.floor(places.real / distance).astype(np.int64)
     order = np.argsort(cells, kind="stable")

@@ -62,7 +62,7 @@ class Shades(NamedTuple):
 def shades_of(name: str) -> Shades:
     """The colours of a turtle: ``turtle1`` is green, ``turtle2`` orange, and so on.
 
-    A turtle whose name has no number gets one of the same colours.
+    A turtle without a number in its name gets one of the same colours.
     """
     number = re.search(r"[0-9]+$", name)
     index = int(number[0]) - 1 if number else zlib.crc32(name.encode())

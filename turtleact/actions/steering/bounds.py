@@ -7,9 +7,9 @@ that no test has been able to exceed.
 `least_loss` is the least time that turning costs a turtle that turns while it drives. Each leg of a
 tour has a direction, in which the turtle must cover a certain distance. While its heading is off by
 an angle e, only cos(e) of its speed counts in that direction, or nothing if cos(e) is negative. In
-a tick it therefore loses 1 - cos(e) of its speed. The error changes no faster than the turn rate,
-so turning from an error e to zero loses F(e) over the turn rate. The loss of a leg depends on the
-errors at both ends:
+a tick, the turtle therefore loses 1 - cos(e) of its speed. The error changes no faster than the
+turn rate, so turning from an error e to zero loses F(e) over the turn rate. The loss of a leg
+depends on the errors at both ends:
 
 - If they are on different sides, it is F of both. If the leg is too short for that turn, the rest
   of the turn is added.
@@ -124,8 +124,8 @@ def shortest_time(
     they drive, this loss is the least sum over all possible headings at the targets (see the
     module's docstring). For styles that turn before they drive, the loss is the sum of all turns.
 
-    The time to reach full speed from rest is also a lower bound. So is the time to turn to a wanted
-    heading.
+    The time to reach full speed from rest is also a lower bound. The time to turn to a wanted
+    heading is a lower bound, too.
 
     The line need not be exact. By duality, any unit vectors prove a lower bound of the length: what
     they measure along the legs, with each point at its worst place in its disc. A vector of zero
@@ -422,8 +422,8 @@ def least_loss(
         turning: How the turtle turns.
         known: Results for the first legs of other tours with the same first heading and the same
             ``turning``. New results are added.
-        tried: Headings (rad), one for each corner, that may be nearly the best. They are tried
-            first. If ``known`` is empty, headings that cannot be better are then left out.
+        tried: Headings (rad), one for each corner, that may be nearly the best. These headings are
+            tried first. If ``known`` is empty, headings that cannot be better are then left out.
         enough: The search ends with the tried headings if they lose at most this.
     """
     corners = [_corner(one, next_, turning) for one, next_ in pairwise(legs)]

@@ -14,19 +14,21 @@ calls, so if somebody else moves the turtle, it continues from its new place. Th
   turn on the spot.
 - **Look one target ahead.** Before a turn, the turtle swings wide: a turn by an angle a costs
   a - sin(a) over the turn rate, and only a quarter of that if half of the turn is made before the
-  target. The turtle also cuts the inner side of the target's disc. It stops doing so where the
-  target would get into the turning circle. Styles that drive forwards turn to the next target as
+  target. The turtle also cuts the inner side of the target's disc. Swinging and cutting stop where
+  the target would get into the turning circle. Styles that drive forwards turn to the next target
+  as
   soon as the arc to that target leads through the current one. If the discs of two targets overlap,
-  the turtle may drive to a point between them. It does so if an arc leads there, or if it would
-  otherwise have to turn round for the second target.
+  the turtle may drive to a point between them. It drives to that point if an arc leads there, or if
+  it would otherwise have to turn round for the second target.
 - **Land.** No tick turns beyond the aim or drives beyond the target. A step that would leave the
   area ends at its edge; there the turtle continues to turn.
 - **Face last.** If a heading is wanted at the target, the turtle turns to that heading there, on
 the spot.
 - **Ease.** With limited accelerations, the turtle slows down early enough to stop before the target
 and the edge of the area, and to finish its turn on the way. While it rolls the wrong way,
-  it does not turn. It does not swing wide, and does not stop at a target before the last. It may
-  leave the area by centimetres if it comes fast into a corner.
+  it does not turn. With limited accelerations, the turtle does not swing wide, and does not stop at
+  a target before the last. A turtle that comes fast into a corner may leave the area by
+  centimetres.
 
 `Helm` holds a command as long as the law would repeat it. Most ticks are like the one before:
 straight on, or turning at full rate. So the helm asks the law twice: for this pose, and for the

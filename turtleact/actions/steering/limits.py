@@ -1,9 +1,9 @@
 """What a turtle may do, how its speed may change, and where it aims.
 
 - `Limits`: speeds, accelerations, tolerances, and the `Area` in which the turtle stays.
-- `ramp`, `stopping_speed`, `ramp_time`: speeds under limited accelerations. They count in ticks: a
-  speed holds for a tick, and the next one differs from it by at most the acceleration times the
-  tick. The functions work for lengths (m) and for angles (rad). An acceleration may be infinite.
+- `ramp`, `stopping_speed`, `ramp_time`: speeds under limited accelerations. These functions count
+in ticks: a speed holds for a tick, and the next speed differs by at most the acceleration times the
+tick. The functions work for lengths (m) and for angles (rad). An acceleration may be infinite.
 - `Frame`, `approach` and the rest: where a turtle sees its target, and where it aims on the way
   there. Points are complex numbers here, so a turn is a product.
 

@@ -82,7 +82,7 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
 
 
 class MessageVerb(Verb):
-    """A verb whose last argument is a message.
+    """A verb that takes a message as its last argument.
 
     A shell splits a message without quotes into words. If the words look like a message, the error
     shows the command line that was probably meant.

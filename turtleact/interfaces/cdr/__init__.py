@@ -69,7 +69,7 @@ def decode(
 
     The contents of padding and anything after the message are ignored, because ROS 2 leaves garbage
     there. Bytes that are not UTF-8 become U+FFFD. The length of the data limits the memory and time
-    that decoding takes, whatever lengths the data claims.
+    that decoding takes, even if the data claims other lengths.
 
     Args:
         cls: The class.

@@ -555,7 +555,7 @@ class ActionServer(Introspected, Waitable):
             return NEVER
 
     def _expire(self) -> None:
-        """Forget the goals whose results were kept long enough."""
+        """Forget the goals with results that were kept long enough."""
         now, before = time.monotonic_ns(), len(self._goal_handles)
         while self._expiries:
             try:

@@ -37,7 +37,7 @@ class CallEnd:
         target: Which servers to ask.
 
     Attributes:
-        events: As given.
+        events: The argument ``events``.
     """
 
     def __init__(

@@ -5,7 +5,7 @@ subscription decodes in the thread that runs its callback. Endpoints are opened 
 event loop; topics are sent and received without it.
 
 What exists on the graph is asked in the background, because the answer takes a tenth of a second,
-and most nodes do not need it. Whatever depends on it waits.
+and most nodes do not need it. Everything that depends on the graph waits.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class CallEvents(CallObserver, Protocol):
 
     @property
     def is_on(self) -> bool:
-        """Whether it wants to be told."""
+        """Whether the observer wants to hear of calls."""
 
 
 class RequestHandler:
@@ -142,8 +142,8 @@ class RequestHandler:
         observer: Watches the calls.
 
     Attributes:
-        take: As given.
-        observer: As given.
+        take: The argument ``take``.
+        observer: The argument ``observer``.
         has_far_callers: Whether another process has sent a request.
         is_threaded: True: transports need not use the event loop for it.
     """
@@ -192,8 +192,8 @@ class Connection:
         domain: The ROS domain.
 
     Attributes:
-        loop: As given.
-        domain: As given.
+        loop: The argument ``loop``.
+        domain: The argument ``domain``.
     """
 
     def __init__(self, loop: EventLoop, open_transport: OpenTransport, domain: int) -> None:

@@ -116,7 +116,7 @@ class Entity(Destroyable):
         wake: Called in any thread when the entity may have become ready.
 
     Attributes:
-        callback_group: As given.
+        callback_group: The argument ``callback_group``.
         blocked_since: When the entity began to wait for its group (s, `time.monotonic`); 0 if it
             does not wait.
     """
