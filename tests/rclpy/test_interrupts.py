@@ -14,7 +14,7 @@ from .. import warm
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
-PATIENCE = 10.0
+PATIENCE = 30.0
 """How long a program may take to end (s); two seconds on a machine with nothing else to do."""
 
 HEAD = """

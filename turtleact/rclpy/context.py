@@ -20,9 +20,6 @@ from turtleact.transports.rmw_zenoh.config import domain_of
 
 __all__ = ["Context"]
 
-DEFAULT_DOMAIN = 2**64 - 1
-"""The number that stands for "the domain of the environment"."""
-
 
 class Tracked(Protocol):
     """The part of a node that a context uses."""

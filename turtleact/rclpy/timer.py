@@ -81,7 +81,6 @@ class Timer(Entity):
         self._next_call = self._last_call + timer_period_ns
         self._is_canceled = not autostart
         self._lock = threading.Lock()
-        self._on_reset: Callable[[int], object] | None = None
         self.callback = callback
         # A timer of simulated time must be looked at when that time changes.
         threshold = JumpThreshold(
@@ -137,13 +136,7 @@ class Timer(Entity):
         with self.handle:
             self._next_call = self._clock.now_ns() + self._period
             self._is_canceled = False
-        if self._on_reset is not None:
-            self._on_reset(1)
         self.wake()
-
-    def set_on_reset_callback(self, callback: Callable[[int], object] | None) -> None:
-        """Call a function at each `reset`, with the number of resets."""
-        self._on_reset = callback
 
     def time_since_last_call(self) -> int:
         """Return how long ago the last call was (ns)."""

@@ -24,8 +24,6 @@ from turtleact.rclpy.messages.fields import TYPECODES, sequence_of
 
 __all__ = ["decode", "encode", "hash_of"]
 
-ORDER = HEADER[:2]
-
 
 def encode(message: Anything, message_class: Anything) -> bytes:
     """Encode a message.
