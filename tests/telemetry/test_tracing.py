@@ -285,6 +285,34 @@ async def test_the_spans_of_a_client_end_with_it(collector, where, kind):
     assert len(collector.spans) == 2
 
 
+@WHERE
+async def test_a_client_that_closes_while_it_sends_a_goal_ends_one_span(
+    collector, caplog, where, kind
+):
+    gate = Gate()
+
+    async def decide(request):
+        await gate.opened.wait()
+        return turtleact.GoalResponse.ACCEPT
+
+    with exporting_to(collector) as provider:
+        async with (
+            lab(provider, count, where, goal_callback=decide) as made,
+            anyio.create_task_group() as group,
+        ):
+
+            async def send():
+                with suppress(ServerUnavailable):
+                    await made.client.send_goal(goal())
+
+            group.start_soon(send)
+            await settle()
+            await made.client.aclose()
+            gate.opened.set()
+    assert events(collector.the("send_goal /count")) == ["client closed"]
+    assert "ended span" not in caplog.text
+
+
 async def test_goals_that_a_server_leaves_to_its_next_start_are_ended_as_spans(collector, tmp_path):
     async with turtleact.open_journal(tmp_path / "goals.db") as journal:
         options: Any = {"journal": journal, "on_restart": "resume"}

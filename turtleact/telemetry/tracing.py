@@ -350,7 +350,7 @@ class _ClientSpans(GoalObserver):
         Otherwise the span ends with the goal.
         """
         record = self._sending.pop(order, None)
-        if record is None or record.is_accepted:
+        if record is None or record.is_accepted or not record.span.is_recording():
             return
         # The goal was not accepted, or it has joined one that was sent before with the same id.
         if self._spans.records.get(order.goal_id) is record:
@@ -363,10 +363,12 @@ class _ClientSpans(GoalObserver):
 
     def closed(self) -> None:
         """End the spans of goals that go on without the client."""
-        for record in self._spans.records.values():
-            record.span.add_event("client closed")
-            record.end("")
-        self._spans.records.clear()
+        sent = self._spans.records
+        for record in {*sent.values(), *self._sending.values()}:
+            if record.span.is_recording():
+                record.span.add_event("client closed")
+                record.end("")
+        sent.clear()
 
 
 def _current() -> Context:
