@@ -331,7 +331,7 @@ def cancel_code(named: Goal | None, *, by_id: bool, asked: int, let_go: int) -> 
         named: The goal with the requested id, if the server holds it.
         by_id: Whether the request had an id but no stamp.
         asked: How many goals `select` found.
-        let_go: How many of them are being canceled now.
+        let_go: How many of these goals are being canceled now.
 
     Source: action_msgs/srv/CancelGoal; rcl_action ``rcl_action_process_cancel_request``.
     """

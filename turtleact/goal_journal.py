@@ -65,7 +65,7 @@ class GoalRecord(msgspec.Struct, kw_only=True):
         result: The result; empty until the end.
         reason: Why it was aborted.
         ended: When it ended (ns, wall clock); 0 before.
-        expires: Until when its result can be asked for (ns, wall clock); 0 for ever.
+        expires: When its result expires (ns, wall clock); 0 for never.
     """
 
     id: bytes
@@ -105,7 +105,7 @@ class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         result: Its result, when it ends.
         reason: Why it was aborted, when it ends.
         ended: When it ended.
-        expires: Until when its result can be asked for.
+        expires: When its result expires.
     """
 
     status: GoalStatus | None = None

@@ -103,8 +103,8 @@ def misfits(one: Endpoint, other: Endpoint) -> Iterator[Policy]:
     """The policies in which a publisher offers less than a subscription of its topic requests.
 
     Args:
-        one: Either of them.
-        other: The other one.
+        one: One of the two endpoints.
+        other: The other endpoint.
 
     Source: DDS 1.4, section 2.2.3; the tables of "Quality of Service settings" of ROS 2.
     """

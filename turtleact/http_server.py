@@ -1,7 +1,7 @@
 """A web server on a port for the length of a block, shared by the doors that have one.
 
-It is uvicorn, which needs asyncio or uvloop, but leaves signals and logging to the program. This
-module knows neither the app that it serves nor the rules for access.
+The server is uvicorn, which needs asyncio or uvloop. Here it leaves signals and logging to the
+program. This module knows neither the app that it serves nor the rules for access.
 
 Source: uvicorn ``server.py`` and ``config.py``.
 """

@@ -440,11 +440,14 @@ class ParameterTable:
         self._values.update((each.name, each.value) for each in parameters)
 
     def values(self, names: Sequence[str]) -> list[ParameterValue]:
-        """The values of some parameters. The list is empty if one of them is not declared."""
+        """The values of some parameters. The list is empty if one of the names is not declared."""
         return [self._values[name] for name in names] if self._has_all(names) else []
 
     def descriptors(self, names: Sequence[str]) -> list[ParameterDescriptor]:
-        """The descriptions of some parameters. The list is empty if one of them is not declared."""
+        """The descriptions of some parameters.
+
+        The list is empty if one of the names is not declared.
+        """
         return [self._descriptors[name] for name in names] if self._has_all(names) else []
 
     def listed(self, prefixes: Sequence[str], depth: int) -> ListParametersResult:

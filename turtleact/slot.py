@@ -110,7 +110,7 @@ class Admission(Enum):
 
 
 class Entry(msgspec.Struct, Generic[C], frozen=True):
-    """What the server must do with a new goal, and with other goals because of it.
+    """The answer to a new goal: what the server must do with it and with other goals.
 
     Attributes:
         admission: Whether the goal starts, waits or is rejected.

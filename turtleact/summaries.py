@@ -73,7 +73,7 @@ def field_hint(error: BaseException) -> str:
 
 
 def _called(trace: TracebackType | None) -> type | None:
-    """The class whose call has raised an error; None if the source does not tell."""
+    """The class whose call has raised an error; None if the source does not show it."""
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     if trace is None:
@@ -129,9 +129,8 @@ def encodable(text: str) -> str:
 def loggable(error: BaseException) -> BaseException:
     """Return an exception that can be logged with its traceback without printing a huge text.
 
-    `logging` prints the whole text of an exception and of those that caused it. If one of these
-    texts is longer than `LONGEST`, the result is a stand-in with the same traceback and shortened
-    text.
+    `logging` prints the whole text of an exception and of its causes. If one of these texts is
+    longer than `LONGEST`, the result is a stand-in with the same traceback and shortened text.
     """
     if not any(_is_huge(each) for each in _chain(error)):
         return error

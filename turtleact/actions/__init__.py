@@ -21,7 +21,7 @@ __all__ = ["Area", "Robot", "Turtles", "serve_built_ins"]
 BUILT_IN = (go_to.serve, patrol.serve)
 """The built-in actions that drive turtles.
 
-They drive `Turtles` of any kind of `Robot`, in any `Area`.
+The actions drive `Turtles` of any kind of `Robot`, in any `Area`.
 """
 
 

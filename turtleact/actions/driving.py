@@ -204,7 +204,7 @@ class Drive:
         """Drive for one tick, or for longer while the same command stays right.
 
         Args:
-            target: Where to.
+            target: The target to drive to.
             next_target: The target after that.
             theta: The heading at the target (rad). If left out, any heading will do.
             until: The time of the drive (s) at which this returns, or at the first tick after it.

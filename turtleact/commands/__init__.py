@@ -21,7 +21,7 @@ GROUPS: Final = {
     "bag": ("record", "info", "play", "goals", "convert", "view"),
     "journal": ("prune",),
 }
-"""The groups of verbs. ``ros2`` has all of them except ``journal``."""
+"""The groups of verbs. ``ros2`` has all of these groups except ``journal``."""
 
 VERBS: Final = {
     "send-goal": "Send a goal, follow it to its end and print the result.",

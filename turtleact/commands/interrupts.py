@@ -23,7 +23,7 @@ wakes the loop through ``call_soon_threadsafe``, as `asyncio.Runner` does for Ct
 or a read waits in the system, it also waits for a socket to which the system writes each signal.
 Without that, Python would notice a signal that came just before the wait only after the wait.
 
-Windows has neither an alarm clock nor a way to wait for a file. Threads do both there.
+Windows has neither an alarm clock nor a way to wait for a file. On Windows, threads do both.
 """
 
 from __future__ import annotations

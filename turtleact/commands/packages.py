@@ -33,7 +33,10 @@ PROGRAMS: Final = (
     ("examples_rclpy_minimal_action_server", "server"),
     ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
 )
-"""The programs of ROS 2 that have a counterpart here. Those outside turtlesim serve Fibonacci."""
+"""The programs of ROS 2 that have a counterpart here.
+
+The programs outside turtlesim serve Fibonacci.
+"""
 
 _MARKS: Final = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml")
 """One of these files makes a folder a package."""

@@ -1,9 +1,9 @@
 """Runs a command in an event loop of its own, and lets the program end in every case.
 
 `asyncio.run` is not enough here. At its end it waits for every task that is left, and the
-interpreter waits for every thread, so a body that ignores its cancellation or blocks a thread would
-keep the program alive forever. Besides, the user's code runs in the same loop, and can stop that
-loop at any time: with ``sys.exit``, ``raise KeyboardInterrupt`` or ``loop.stop()``, or by
+interpreter waits for every thread. A body that ignores its cancellation or blocks a thread would
+therefore keep the program alive forever. Besides, the user's code runs in the same loop, and can
+stop that loop at any time: with ``sys.exit``, ``raise KeyboardInterrupt`` or ``loop.stop()``, or by
 cancelling every task it finds.
 """
 

@@ -59,8 +59,11 @@ SUCCEEDED, FAILED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 1, 3, 4, 5, 124
 ENDED_WITH_WORLD = "the goal ended together with the embedded world"
 
 PATIENCE = 5.0
-"""The length of three waits (s, wall clock): until a goal ends after its timeout, until a server on
-the graph can be reached, and until the user is told that no server has accepted the goal."""
+"""The length of three waits (s, wall clock).
+
+A goal may take this long to end after its timeout. A server on the graph may take this long until
+it can be reached. After this time, the user is told that no server has accepted the goal.
+"""
 
 AGAIN = 0.25
 """The interval at which ``--reattach`` looks for a server that has not started (s, wall clock)."""
@@ -129,8 +132,8 @@ def choose_transcript(
     Args:
         view: The view that the user wants.
         wants_feedback: Whether to print each feedback message.
-        wants_feedback_live: Whether to do so on a live display too. If left out, ``wants_feedback``
-            decides.
+        wants_feedback_live: Whether to print feedback messages on a live display too. If left out,
+            ``wants_feedback`` decides.
     """
     if view == "json":
         return JsonTranscript()

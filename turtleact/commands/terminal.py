@@ -356,7 +356,7 @@ def print_last(region: Region, compose: Compose, *, below: int) -> None:
 
     Args:
         region: The region that the earlier frames were drawn on.
-        compose: Composes it.
+        compose: Composes the frame.
         below: How many lines will be printed below the frame. The frame leaves room for them,
             unless it would become smaller than `SMALLEST`.
     """

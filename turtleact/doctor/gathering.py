@@ -103,7 +103,7 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
 
 @contextmanager
 def _one_error() -> Iterator[None]:
-    """A block in which a group of errors for the user becomes the first of them."""
+    """Raise the first error of a group from a block in place of the group."""
     try:
         yield
     except ExceptionGroup as group:

@@ -436,7 +436,7 @@ def shipped_class(type_name: str) -> Interface | None:
 
 
 def first_found(type_name: str, kinds: tuple[str, ...]) -> Interface:
-    """Return the class with that name; ``package/Name`` finds the first of these kinds."""
+    """Return the class with that name. For ``package/Name``, try these kinds in order."""
     for name in full_names(type_name, kinds):
         found = look_up(name, ())
         if found is not None:

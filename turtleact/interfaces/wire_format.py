@@ -239,7 +239,7 @@ class EventFormat(WireFormat):
 
         Args:
             kind: A constant of ``ServiceEventInfo``.
-            stamp: When it happened (ns since the epoch).
+            stamp: When the event happened (ns since the epoch).
             gid: The gid of the client.
             sequence: The sequence number of the request.
         """

@@ -1,7 +1,7 @@
 """Ensures that only one node serves an action name, and decides what a second node does.
 
-A node may serve several types under one name, as it does for ``/fibonacci``. But if two nodes
-served the same name, every goal would run twice, because ROS 2 sends a request to all servers of a
+A node may serve several types under one name, as it does for ``/fibonacci``. If two nodes served
+the same name, every goal would run twice, because ROS 2 sends a request to all servers of a
 service. A second node chooses one of these:
 
 - ``refuse``: its `action_server` raises and names the first node.

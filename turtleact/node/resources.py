@@ -89,7 +89,7 @@ class Resources(Owner):
     async def aclose(self) -> None:
         """Close everything, shielded from cancellation: actions, then services, then the rest.
 
-        If closing one of them fails, the others are still closed.
+        If closing one object fails, the others are still closed.
         """
         with anyio.CancelScope(shield=True):
             # An exit stack calls its callbacks in reverse order, and calls all of them even if

@@ -39,7 +39,7 @@ class CallbackGroup:
         raise NotImplementedError
 
     def beginning_execution(self, entity: Member) -> bool:
-        """Take the right to run a callback of the entity. Return whether that was possible."""
+        """Take the right to run a callback of the entity. Return whether the right was free."""
         raise NotImplementedError
 
     def ending_execution(self, entity: Member) -> None:
@@ -82,7 +82,7 @@ class MutuallyExclusiveCallbackGroup(CallbackGroup):
             return self._active_entity is None
 
     def beginning_execution(self, entity: Member) -> bool:
-        """Take the right to run a callback of the entity. Return whether that was possible."""
+        """Take the right to run a callback of the entity. Return whether the right was free."""
         with self._lock:
             assert ref(entity) in self.entities  # noqa: S101  # as in rclpy
             if self._active_entity is None:

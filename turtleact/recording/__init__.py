@@ -52,7 +52,7 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> object:
-    """Import a name from its module on first use: ``bag info`` needs few of them."""
+    """Import a name from its module on first use, because ``bag info`` needs few names."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib

@@ -222,8 +222,8 @@ class Trails:
 
         Args:
             turtle: The name of the turtle.
-            x: Where it is (m).
-            y: Where it is (m).
+            x: The turtle's x (m).
+            y: The turtle's y (m).
             colour: The colour of the whole trail.
         """
         places = self.places.setdefault(turtle, [])

@@ -2,7 +2,7 @@
 
 With a journal, others hear of a change only when the journal has it. A goal is accepted when it is
 on disk, feedback is published when it has been written, and an end is announced when it is on disk.
-All of these pass through the journal in order.
+All such changes pass through the journal in order.
 
 Sources: Temporal's activity heartbeats, which give their details to a retry; DBOS for workflow ids
 that make a call idempotent.

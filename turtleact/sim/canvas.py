@@ -78,8 +78,8 @@ class Canvas:
         """Draw a straight line; parts outside the picture are left out.
 
         Args:
-            start: Where it begins, ``x + 1j * y`` (pixels).
-            end: Where it ends. If that is where it begins, a square is drawn.
+            start: Where the line begins, ``x + 1j * y`` (pixels).
+            end: Where the line ends. If that is where it begins, a square is drawn.
             width: The width of the line (pixels), above zero.
             colour: The colour of the line.
         """

@@ -69,7 +69,7 @@ _STRAIGHT: Final = 1e-6
 _FIELDS: Final = 6
 
 THINNEST: Final = 1
-"""The actual width (pixels) of a pen whose width is given as 0."""
+"""The actual width (pixels) of a pen with the width 0."""
 
 
 class Polyline(NamedTuple):
@@ -92,8 +92,8 @@ class Drawing:
         Args:
             turtle: The number of the turtle. Its lines are joined to polylines.
             pen: The pen.
-            start: Where it begins (m).
-            end: Where it ends (m). If that is where it begins, a dot is drawn.
+            start: Where the line begins (m).
+            end: Where the line ends (m). If that is where it begins, a dot is drawn.
         """
         # Finish the fleet's unfinished lines first: they are older, and later lines cover them.
         self._end_fleet()
@@ -105,7 +105,7 @@ class Drawing:
         """Draw the straight lines of many turtles, in any order. Otherwise this works like `line`.
 
         Args:
-            pen: The pen of all of them.
+            pen: The pen of all these turtles.
             who: Array of shape (N,): the numbers of the turtles, each once.
             start: Array of shape (N,): where each line begins (m).
             end: Array of shape (N,): where it ends (m).

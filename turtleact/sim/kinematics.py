@@ -1,8 +1,8 @@
 """One step of a turtle: turn, move, stop at the walls, forget old commands.
 
-The numbers and the order of the operations are turtlesim's, so that its Poses come out to the
-last bit: y is kept as the depth below the upper edge, a Pose is rounded to float32 only when it is
-read, and half a turn is 3.14159265, as in turtlesim. `Handful` moves a few turtles in plain floats;
+The numbers and the order of the operations are turtlesim's, so that its Poses come out to the last
+bit. So y is kept as the depth below the upper edge, and half a turn is 3.14159265. A Pose is
+rounded to float32 only when it is read. `Handful` moves a few turtles in plain floats;
 `turtleact.sim.fleet` moves many as arrays. This module knows no names, no ROS and no clock: time is
 the number of a tick.
 

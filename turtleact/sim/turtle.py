@@ -96,8 +96,8 @@ class Turtle:
     Attributes:
         name: Its name.
         commands: The commands it has received but not used yet.
-        poses: Where its pose is published.
-        colours: Where the colour under it is published.
+        poses: The publisher of its pose.
+        colours: The publisher of the colour under it.
         turn: The ``rotate_absolute`` goal that is running, if there is one.
     """
 
@@ -276,7 +276,7 @@ class _Turn:
         return RotateAbsolute.Result(self._rotation.delta)
 
     def take(self) -> RotateAbsolute.Result:
-        """The result at the end; raises `Abort` if it was aborted."""
+        """Return the result at the end. Raise `Abort` if the goal was aborted."""
         if self._reason:
             raise Abort(self._reason, self.result)
         return self.result

@@ -56,8 +56,8 @@ class Turtlesim:
     """A world on a node; it ticks from its creation until it is closed.
 
     The ticks follow an absolute schedule of the node's clock, 16 ms apart, so they do not drift.
-    While the world is paused, that clock stands still, and everything that waits on the clock waits
-    longer.
+    While the world is paused, that clock stands still, and code that waits on the clock keeps
+    waiting.
 
     Args:
         node: The node that opens the topics and services. The world follows the clock of this node.

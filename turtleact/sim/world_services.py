@@ -220,7 +220,7 @@ class Ticking:
 
 
 class Simulation:
-    """The services of a world's time. They are open as long as their node.
+    """The services of a world's time. The services are open as long as their node.
 
     Args:
         node: The node that opens them.
@@ -382,7 +382,7 @@ class TakeSnapshot(Service, type_name="turtleact_interfaces/srv/TakeSnapshot"):
 
 
 class Pictures:
-    """The service that takes pictures. It is open as long as its node.
+    """The service that takes pictures. The service is open as long as its node.
 
     Args:
         node: The node that opens it.

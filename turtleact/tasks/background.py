@@ -75,10 +75,10 @@ class Background:
 
 
 async def run_in_daemon(call: Callable[[], T], name: str) -> T:
-    """Run a function that may block for ever, in a thread of its own; return what it returns.
+    """Run a function, which may block for ever, in a thread of its own. Return its result.
 
-    Cancelling: safe, the function goes on. It does not keep the program from ending, unlike one in
-    a thread of `anyio.to_thread`.
+    Cancelling: safe, the function goes on. This thread does not keep the program from ending,
+    unlike a thread of `anyio.to_thread`.
 
     Args:
         call: The function.

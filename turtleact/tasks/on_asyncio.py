@@ -22,8 +22,9 @@ __all__ = ["AsyncioSignal", "AsyncioTasks", "is_in_shielded_scope"]
 DEEPEST = 32
 """How many tasks may start inside each other's first steps.
 
-A body that starts eagerly may send a goal whose body starts eagerly, and so on. Each level takes
-about six of the 1,000 frames on Python's stack. Deeper bodies start on the loop's next turn."""
+A body that starts eagerly may send a goal, the body of that goal may also start eagerly, and so on.
+Each level takes about six of the 1,000 frames on Python's stack. Deeper bodies start on the loop's
+next turn."""
 
 
 def is_in_shielded_scope(task: object) -> bool:
@@ -116,7 +117,7 @@ class AsyncioTasks:
 
 
 class _Begun(Coroutine[object, object, None]):
-    """A coroutine whose first step runs even if its task is cancelled before that step.
+    """A coroutine that runs its first step even if its task is cancelled before that.
 
     asyncio throws the cancellation into a coroutine that has not begun. That coroutine would run no
     ``finally`` and report its end to nobody. This wrapper runs the first step anyway, so that the

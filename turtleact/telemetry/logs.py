@@ -70,10 +70,10 @@ class TextFormatter(logging.Formatter):
 class JsonFormatter(logging.Formatter):
     """Writes each record as a JSON object on one line.
 
-    Members: ``time`` (UTC, ISO 8601), ``level``, ``logger``, ``message``; in a body ``goal_id``,
-    ``action`` and ``node``; in a span of OpenTelemetry ``trace_id`` and ``span_id``; with a
-    traceback ``exception``; and whatever was given as ``extra``. An underscore is added to an extra
-    with one of these names.
+    The members are ``time`` (UTC, ISO 8601), ``level``, ``logger`` and ``message``. In a body,
+    there are also ``goal_id``, ``action`` and ``node``; in a span of OpenTelemetry, ``trace_id``
+    and ``span_id``. A traceback is in ``exception``. Values passed as ``extra`` are members, too.
+    An underscore is added to an extra with one of these names.
     """
 
     def format(self, record: logging.LogRecord) -> str:
@@ -95,7 +95,7 @@ class JsonFormatter(logging.Formatter):
 
 
 def _message(record: logging.LogRecord) -> str:
-    """The message; if its arguments do not fit, what is wrong, so that the line stays JSON."""
+    """The message. If its arguments do not fit, describe the error, so that the line stays JSON."""
     try:
         return record.getMessage()
     except Exception as error:

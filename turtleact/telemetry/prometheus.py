@@ -151,7 +151,7 @@ class Totals:
         self._lags[()].add(seconds)
 
     def text(self) -> str:
-        """All of them in Prometheus's text format."""
+        """All metrics in Prometheus's text format."""
         told = (
             _counts(GOALS, self._goals),
             _histograms(DURATION, self._durations),

@@ -249,7 +249,7 @@ class _ServerSpans(_Spans):
     Args:
         server: The server.
         tracer: Makes the spans.
-        attributes: What all of them have.
+        attributes: The attributes of all these spans.
     """
 
     def __init__(
@@ -303,7 +303,7 @@ class _ClientSpans(GoalObserver):
     Args:
         client: The client.
         tracer: Makes the spans.
-        attributes: What all of them have.
+        attributes: The attributes of all these spans.
         node: The client's node.
     """
 

@@ -66,8 +66,7 @@ class FaultyTransport:
 
     Faults happen once, on the way to a subscription opened on this transport. Nodes on the wrapped
     transport see the same graph without faults. As in every transport, messages keep their order: a
-    late message holds up the messages behind it. Messages may be lost whatever the quality of
-    service.
+    late message holds up the messages behind it. Messages may be lost with any quality of service.
 
     Close the transport, or use it as an async context manager. Messages that are on their way when
     it closes are lost.

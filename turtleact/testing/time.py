@@ -153,7 +153,7 @@ class VirtualEventLoop(WatchedEventLoop):
     def run_in_executor(
         self, executor: Executor | None, func: Callable[..., T], *args: object
     ) -> asyncio.Future[T]:
-        """Run a function in a thread. Time stands still until the function is done."""
+        """Run a function in a thread. Virtual time stands still until the function is done."""
         job = super().run_in_executor(executor, func, *args)
         self._jobs += 1
         job.add_done_callback(self._end_job)
@@ -222,7 +222,7 @@ class _Hold:
         self._patience = patience
 
     def after_task_step(self, task: trio.lowlevel.Task) -> None:  # noqa: ARG002  # trio passes it
-        """Check what is under way."""
+        """Check whether something real is under way, and set the time to wait."""
         threshold = 0.0
         if self._trio.to_thread.current_default_thread_limiter().borrowed_tokens:
             threshold = math.inf

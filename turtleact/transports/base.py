@@ -242,7 +242,7 @@ class Owner(Protocol):
     """Owns everything that is opened on it, as a node does. Closing the owner closes everything.
 
     Attributes:
-        home: The event loop in which the owner, and what is opened on it, must be used.
+        home: The event loop for the owner and for everything that is opened on it.
     """
 
     home: Home
@@ -537,7 +537,7 @@ class Lazy(Protocol):
         once.
 
         Returns:
-            The object that closes what was opened, and stops waiting.
+            An object that closes the opened thing, or stops waiting.
         """
 
 

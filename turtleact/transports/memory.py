@@ -145,7 +145,7 @@ class MemoryTransport:
         return tuple(offer.handler for offer in self._handlers.get((name, type_name), ()))
 
     def handlers(self, name: str) -> list[object]:
-        """The handlers of all services with that name, whatever their type."""
+        """The handlers of all services with that name, of any type."""
         return [
             offer.handler
             for key, offers in self._handlers.items()

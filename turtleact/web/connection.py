@@ -45,7 +45,7 @@ SLOWEST: Final = 2**16
 """The time to send the previous frame at this rate (bytes/s) is added to `PATIENCE`."""
 
 GONE: Final = (OSError, WebSocketDisconnect, RuntimeError)
-"""The exceptions of sending to a client that has gone. They differ between servers."""
+"""The exceptions of sending to a client that has gone. These exceptions differ between servers."""
 
 GOING_AWAY: Final = 1001
 TRY_AGAIN_LATER: Final = 1013

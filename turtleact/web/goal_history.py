@@ -63,7 +63,7 @@ class GoalRecord:
         action: The name of its action.
         type: The full name of the action's type.
         accepted: When it was accepted.
-        at: When it was accepted, as a time of day (s since the epoch).
+        at: When the goal was accepted, as a time of day (s since the epoch).
         status: The name of its status, or `REJECTED`.
         request: The goal message, shortened; None if nobody in this process knows it.
         result: Its result, shortened; None before its end.

@@ -222,7 +222,7 @@ class Malformed(msgspec.Struct, frozen=True):
     """A frame that rosbridge cannot understand.
 
     Attributes:
-        problem: What is wrong with it.
+        problem: What is wrong with the frame.
         id: Its id, if it has one.
     """
 

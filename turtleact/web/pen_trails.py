@@ -131,7 +131,7 @@ class _Line:
 
     @property
     def is_drawn(self) -> bool:
-        """Whether the line's turtle is there."""
+        """Whether the line's turtle still exists."""
         return self._here is not None
 
     def follow(self, there: tuple[float, float], revise: Callable[[], int]) -> None:

@@ -59,7 +59,7 @@ PORT: Final = 9090
 """rosbridge's own port."""
 
 ROOM: Final = 50
-"""Additional connections for requests of the page when `Limits.connections` clients are there."""
+"""Additional connections for the page when `Limits.connections` clients are connected."""
 
 READ_AHEAD: Final = 2**14
 """How much a client may send ahead (bytes). Other clients wait while this is processed."""
@@ -165,7 +165,7 @@ async def open_web(
 
 
 class Config(http_server.Config):
-    """uvicorn's configuration. Its protocols find the budget and the refusals of the app here.
+    """uvicorn's configuration, with the budget and the refusals of the app for its protocols.
 
     Args:
         app: The app.

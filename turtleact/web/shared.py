@@ -107,7 +107,7 @@ class Limits(msgspec.Struct, frozen=True):
 
 
 class Shared:
-    """What the connections share.
+    """The objects that the connections share.
 
     Args:
         node: The node that is served.

@@ -452,7 +452,7 @@ class Watch:
 
 
 class _Action:
-    """An action whose goals are watched.
+    """An action with goals that are watched.
 
     Args:
         node: The node that subscribes to its status.

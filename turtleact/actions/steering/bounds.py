@@ -149,7 +149,7 @@ def rising_times(
 ) -> Iterator[float]:
     """Yield lower bounds (s) of the duration; the greatest is the `shortest_time`.
 
-    At most a few milliseconds pass between two of them, so that the caller can let others run.
+    At most a few milliseconds pass between two bounds, so that the caller can let other tasks run.
     Yields nothing without targets.
     """
     if not targets:

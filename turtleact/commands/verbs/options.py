@@ -217,7 +217,7 @@ NoStrings: TypeAlias = Annotated[
 
 
 def reach(connect: str | None = None, domain: int = 0, config: Path | None = None) -> Reach:
-    """The graph that these options select; raises as `Reach.of` does."""
+    """Return the graph that these options select. The errors are those of `Reach.of`."""
     return Reach.of(connect, domain, None if config is None else str(config))
 
 

@@ -104,8 +104,8 @@ class Reader:
     Attributes:
         source: The code so far.
         pending: The run that is not read yet.
-        place: Where it starts; None if only the variable ``p`` has it.
-        places: Where it may start in that case.
+        place: Where the run starts; None if only the variable ``p`` knows that.
+        places: Where the run may start in that case.
     """
 
     def __init__(self, signature: str, order: str, arrays: str, *, place: int | None) -> None:

@@ -95,7 +95,7 @@ class Writer:
     Attributes:
         source: The code so far.
         pending: The run that is not written yet.
-        places: Where it may start.
+        places: Where the run may start.
         pieces: The expressions for the bytes so far, until the code has made ``out``.
         is_begun: Whether the code has made ``out``, which holds the bytes so far.
         is_strict: Whether to accept only values of exactly the expected Python type.

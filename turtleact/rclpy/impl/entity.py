@@ -97,7 +97,7 @@ class Block:
 
 
 class Destroyable(Block):
-    """Something that can be destroyed; a context manager that does so at its end."""
+    """An object that can be destroyed. As a context manager, it destroys itself at the end."""
 
     def destroy(self) -> None:
         """Destroy the object. A second call does nothing."""

@@ -1,7 +1,7 @@
 """Loggers: their severities, their filters, and their output.
 
-A call site is a place in the source code. It may log only once, skip its first message, or stay
-silent for some seconds. It must use the same options in each call.
+A call site is a place in the source code. A call site may log only once, skip its first message, or
+stay silent for some seconds. A call site must use the same options in each call.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Builds the configuration of a Zenoh session, and explains why a session cannot be opened.
 
 A ``peer`` finds other peers through a router and then talks with them directly, like a ROS 2 node.
-A ``client`` talks only through its router. The ``router`` is what the nodes of a machine look for.
+A ``client`` talks only through its router. The nodes of a machine look for the ``router``.
 
 Source: ``DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`` of rmw_zenoh; Zenoh's ``DEFAULT_CONFIG.json5``.
 """

@@ -89,7 +89,7 @@ class Graph:
     """The nodes and endpoints of all other sessions, in the order they appeared.
 
     Args:
-        zid: The id of our own session, whose tokens are ignored.
+        zid: The id of our own session. Its tokens are ignored.
 
     Attributes:
         tokens: The meaning of each token, by its key.

@@ -77,9 +77,9 @@ class WireService:
         is_for_others: Whether the handlers also answer other processes.
 
     Attributes:
-        context: As given.
+        context: The argument ``context``.
         name: The name of the service.
-        format: As given.
+        format: The argument ``format``.
         under_way: The requests that have not been answered, by gid and sequence number.
         is_open: Whether it accepts requests and more handlers.
     """
@@ -136,7 +136,7 @@ class WireService:
         self.leave_if_idle()
 
     def leave_if_idle(self) -> None:
-        """Once it is closed and no request is under way, leave the list of what is open."""
+        """If the service is closed and no request is under way, leave the list of open services."""
         if not (self.is_open or self.under_way):
             self.context.opened.discard(self)
 
@@ -256,7 +256,7 @@ class _Request(msgspec.Struct, eq=False):
             return True
 
     async def _answer(self, message: object) -> None:
-        """Answer it; raises only cancellations."""
+        """Answer the request. This raises only cancellations."""
         service, handler = self.service, self.offer.handler
         try:
             assert handler is not None  # noqa: S101  # otherwise it would not be chosen

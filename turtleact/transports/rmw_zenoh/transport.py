@@ -405,8 +405,8 @@ async def open_zenoh(
             ``tcp/localhost:7447``; a router connects to none.
         listen: The endpoints at which others can connect to this session. The default for a peer is
             a free port of this machine, for a router ``tcp/127.0.0.1:7447``, and for a client none.
-        mode: ``"peer"`` joins like a ROS 2 node. ``"client"`` talks only through its router.
-            ``"router"`` is what the ROS 2 nodes of this machine look for.
+        mode: ``"peer"`` joins like a ROS 2 node. ``"client"`` talks only through its router. The
+            ROS 2 nodes of this machine look for a ``"router"``.
         domain: The ROS domain, 0 to 232. The default is that of ``ROS_DOMAIN_ID``, or 0.
         config: More of Zenoh's configuration: a mapping from paths (``"transport/link/tx/lease"``)
             to values, or the text of a JSON5 file, such as those that configure ROS 2. The other
