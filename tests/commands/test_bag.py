@@ -278,6 +278,17 @@ def test_a_bag_is_played(on_graph, goals):
     assert ran.err.endswith("turtleact: played 1 message\n")
 
 
+def test_the_clock_and_the_quality_of_service_are_played_as_told(on_graph, goals, tmp_path):
+    overrides = tmp_path / "qos.yaml"
+    overrides.write_text("/said: {reliability: best_effort}\n")
+    line = ["bag", "play", goals, "--topics", "/said", "--clock", "--rate", "max"]
+    ran = on_graph(talking, *line, "--qos-profile-overrides-path", str(overrides))
+    assert (ran.status, ran.err.splitlines()[-1]) == (0, "turtleact: played 1 message")
+    ran = on_graph(talking, *line, "--qos-profile-overrides-path", str(tmp_path / "none.yaml"))
+    assert ran.status == 2
+    assert "none.yaml' cannot be read: No such file" in ran.err
+
+
 def test_goals_are_sent_again(on_graph, goals):
     line = ["bag", "play", goals, "--actions", "/fibonacci", "--send-actions-as-client"]
     ran = on_graph(counting, *line, "--delay", "3", "--disable-keyboard-controls")
@@ -304,6 +315,7 @@ def test_what_cannot_be_played_is_said(on_graph, tmp_path):
     [
         (["--rate", "fast"], "--rate takes a factor above zero or max, not 'fast'"),
         (["--rate", "0"], "--rate takes a factor above zero or max, not '0'"),
+        (["--clock", "0"], "Invalid value for '--clock': '0' is not a rate in Hz above zero"),
         (["--remap", "/a"], "--remap takes rules such as /old:=/new, not '/a'"),
     ],
 )

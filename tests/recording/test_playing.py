@@ -10,12 +10,13 @@ import anyio.lowlevel
 import pytest
 
 import turtleact
-from turtleact import InvalidOption, TurtleactError, open_node, recording
+from turtleact import InvalidOption, QoS, TurtleactError, open_node, recording
 from turtleact.app import open_world
 from turtleact.clock import VirtualClock
-from turtleact.interfaces import encode, int32
+from turtleact.interfaces import encode, int32, nanoseconds
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import TurtlePose, Twist, Vector3
+from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
 from turtleact.interfaces.standard.std_msgs.msg import String
 from turtleact.interfaces.types import REGISTRY
 from turtleact.recording import BagError, Selection
@@ -98,6 +99,33 @@ async def test_a_loop_starts_over(node, tmp_path):
                 await node.clock.sleep(0.1)
             scope.cancel()
     assert len(found) >= 5
+
+
+@pytest.mark.parametrize(
+    ("rate", "expected"), [(1, [0, 0.25, 0.5, 0.75]), (2, [0, 0.5]), ("max", [0])]
+)
+async def test_the_time_in_the_bag_is_published(node, tmp_path, rate, expected):
+    path, told = write(tmp_path / "run", 0, 0.9), []
+    node.subscription(Clock, "/clock").taker = lambda message: told.append(message.clock)
+    await recording.play(node, path, rate=rate, clock=4)
+    assert [(nanoseconds(each) - START) / 1e9 for each in told] == expected
+
+
+async def test_the_times_that_a_bag_has_are_not_published_beside_those_of_the_player(
+    node, tmp_path
+):
+    path = write(tmp_path / "run", 0, 1, topic="/clock")
+    assert (await recording.play(node, path, rate="max", clock=4)).messages == 0
+
+
+async def test_the_quality_of_service_of_topics_can_be_chosen(node, tmp_path):
+    path, seen = write(tmp_path / "run", 0, 1), list[QoS]()
+    node.subscription(String, "/said").taker = lambda _: seen.extend(
+        each.qos for each in node.transport.endpoints("/said") if each.kind == "publisher"
+    )
+    wanted = QoS(depth=3, reliability="best_effort")
+    await recording.play(node, path, rate="max", qos={"/said": wanted})
+    assert seen == [wanted, wanted]
 
 
 async def test_a_loop_over_nothing_ends(node, tmp_path):

@@ -7,12 +7,14 @@ import turtleact
 from turtleact import TurtleactError, open_node, recording
 from turtleact.app import open_world
 from turtleact.clock import VirtualClock
+from turtleact.errors import UsageError
 from turtleact.interfaces import WireFormat, encode
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import TurtlePose
 from turtleact.interfaces.standard.std_msgs.msg import String
 from turtleact.recording import BagError, Selection
 from turtleact.recording.bag_writer import BagWriter
+from turtleact.recording.metadata import read_qos_overrides
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport, QoS
 from turtleact.transports.base import STATUS_QOS, Endpoint, RawFormat
@@ -234,6 +236,43 @@ async def test_a_topic_that_cannot_be_recorded_is_named_and_the_others_are_recor
         assert run.unrecorded == {"/odd": "no room"}
         assert run.count == 1
     assert caplog.text.count("topic /odd cannot be recorded: no room") == 1
+
+
+async def test_the_quality_of_service_to_ask_for_can_be_chosen(node, tmp_path):
+    node.publisher(String, "/said")
+    wanted = QoS(depth=3, reliability="best_effort")
+    async with recording.record(node, tmp_path / "run", topics=["/said"], qos={"/said": wanted}):
+        ends = node.transport.endpoints("/said")
+        assert [each.qos for each in ends if each.kind == "subscription"] == [wanted]
+
+
+def test_a_file_with_overrides_is_read_as_ros2_bag_does(tmp_path):
+    path = tmp_path / "qos.yaml"
+    path.write_text(
+        "/map: {durability: transient_local, depth: 1, history: keep_last}\n"
+        "/scan: {reliability: best_effort, deadline: {sec: 1, nsec: 0}}\n"
+    )
+    assert read_qos_overrides(path) == {
+        "/map": QoS(depth=1, durability="transient_local"),
+        "/scan": QoS(reliability="best_effort"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("a: [", "is not YAML"),
+        ("- /map", "must have names of topics"),
+        ("/map: 1", "must have names of topics"),
+        ("/map: {deph: 1}", "/map: no policy is called 'deph', only history, depth,"),
+        ("/map: {reliability: good}", "reliability: expected reliable or best_effort or"),
+    ],
+)
+def test_a_file_with_other_overrides_is_refused(tmp_path, text, problem):
+    path = tmp_path / "qos.yaml"
+    path.write_text(text)
+    with pytest.raises(UsageError, match=problem):
+        read_qos_overrides(path)
 
 
 def test_a_raw_format_leaves_bytes_alone():

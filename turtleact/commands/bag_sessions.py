@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from turtleact.commands import graph, runner
 from turtleact.commands.output import counted, duration, note, say
 from turtleact.recording import Bag, Played, Recording, Selection, play, record
+from turtleact.recording.metadata import read_qos_overrides
 from turtleact.recording.spool import CAPACITY
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ class RecordOrder(NamedTuple):
         max_duration: When to begin another file (s); 0 for never.
         capacity: How many bytes may wait to be written; 0 for the default.
         compression: How chunks are compressed.
+        overrides: The file with the quality of service of topics.
     """
 
     path: Path
@@ -50,6 +52,7 @@ class RecordOrder(NamedTuple):
     max_duration: float
     capacity: int
     compression: Compression
+    overrides: Path | None = None
 
 
 def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> int:
@@ -63,6 +66,7 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
     """
     interrupts.patience = PATIENCE
     recorded: list[Recording] = []
+    qos = {} if order.overrides is None else read_qos_overrides(order.overrides)
 
     async def record_on(node: Node) -> int:
         try:
@@ -74,6 +78,7 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
                 max_duration=order.max_duration,
                 compression=order.compression,
                 capacity=order.capacity or CAPACITY,
+                qos=qos,
             ) as recording:
                 recorded.append(recording)
                 note(f"recording to {order.path}; Ctrl-C ends it")
@@ -106,11 +111,13 @@ class PlayOrder(NamedTuple):
         path: The bag.
         options: The options of `turtleact.recording.play`.
         delay: How long to wait before playing (s).
+        overrides: The file with the quality of service of topics.
     """
 
     path: Path
     options: PlayOptions
     delay: float
+    overrides: Path | None = None
 
 
 def play_bag(reach: Reach, order: PlayOrder, interrupts: Interrupts) -> int:
@@ -122,12 +129,14 @@ def play_bag(reach: Reach, order: PlayOrder, interrupts: Interrupts) -> int:
     """
     bag = Bag(order.path)
     bag.close()
+    qos = {} if order.overrides is None else read_qos_overrides(order.overrides)
 
     async def play_on(node: Node) -> int:
         length = duration(bag.info.duration / 1e9)
         note(f"playing {order.path}: {counted(bag.info.count, 'message')} of {length}")
         await node.clock.sleep(order.delay)
-        return _sum_up_playing(await play(node, order.path, **order.options))
+        options: PlayOptions = {**order.options, "qos": qos}
+        return _sum_up_playing(await play(node, order.path, **options))
 
     return graph.run(reach, play_on, interrupts)
 

@@ -16,7 +16,7 @@ from typing import Any, Final, cast
 import msgspec
 import yaml
 
-from turtleact.errors import TurtleactError
+from turtleact.errors import TurtleactError, UsageError
 from turtleact.transports.base import QoS, TimePolicies
 
 __all__ = [
@@ -31,6 +31,7 @@ __all__ = [
     "offers_text",
     "read_info",
     "read_offers",
+    "read_qos_overrides",
     "read_yaml",
     "span",
     "write_info",
@@ -207,6 +208,49 @@ def read_offers(given: object) -> tuple[Offer, ...]:
     entries = given if isinstance(given, list) else []
     return tuple(_read_offer(each) for each in entries if isinstance(each, dict))
 
+
+def read_qos_overrides(path: Path) -> dict[str, QoS]:
+    """Read the file of ``--qos-profile-overrides-path``: the quality of service of topics by name.
+
+    It has the form that ``ros2 bag`` reads. The policies in time, such as ``deadline``, are
+    accepted and have no effect, because turtleact enforces none.
+
+    Raises:
+        UsageError: if the file cannot be read, or is not of that form.
+    """
+    try:
+        given = read_yaml(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"'{path}' cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise UsageError(f"'{path}' is not YAML: {error}") from error
+    if not isinstance(given, dict) or not all(isinstance(each, dict) for each in given.values()):
+        raise UsageError(f"'{path}' must have names of topics, each with policies below it")
+    for topic, policies in given.items():
+        for policy, value in policies.items():
+            words = _POLICIES.get(policy)
+            if words is None:
+                known = ", ".join(_POLICIES)
+                raise UsageError(f"'{path}': {topic}: no policy is called '{policy}', only {known}")
+            if words and value not in words:
+                expected = " or ".join(words)
+                problem = f"expected {expected}, not {value!r}"
+                raise UsageError(f"'{path}': {topic}: {policy}: {problem}")
+    return {topic: _read_offer(policies).qos for topic, policies in given.items()}
+
+
+_POLICIES: Final[dict[str, tuple[str, ...]]] = {
+    "history": ("keep_last", "keep_all", "system_default"),
+    "depth": (),
+    "reliability": ("reliable", "best_effort", "system_default"),
+    "durability": ("volatile", "transient_local", "system_default"),
+    "deadline": (),
+    "lifespan": (),
+    "liveliness": (),
+    "liveliness_lease_duration": (),
+    "avoid_ros_namespace_conventions": (),
+}
+"""The policies of a file with overrides, with their values if turtleact checks them."""
 
 _LOADER: Final[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 

@@ -29,7 +29,8 @@ from turtleact.clock import WallClock
 from turtleact.errors import InvalidInterface, InvalidOption, TurtleactError, UnknownInterface
 from turtleact.goal import GoalStatus
 from turtleact.graph import SEND_GOAL
-from turtleact.interfaces import Message, WireFormat, get_action, type_hash
+from turtleact.interfaces import Message, WireFormat, get_action, stamp_of, type_hash
+from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
 from turtleact.names import resolve_name
 from turtleact.node import Node
 from turtleact.recording.bag import Bag, Reading, Recorded, reader_of
@@ -37,7 +38,7 @@ from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import EVERYTHING, REQUESTS, Selection, owner_of, part_of
 from turtleact.recording.storage import Channel, Range
-from turtleact.tasks import current_tasks, thread_work
+from turtleact.tasks import Background, current_tasks, thread_work
 from turtleact.transports.base import Endpoint, Publication, QoS, RawFormat
 
 __all__ = ["PlayOptions", "Played", "play"]
@@ -50,6 +51,9 @@ PATIENCE: Final = 2.0
 
 TURN: Final = 32
 """After this many messages without a pause, other tasks get a turn."""
+
+CLOCK: Final = "/clock"
+"""The topic with the time, for nodes with ``use_sim_time``."""
 
 Sender = Literal["service", "client"]
 
@@ -65,6 +69,8 @@ class PlayOptions(TypedDict, total=False):
     selection: Selection
     remap: Mapping[str, str]
     send_goals: bool
+    clock: float
+    qos: Mapping[str, QoS]
 
 
 class Played(msgspec.Struct):
@@ -97,7 +103,9 @@ async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> 
             played. ``selection`` is a `Selection`, which replaces ``topics``. ``remap`` gives
             topics and actions other names. With ``send_goals``, a client sends the recorded goals
             and cancel requests and waits for the goals' ends; the topics of actions are then not
-            published.
+            published. With ``clock``, the time in the bag is published on ``/clock`` that many
+            times a second. ``qos`` is the quality of service to offer, by topic; other topics keep
+            that of the bag.
 
     Raises:
         BagError: if there is no bag, or a place in it is damaged.
@@ -155,12 +163,22 @@ class _Player:
         self._outlets: dict[str, Callable[[bytes], None]] = {}
         self._publications: dict[str, Publication] = {}
         self._goals: _GoalSender | None = None
+        self._frequency = options.get("clock", 0.0)
+        self._qos = options.get("qos", {})
+        self._clock: Publication | None = None
 
     def prepare(self, tasks: anyio.abc.TaskGroup) -> None:
         """Open the publishers and clients that the bag needs."""
         if self._sends_goals:
             self._goals = _GoalSender(self._node, tasks, self._remap, self.played)
+        if self._frequency:
+            endpoint = self._endpoint(
+                CLOCK, Clock.type_name, QoS(depth=1, reliability="best_effort")
+            )
+            self._clock = self._node.transport.advertise(endpoint, WireFormat(Clock))
         for channel in self._bag.channels():
+            if self._clock is not None and self._name(channel.topic) == CLOCK:
+                continue
             if self._selection.wants(channel.topic, channel.schema.name):
                 if self._goals is None or part_of(channel.topic).owner != "action":
                     self._open(channel)
@@ -169,6 +187,8 @@ class _Player:
 
     async def aclose(self) -> None:
         """Close all publishers and clients."""
+        if self._clock is not None:
+            self._clock.close()
         for each in self._publications.values():
             each.close()
         if self._goals is not None:
@@ -194,13 +214,25 @@ class _Player:
 
     async def run(self, rate: float | None) -> None:
         """Play the bag once. Without a rate, wait for nothing."""
-        clock = self._node.clock
         if self._goals is not None:
             self._goals.start_over()
-        begun, count = clock.time(), 0
+        begun = self._node.clock.time()
+        self._reached = self._start
+        ticking: Background | None = None
+        if self._clock is not None:
+            ticking = Background(self._tick(begun, rate), f"the clock of {self._bag.path}")
+        try:
+            await self._play_all(begun, rate)
+        finally:
+            if ticking is not None:
+                await ticking.aclose()
+
+    async def _play_all(self, begun: float, rate: float | None) -> None:
+        clock, count = self._node.clock, 0
         async with aclosing(self._messages()) as batches:
             async for message, nudge in batches:
                 count += 1
+                self._reached = message.stamp
                 if rate is not None:
                     offset = message.stamp - self._start + nudge
                     due = begun + offset / 1e9 / rate
@@ -209,6 +241,16 @@ class _Player:
                 if not count % TURN:
                     await current_tasks().checkpoint()
                 await self._play(message)
+
+    async def _tick(self, begun: float, rate: float | None) -> None:
+        """Publish the time in the bag, until cancelled. Without a rate, it is that of a message."""
+        clock = self._node.clock
+        while self._clock is not None:
+            stamp = self._reached
+            if rate is not None:
+                stamp = self._start + round((clock.time() - begun) * rate * 1e9)
+            self._clock.publish(Clock(stamp_of(stamp)))
+            await clock.sleep(1 / self._frequency)
 
     async def _messages(self) -> AsyncGenerator[tuple[Recorded, int]]:
         """Yield the messages to play, each with its shift from its stamp (ns)."""
@@ -265,13 +307,8 @@ class _Player:
         if channel.format != "cdr" or not hash_of:
             self.played.skipped[channel.topic] = f"its type {channel.schema.name} is not known"
             return
-        endpoint = Endpoint(
-            "publisher",
-            self._name(channel.topic),
-            channel.schema.name,
-            self._node.fully_qualified_name,
-            _offered(channel.offers),
-        )
+        qos = self._qos.get(channel.topic) or _offered(channel.offers)
+        endpoint = self._endpoint(self._name(channel.topic), channel.schema.name, qos)
         encode = None if cls is None else WireFormat(cls).encode
         publication = self._node.transport.advertise(endpoint, RawFormat(hash_of, encode))
         self._publications[channel.topic] = publication
@@ -285,6 +322,9 @@ class _Player:
                 publication.publish(message)
 
         self._outlets[channel.topic] = publish
+
+    def _endpoint(self, topic: str, type_name: str, qos: QoS) -> Endpoint:
+        return Endpoint("publisher", topic, type_name, self._node.fully_qualified_name, qos)
 
     def _name(self, topic: str) -> str:
         return self._remap.get(topic, topic)

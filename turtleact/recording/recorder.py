@@ -8,7 +8,7 @@ introspection, so a recording may lack goals and results; `turtleact bag info` s
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncIterator, Collection, Iterable
+from collections.abc import AsyncIterator, Collection, Iterable, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
@@ -52,6 +52,7 @@ class RecordOptions(TypedDict, total=False):
     max_duration: float
     compression: Compression
     capacity: int
+    qos: Mapping[str, QoS]
 
 
 class _Key(NamedTuple):
@@ -74,13 +75,21 @@ class Recording:
         unrecorded: Why topics cannot be recorded, by topic.
     """
 
-    def __init__(self, node: Node, path: Path, selection: Selection, spool: Spool) -> None:
+    def __init__(
+        self,
+        node: Node,
+        path: Path,
+        selection: Selection,
+        spool: Spool,
+        qos: Mapping[str, QoS],
+    ) -> None:
         self.path = path
         self.topics: list[str] = []
         self.unrecorded: dict[str, str] = {}
         self._node = node
         self._selection = selection
         self._spool = spool
+        self._qos = qos
         self._subscriptions: dict[_Key, Closeable] = {}
         self._failed: set[_Key] = set()
         self._changed = current_tasks().signal()
@@ -239,7 +248,7 @@ class Recording:
         def deliver(message: object) -> None:
             put(number, now(), message)
 
-        qos = _request(publishers)
+        qos = self._qos.get(key.topic) or _request(publishers)
         endpoint = Endpoint(
             "subscription", key.topic, key.type_name, self._node.fully_qualified_name, qos
         )
@@ -266,7 +275,8 @@ async def record(
             everything that is not hidden is recorded. ``selection`` is a `Selection`, which
             replaces these three. A file that has reached ``max_size`` (bytes) or ``max_duration``
             (s) is followed by another. ``compression`` is "none", "zstd_fast" or "zstd_small". At
-            most ``capacity`` bytes wait to be written.
+            most ``capacity`` bytes wait to be written. ``qos`` is the quality of service to ask
+            for, by topic; for other topics, it follows from their publishers.
 
     Raises:
         BagError: if the folder or file exists or cannot be created. If the disk was full, the error
@@ -292,7 +302,7 @@ async def record(
         capacity=options.get("capacity", CAPACITY),
         is_patient=not isinstance(node.clock, WallClock),
     )
-    recording = Recording(node, Path(path), selection, spool)
+    recording = Recording(node, Path(path), selection, spool, options.get("qos", {}))
     ended.append(recording)
     spool.start()
     try:

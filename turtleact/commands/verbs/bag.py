@@ -40,6 +40,9 @@ SHORT = {
 }
 """Other names of options."""
 
+FREQUENCY = "40"
+"""How often ``--clock`` publishes (Hz), as in ``ros2 bag play``."""
+
 WHAT = "What is taken"
 FILES = "Files"
 PLAYING = "Playing"
@@ -53,7 +56,7 @@ class ManyVerb(Verb):
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
         """Read the arguments. An option is repeated before each of its values."""
         many = {name for each in self.params if _is_list(each) for name in each.opts}
-        args = [SHORT.get(each, each) for each in args]
+        args = [SHORT.get(each, each) for each in _with_frequency(args)]
         for option, following in pairwise([*args, "--"]):
             if option in many and following.startswith("-"):
                 ctx.fail(f"Option '{option}' requires an argument.")
@@ -79,6 +82,20 @@ def _repeated(args: Sequence[str], many: set[str]) -> list[str]:
                 found.append(arg)
         else:
             found += [option, arg] if option else [arg]
+    return found
+
+
+def _with_frequency(args: Sequence[str]) -> list[str]:
+    """Give ``--clock`` the frequency that ``ros2 bag play`` takes if none follows.
+
+    >>> _with_frequency(["run", "--clock", "--loop"])
+    ['run', '--clock', '40', '--loop']
+    """
+    found: list[str] = []
+    for arg, following in pairwise([*args, ""]):
+        found.append(arg)
+        if arg == "--clock" and not following[:1].isdigit():
+            found.append(FREQUENCY)
     return found
 
 
@@ -211,6 +228,14 @@ PresetProfile: TypeAlias = Annotated[
         rich_help_panel=FILES,
     ),
 ]
+Overrides: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        "--qos-profile-overrides-path",
+        metavar="FILE",
+        help="Quality of service by topic, in a YAML file of 'ros2 bag'.",
+    ),
+]
 Ignored: TypeAlias = Annotated[
     bool, typer.Option("--disable-keyboard-controls", hidden=True, help="For scripts of ros2.")
 ]
@@ -276,6 +301,17 @@ SendGoals: TypeAlias = Annotated[
         panel=PLAYING,
     ),
 ]
+ClockFrequency: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        "--clock",
+        metavar="[HZ]",
+        parser=hertz,
+        help="Publish the time in the bag on /clock, 40 times a second.",
+        rich_help_panel=PLAYING,
+        show_default=False,
+    ),
+]
 Action: TypeAlias = Annotated[
     str | None,
     typer.Argument(metavar="ACTION", help="Only goals of this action.", show_default=False),
@@ -330,6 +366,7 @@ def record(
     cache: CacheSize = 100 * 1024 * 1024,
     storage: Storage = None,  # noqa: ARG001  # there is one
     preset: PresetProfile = "none",
+    overrides: Overrides = None,
     keyboard: Ignored = False,  # noqa: ARG001  # there are none
     interfaces: Interfaces = None,
     connect: Connect = None,
@@ -355,7 +392,8 @@ def record(
     left_out = [*(exclude_topics or ()), *(exclude_services or ()), *(exclude_actions or ())]
     named |= {"exclude": left_out, "exclude_types": exclude_types, "exclude_regex": exclude_regex}
     path = output or Path(time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S"))
-    files = path, max_size, max_duration, cache, "none" if preset == "fastwrite" else preset
+    compression = "none" if preset == "fastwrite" else preset
+    files = path, max_size, max_duration, cache, compression, overrides
     return _recording(
         reach(connect, domain, config), interfaces, {**named, "hidden": hidden}, files
     )
@@ -417,6 +455,8 @@ def play(
     delay: Delay = 0,
     remap: Remap = None,
     send_goals: SendGoals = False,
+    clock: ClockFrequency = None,
+    overrides: Overrides = None,
     storage: ReadStorage = None,  # noqa: ARG001  # the file tells
     keyboard: Ignored = False,  # noqa: ARG001  # there are none
     interfaces: Interfaces = None,
@@ -442,6 +482,7 @@ def play(
         "duration": duration,
         "send_goals": send_goals,
         "remap": dict(map(_renamed, remap or ())),
+        "clock": clock or 0.0,
     }
     where = reach(connect, domain, config)
 
@@ -450,7 +491,8 @@ def play(
 
         sessions = _work("bag_sessions")
         make_known(folder(interfaces))
-        order = sessions.PlayOrder(bag, {**options, "selection": _selection(**named)}, delay)
+        taken = {**options, "selection": _selection(**named)}
+        order = sessions.PlayOrder(bag, taken, delay, overrides)
         status: int = sessions.play_bag(where, order, interrupts)
         return status
 
