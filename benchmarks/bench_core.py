@@ -12,7 +12,7 @@ garbage collector is off during measurements, which hides the cost of reference 
 the line below each table tells how many objects a goal leaves to the collector.
 
 A goal has one public reader, its sender. The other readers of the fan-out are handles made by hand
-for the first one's goal. "One by one" means that each message is read before the next is published.
+for the sender's goal. "One by one" means that each message is read before the next is published.
 """
 
 from __future__ import annotations

@@ -287,10 +287,10 @@ class BackgroundDeclaration(Generic[H]):
 def background(run: Callable[[H], Coroutine[Any, Any, object]]) -> BackgroundDeclaration[H]:
     """Run the ``async def`` below in the background while ``turtleact serve`` serves its module.
 
-    The function is called with the node once the module's actions are served. It is cancelled at a
-    reload, and also when the server ends, before the goals end. If the function raises an
-    exception, that is logged, and the server goes on. Without ``turtleact serve``, start such a
-    task yourself.
+    The function is called with the node once the module's actions are served. The function is
+    cancelled at a reload, and also when the server ends, before the goals end. If the function
+    raises an exception, that is logged, and the server goes on. Without ``turtleact serve``, start
+    such a task yourself.
 
     Raises:
         InvalidOption: if the function is no coroutine function with one parameter.

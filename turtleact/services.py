@@ -341,7 +341,10 @@ class ServiceClient(Generic[Req, Res]):
         return await wait_until_served(self._transport, self._find, timeout)
 
     async def aclose(self) -> None:
-        """Leave the graph as soon as all calls under way have ended. They are not cancelled."""
+        """Leave the graph as soon as all calls under way have ended.
+
+        Such calls are not cancelled.
+        """
         self._membership.close()
         if self._caller.observer is not None:
             self._caller.observer.close()

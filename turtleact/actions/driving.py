@@ -527,7 +527,10 @@ class Turtles:
             self._drives[goal.goal_id].release()
 
     def _topic(self, turtle: str) -> str:
-        """The full name of a turtle's pose topic. It is the same for all names of the turtle."""
+        """The full name of a turtle's pose topic.
+
+        The topic is the same for all names of the turtle.
+        """
         poses, _ = self._robot.topics(turtle)
         return resolve_name(poses, self._node.namespace, self._node.name)
 

@@ -77,7 +77,7 @@ MOST_SHOWN = 10
 
 @asynccontextmanager
 async def open_transport(reach: Reach, mode: Mode | None = None) -> AsyncIterator[Transport]:
-    """Open the graph of other processes. It has been explored when the block begins.
+    """Open the graph of other processes. The graph has been explored when the block begins.
 
     Args:
         reach: The graph to open.
@@ -243,7 +243,7 @@ def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str
     """Print a note on nodes that do not hear each other because their definitions of a type differ.
 
     Args:
-        node: The node that looks. It is not compared.
+        node: The node that looks. Its own definitions are not compared.
         endpoints: The endpoints to compare.
         known: Type hashes of this process that are compared too, by type name.
     """
@@ -271,7 +271,7 @@ async def note_empty(transport: Transport, reach: Reach) -> None:
 
 
 async def none_in_domain(transport: Transport, reach: Reach, what: str = "nodes") -> str:
-    """Return the text for a domain that lacks something. It names domains that have nodes.
+    """Return the text for a domain that lacks something. The text names domains that have nodes.
 
     Args:
         transport: The graph.
@@ -300,7 +300,7 @@ def world_started(why: str = "") -> str:
 
 
 def not_served(name: str, served: Iterable[str], where: str = "in reach") -> ServerUnavailable:
-    """The error for an action that nobody serves. It names the actions that are served.
+    """The error for an action that nobody serves. The error names the actions that are served.
 
     Args:
         name: The full name of the action.

@@ -520,7 +520,7 @@ def _as_json(node: Node, goal: HeldGoal, now: int) -> str:
 
 
 def _clients(node: Node, action: str) -> list[str]:
-    """The nodes that may have sent a goal. ROS 2 does not say which of them sent it."""
+    """The nodes that may have sent a goal. ROS 2 does not say which client sent it."""
     service = action_names(action).send_goal
     return sorted(
         {

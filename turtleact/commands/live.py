@@ -6,8 +6,8 @@ above the result.
 
 `Dashboard` shows a running ``serve``: the world, the goals and the log.
 
-The displays only observe. The goals, their bodies and the world know nothing of them, and never
-wait for the terminal.
+The displays only observe. The goals, their bodies and the world know nothing of the displays, and
+never wait for the terminal.
 """
 
 from __future__ import annotations
@@ -322,7 +322,7 @@ class Dashboard:
         self._has_said.set()
 
     def retell(self, subject: str, text: str) -> None:
-        """Add a text to the log. It replaces the last text about the same subject."""
+        """Add a text to the log. The new text replaces the last text about the same subject."""
         self._log.retell(subject, text)
 
     def tell(self, goal: Handle, new: GoalStatus, line: str, time: str) -> None:
@@ -445,7 +445,10 @@ class _Served:
             self._motion.follow(pose.x, pose.y, pose.theta)
 
     def row(self, turtles: set[str]) -> render.GoalRow:
-        """The goal's row in the table. It names the goal's turtle only if that is one of these."""
+        """The goal's row in the table.
+
+        The row names the goal's turtle only if it is one of ``turtles``.
+        """
         self.look()
         is_over = self.ended_at is not None
         turtle = self._turtle if self._turtle in turtles else ""

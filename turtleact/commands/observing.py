@@ -130,7 +130,10 @@ class _ExporterProblems(logging.Filter):
         self._told: dict[str, float] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether to report the record. Its message is replaced by one that says what to do."""
+        """Whether to report the record.
+
+        The record's message is replaced by one that says what to do.
+        """
         problem = _problem(record) or next(iter(self._told), _unreachable("no answer"))
         if record.created - self._told.get(problem, -REPEAT) < REPEAT:
             return False

@@ -394,7 +394,10 @@ def _is_same_file(one: Path | None, other: Path) -> bool:
 
 
 def _no_module(missing: str) -> str:
-    """Return the error text for a missing module. It suggests a similar one in this directory."""
+    """Return the error text for a missing module.
+
+    The text suggests a similar module in this directory.
+    """
     here = [path.stem for path in Path().glob("*.py")]
     here += [path.parent.name for path in Path().glob("*/__init__.py")]
     hint = "" if "." in missing or not here else names_like(missing, here)

@@ -465,7 +465,7 @@ class Keys:
     def read(self, data: bytes) -> list[str]:
         r"""Return the keys: ``up``, ``down``, ``left``, ``right``, or a small letter.
 
-        Others are ignored.
+        Other keys are ignored.
 
         >>> Keys().read(b"G\x1b[Aq")
         ['g', 'up', 'q']

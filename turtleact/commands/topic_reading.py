@@ -143,7 +143,7 @@ async def _print(
 
 
 def _durability(node: Node, name: str) -> Durability:
-    """The durability to ask for. It includes latched messages if a publisher has some."""
+    """The durability to ask for. If a publisher has latched messages, they are included."""
     endpoints = node.transport.endpoints()
     publishers = [each for each in endpoints if each.kind == "publisher" and each.name == name]
     is_latched = any(each.qos.durability == "transient_local" for each in publishers)

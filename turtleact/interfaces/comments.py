@@ -52,7 +52,7 @@ PARTS = {"Goal": 0, "Result": 1, "Feedback": 2, "Request": 0, "Response": 1}
 def introduction(cls: type[Message | Service | Action]) -> str:
     """What an interface is for: the first paragraph of its docstring.
 
-    It is empty if the class has no docstring of its own.
+    The text is empty if the class has no docstring of its own.
     """
     doc = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
     return " ".join(doc.partition("\n\n")[0].split())

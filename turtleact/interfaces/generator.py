@@ -400,7 +400,7 @@ def paragraphs_of(lines: tuple[str, ...]) -> list[str]:
 
 
 def docstring(lines: list[str], indent: str) -> list[str]:
-    """Write a docstring on one line if it fits, otherwise with the closing quotes on their own."""
+    """Write a docstring on one line if it fits, otherwise with separate closing quotes."""
     width = WIDTH - len(indent)
     first, *rest = [line.rstrip().replace('"""', "'''") for line in lines]
     is_raw = "\\" in "".join([first, *rest])

@@ -178,8 +178,8 @@ def load_service(source: str | Path, *, type_name: str = "") -> type[DynamicServ
 def load_interfaces(folder: str | Path) -> tuple[str, ...]:
     """Make every ``PACKAGE/KIND/NAME.EXT`` in a folder known, and return their names.
 
-    The folder may contain packages, like the ``src`` of a workspace. It may also be a place where
-    ROS packages were installed: a prefix such as ``/opt/ros/jazzy``, with the packages in
+    The folder may contain packages, like the ``src`` of a workspace. The folder may also be a place
+    where ROS packages were installed: a prefix such as ``/opt/ros/jazzy``, with the packages in
     ``share``, or a folder of prefixes such as colcon's ``install``. A file is read when its
     interface is first used, and takes precedence over a built-in interface. If a class is already
     known and the file has the same definition, the class stays.

@@ -113,7 +113,7 @@ def converter(field_type: FieldType, element: Convert | None = None) -> Convert:
 def whole_number(field_type: FieldType, value: object) -> int:
     """Convert a value to an int in range.
 
-    It may be any integer of numpy or object with __index__.
+    The value may be an integer of numpy or any object with __index__.
     """
     name = field_type.name
     if name == "byte" and isinstance(value, bytes) and len(value) == 1:
@@ -160,7 +160,7 @@ def truth(field_type: FieldType, value: object) -> bool:
 
 
 def text(field_type: FieldType, value: object) -> str:
-    """Convert to a str that can be sent. Its bound counts characters, as in rclpy."""
+    """Convert to a str that can be sent. A bound counts characters, as in rclpy."""
     if not isinstance(value, str):
         raise misfit(field_type, value)
     plain = str.__str__(value)

@@ -115,7 +115,8 @@ class Accept(msgspec.Struct):
 
     Attributes:
         record: The goal to write. Writing it sets its number.
-        known: The goal that already had this id, if any. It is set when the job is written.
+        known: The goal that already had this id, if any. This attribute is set when the job is
+            written.
     """
 
     record: GoalRecord

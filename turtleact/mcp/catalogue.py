@@ -185,7 +185,10 @@ class Catalogue:
         found[name] = entry
 
     def _entry(self, name: str, interface: type[Action] | type[Service]) -> Entry:
-        """The tool of an action or service. It is made once, because its schemas do not change."""
+        """The tool of an action or service.
+
+        The tool is made once, because its schemas do not change.
+        """
         key = name, interface.type_name
         if key not in self._made:
             if issubclass(interface, Action):

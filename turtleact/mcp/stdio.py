@@ -107,7 +107,7 @@ async def open_wire() -> AsyncIterator[Wire]:
 
 
 async def serve_stdio(server: McpServer, wire: Wire) -> None:
-    """Serve one client until it closes stdin. Its calls are then cancelled.
+    """Serve one client until it closes stdin. The client's calls are then cancelled.
 
     Nothing else may write to stdout meanwhile. The SDK redirects prints of user code to stderr.
     """
@@ -167,7 +167,10 @@ def _file_of(stream: TextIO) -> int | None:
 
 
 def _can_be_waited_for(file: int) -> bool:
-    """Whether the event loop can wait for a file. It cannot for a regular file or ``/dev/null``."""
+    """Whether the event loop can wait for a file.
+
+    The loop cannot wait for a regular file or ``/dev/null``.
+    """
     if os.name != "posix":
         return False
     mode = os.fstat(file).st_mode

@@ -143,7 +143,7 @@ class _Alias(Loader):
 
 
 class _Package(Loader):
-    """Makes the package around ``msg``, ``srv`` and ``action``, which is empty."""
+    """Makes the empty package around ``msg``, ``srv`` and ``action``."""
 
     def create_module(self, spec: ModuleSpec) -> None:
         """Let Python make the module."""
@@ -191,7 +191,9 @@ class _Interfaces(Loader):
 
 
 class _Missing(MetaPathFinder):
-    """The last finder. For a package without interfaces, its error says where they were sought.
+    """The finder that Python asks last.
+
+    For a package without interfaces, its error says where they were sought.
 
     Args:
         places: The folders.

@@ -4,8 +4,8 @@ Messages gather in a chunk. Only whole chunks are written. A process that is kil
 chunks behind, and perhaps a last one that is cut off. If a write fails, the file is cut back to the
 end of its last complete record, and can still be closed.
 
-The records are those of the ``mcap`` package. Its ``Writer`` takes 25 us for a message. In the
-process of a server, a recorder would then take more time than the goals themselves. A message and
+The records are those of the ``mcap`` package. Its ``Writer`` takes 25 us for a message. With that
+``Writer`` in the process of a server, a recorder would take more time than the goals. A message and
 its entry in the index are therefore packed here, which takes 2 us. Besides, ``Writer`` cannot be
 closed after a failed write.
 
@@ -163,8 +163,8 @@ class McapWriter:
         """Write the chunk, if it has messages.
 
         Raises:
-            OSError: if the chunk cannot be written. Its messages are lost, and the file does not
-                change.
+            OSError: if the chunk cannot be written. The chunk's messages are lost, and the file
+                does not change.
         """
         if not self._entries:
             return

@@ -354,7 +354,10 @@ def _message_class(type_name: str) -> type[Message] | None:
 
 
 def _request(publishers: list[Endpoint]) -> QoS:
-    """The quality of service to ask for. It includes latched messages if a publisher keeps some."""
+    """The quality of service to ask for.
+
+    If a publisher keeps latched messages, they are included.
+    """
     is_latched = any(each.qos.durability == "transient_local" for each in publishers)
     is_lossy = any(each.qos.reliability == "best_effort" for each in publishers)
     return QoS(

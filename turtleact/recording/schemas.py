@@ -78,7 +78,7 @@ def class_of(schema: Schema, known_hash: str = "") -> type[Message] | None:
 
     Args:
         schema: The schema.
-        known_hash: The type hash in the file. It decides if no text can be read.
+        known_hash: The type hash in the file. If no text can be read, this hash decides.
     """
     known = _known(schema.name)
     if schema.encoding == "ros2msg" and schema.text:

@@ -169,7 +169,7 @@ class StatusTopic(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """Only for readers in this process. Others get the state at the loop's next turn."""
+        """Only for readers in this process. Other readers get the state at the loop's next turn."""
         return self._publication is not None and self._publication.has_near_readers
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002

@@ -268,7 +268,7 @@ class Pauses:
         """Pause a goal like `pause`. Return False if the goal is ending anyway.
 
         Raises:
-            PauseRefused: if the goal cannot be paused in time. It then goes on.
+            PauseRefused: if the goal cannot be paused in time. The goal then goes on.
         """
         try:
             await self.pause(goal, timeout)

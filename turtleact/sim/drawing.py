@@ -90,7 +90,7 @@ class Drawing:
         """Draw a straight line.
 
         Args:
-            turtle: The number of the turtle. Its lines are joined to polylines.
+            turtle: The number of the turtle. The lines of a turtle are joined to polylines.
             pen: The pen.
             start: Where the line begins (m).
             end: Where the line ends (m). If that is where it begins, a dot is drawn.

@@ -53,8 +53,8 @@ def new_event_loop() -> asyncio.AbstractEventLoop:
 async def wait_until_idle() -> None:
     """Wait until no other task can run by itself.
 
-    Any number of tasks may call this. They all continue together. Tasks that wait for the network,
-    a thread or wall time count as idle. Cancelling: safe, nothing is lost.
+    Any number of tasks may call this. All these tasks continue together. Tasks that wait for the
+    network, a thread or wall time count as idle. Cancelling: safe, nothing is lost.
     """
     await idleness()()
 

@@ -559,7 +559,10 @@ class Transport(Protocol):
     def advertise(
         self, endpoint: Endpoint, format: Format, source: Source | None = None
     ) -> Publication:
-        """Open the sending end of a topic. With a source, only its messages are latched."""
+        """Open the sending end of a topic.
+
+        With a source, only the source's messages are latched.
+        """
 
     def subscribe(
         self,
@@ -572,9 +575,9 @@ class Transport(Protocol):
         """Open the receiving end of a topic. ``deliver`` gets each message.
 
         With ``in_any_thread``, ``deliver`` is called in the thread that brings the message, without
-        a detour through the event loop. It must therefore be quick, and safe in any thread. If all
-        subscriptions of a topic in this process are of this kind, any thread may publish to the
-        topic, but not two at the same time.
+        a detour through the event loop. Such a ``deliver`` must be quick, and safe in any thread.
+        If all subscriptions of a topic in this process are of this kind, any thread may publish to
+        the topic, but not two at the same time.
         """
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
@@ -673,7 +676,7 @@ def why_not_served(servers: Sequence[Endpoint], wanted: Endpoint, suffix: str = 
 
     Args:
         servers: All endpoints with the service's name, clients included.
-        wanted: The client. Its type hash is compared if it has one.
+        wanted: The client. The client's type hash is compared if it has one.
         suffix: The ending of the type names, which is not shown to users.
     """
     others = [each for each in servers if each.kind == "service" and each.name == wanted.name]

@@ -74,7 +74,10 @@ class MemoryTransport:
         format: Format,
         source: Source | None = None,
     ) -> Publication:
-        """Open the sending end of a topic. With a source, only its messages are latched."""
+        """Open the sending end of a topic.
+
+        With a source, only the source's messages are latched.
+        """
         topic = self._topic(endpoint)
         publication = _Publication(topic, endpoint.qos, format, source)
         topic.publications.append(publication)

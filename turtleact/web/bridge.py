@@ -129,9 +129,9 @@ class Bridge:
     async def aclose(self) -> None:
         """Take no more connections, and end the existing connections.
 
-        Each client gets the frames that must still arrive, and a close frame. It has `FAREWELL`
-        seconds to take them. Clients that wait for a goal or a call are told that no answer will
-        come.
+        Each client gets the frames that must still arrive, and a close frame. A client has
+        `FAREWELL` seconds to take them. Clients that wait for a goal or a call are told that no
+        answer will come.
         """
         # First the clients are told that they will hear no more of their goals. Then their
         # connections are closed. What they share is closed last, because an open connection may use

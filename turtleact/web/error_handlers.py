@@ -48,7 +48,7 @@ def add_error_handlers(app: Starlette) -> None:
         app: An app of Starlette or FastAPI that has not started yet.
 
     Raises:
-        TurtleactError: if the app has started. It would ignore new handlers then.
+        TurtleactError: if the app has started. A started app would ignore new handlers.
     """
     if app.middleware_stack is not None:
         raise TurtleactError(

@@ -335,7 +335,9 @@ class Parameters:
         return msgspec.json.encode(list(value) if isinstance(value, bytes) else value).decode()
 
     async def _held(self, name: str) -> ParameterValue:
-        """The value of a node's parameter. It is "not set" if the node has no such parameter.
+        """The value of a node's parameter.
+
+        The value is "not set" if the node has no such parameter.
 
         Raises:
             TurtleactError: if the node does not answer.

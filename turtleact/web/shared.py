@@ -269,7 +269,10 @@ class Pool(Generic[K, C]):
 
     @asynccontextmanager
     async def use(self, key: K) -> AsyncIterator[C]:
-        """Give a block the thing for a key. It stays open at least for the length of the block."""
+        """Give a block the thing for a key.
+
+        The thing stays open at least for the length of the block.
+        """
         # Taken out and put in again, so that the one used last stands last. No await lies between:
         # nobody else can open a second one for the key.
         held = self._held.pop(key, None)

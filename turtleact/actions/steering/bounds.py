@@ -21,11 +21,11 @@ and for a short leg the two times are similar. Short legs are therefore measured
 directions. For each pair of headings, the direction with the strongest bound is used. A leg that is
 left out of the length still takes at least the time of its turn.
 
-The heading at the end of a leg is the heading at the start of the next. All headings are tried in
-cells. Each cell counts as its best heading would, so the result is a bound however coarse the cells
-are. In this module, angles are in rad, distances in turning radii, and losses in rad of turning at
-full rate. In a tick the turtle first turns and then moves, which may save it time; that gain is
-subtracted.
+The heading at the end of a leg is the heading at the start of the next. The headings are divided
+into cells, and all cells are tried. Each cell counts as its best heading would, so the result is a
+bound however coarse the cells are. In this module, angles are in rad, distances in turning radii,
+and losses in rad of turning at full rate. In a tick the turtle first turns and then moves, which
+may save it time; that gain is subtracted.
 
 Source: Boyd and Vandenberghe, Convex Optimization, section 5.2 (weak duality); L. S. Pontryagin et
 al., The Mathematical Theory of Optimal Processes, 1962, chapter 1: the directions are the

@@ -121,7 +121,7 @@ def writer_behind(
 def reader_behind(cls: type[M], place: int) -> Callable[[bytes], M]:
     """Return a function that reads what `writer_behind` writes.
 
-    The function raises one of `MISREAD` for bytes that it cannot read. It takes all data as little
-    endian.
+    The function raises one of `MISREAD` for bytes that it cannot read. The function takes all data
+    as little endian.
     """
     return decoder(cls, BYTE_ORDERS[HEADER[:2]], "list", place)

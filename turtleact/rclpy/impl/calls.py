@@ -129,7 +129,7 @@ class CallEnd:
     def _local(self) -> RequestHandler | None:
         """Return the server in this process.
 
-        It is looked up again whenever the graph has changed.
+        The server is looked up again whenever the graph has changed.
         """
         changes = self._connection.changes
         if changes != self._seen:

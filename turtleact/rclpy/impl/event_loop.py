@@ -67,7 +67,7 @@ class EventLoop:
         """Run the coroutine that ``begin()`` returns in the loop, and wait for its end.
 
         Raises:
-            TimeoutError: if the coroutine has not ended in time. It is then cancelled.
+            TimeoutError: if the coroutine has not ended in time. The coroutine is then cancelled.
         """
         running = self.start(begin)
         try:

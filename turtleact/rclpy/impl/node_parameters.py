@@ -417,11 +417,14 @@ class NodeParameters:
     # callbacks
 
     def add_pre_set_parameters_callback(self, callback: PreCallback) -> None:
-        """Call ``callback(parameters)`` first. It returns the list to set instead."""
+        """Call ``callback(parameters)`` first. The callback returns the list to set instead."""
         self._pre_set_parameters_callbacks.insert(0, callback)
 
     def add_on_set_parameters_callback(self, callback: OnCallback) -> None:
-        """Call ``callback(parameters)`` before parameters are set. Its result may refuse them."""
+        """Call ``callback(parameters)`` before parameters are set.
+
+        The callback's result may refuse them.
+        """
         self._on_set_parameters_callbacks.insert(0, callback)
 
     def add_post_set_parameters_callback(self, callback: PostCallback) -> None:

@@ -98,7 +98,7 @@ class ZenohTransport:
     def advertise(
         self, endpoint: Endpoint, format: Format, source: Source | None = None
     ) -> Publication:
-        """Open the sending end of a topic. With a source, only its messages are latched.
+        """Open the sending end of a topic. With a source, only the source's messages are latched.
 
         A thread sends messages to readers in other processes; see `Publication.is_congested`.
         Messages are encoded only while another process reads the topic, or if it is latched.
