@@ -5,7 +5,7 @@
 - Only a client's cancel leads to CANCELED. If the server ends a goal by itself, it is ABORTED.
 - A cancel request names goals by id, by time, or by both (`select`).
 - A goal that has ended is kept for ``result_timeout`` seconds, and longer while somebody waits for
-its result. Then it is forgotten (`GoalTable`).
+its result. After that, the goal is forgotten (`GoalTable`).
 
 This module uses no clock, task or random number. The current time is passed in as ``now``, in
 nanoseconds.
@@ -190,8 +190,8 @@ class Goal(msgspec.Struct, eq=False):
         request: The goal message.
         stamp: When the server accepted it (ns since the epoch).
         status: The goal's state. Only `apply` changes it. A new goal may be created EXECUTING.
-        history: The states since its acceptance, without the final one. Each comes with the number
-            of feedback messages published before it.
+        history: The states since its acceptance, without the final one. Each state comes with the
+            number of feedback messages published before it.
         id: The 16 bytes of its id; None until somebody asks for the id.
         on_feedback: The sender's callback for feedback.
         is_streamed: Whether feedback must be kept for a reader.

@@ -1,7 +1,7 @@
 """Serves ``NODE/get_type_description``, which describes the types that a node uses.
 
-Nodes of ROS 2 offer this service too. Here it is opened only when another process looks for it, so
-it costs nothing before that.
+Nodes of ROS 2 offer this service too. In turtleact, the service is opened only when another process
+looks for it, so it costs nothing before that.
 
 Source: ``type_description_interfaces/srv/GetTypeDescription``; REP 2016.
 """

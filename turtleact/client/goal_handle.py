@@ -171,7 +171,9 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         return _Reading(self._reader).read()
 
     def events(self) -> AsyncIterator[Event[F, R]]:
-        """Iterate over the goal's events, from its acceptance to its result. Each has a ``kind``.
+        """Iterate over the goal's events, from its acceptance to its result.
+
+        Each event has a ``kind``.
 
         Events share the feedback with ``async for feedback in handle``: a message given by one of
         the two loops does not appear in the other.

@@ -472,7 +472,7 @@ async def _listen(
 def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
     """Find the nodes that serve these actions.
 
-    Each comes with one of the actions that it serves.
+    Each node comes with one of its actions.
     """
     services = {action_names(name).cancel_goal: name for name in actions}
     return {

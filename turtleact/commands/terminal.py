@@ -164,8 +164,8 @@ class Region:
 
     Args:
         stream: The terminal.
-        keyboard: The stream from which keys are read, if they are read. Each key then comes at
-            once.
+        keyboard: The stream from which keys are read, if they are read. Each key that is read then
+            comes at once.
     """
 
     def __init__(self, stream: TextIO, keyboard: TextIO | None = None) -> None:

@@ -337,7 +337,10 @@ def _do(names: tuple[str, ...]) -> str:
 
 
 def _listed(endpoints: Iterable[EndpointSeen]) -> Iterator[EndpointSeen]:
-    """Those of nodes that are not hidden. Command-line tools take whatever they find."""
+    """Yield the endpoints of nodes that are not hidden.
+
+    Command-line tools take whatever they find.
+    """
     return (each for each in endpoints if not is_hidden_node(each.endpoint.node))
 
 

@@ -115,8 +115,9 @@ class Rivals:
     async def wait_until_free(self) -> None:
         """Wait until this node can serve the action. Cancelling: safe.
 
-        Standbys in several processes all see at the same moment that a server has gone. Each then
-        waits for a different time and looks again, so that only the first standby takes over.
+        Standbys in several processes all see at the same moment that a server has gone. Each
+        standby then waits for a different time and looks again, so that only the first standby
+        takes over.
         """
         while (holder := self.holder()) is not None:
             is_remote = holder in self._nodes(is_local=False)

@@ -180,16 +180,16 @@ class Node:
                 actions: they withdraw while another node serves the name. When that node has gone,
                 a new server with the same arguments takes the place of the withdrawn one.
             **options: ``goal_callback(goal)`` returns a `GoalResponse` or raises
-                `turtleact.Reject`. ``cancel_callback(handle)`` returns a `CancelResponse`. Both may
-                be coroutine functions. ``policy`` decides what happens to a new goal while another
-                runs: "parallel", "reject", "queue" or "preempt". Under "parallel", at most
-                ``max_active`` goals run, and the others wait. At most ``queue_limit`` goals may
-                wait. Servers of this node with the same ``slot`` share one policy and one place.
-                ``result_timeout`` is how long a result is kept after the goal's end (s, 10 by
-                default; None keeps it for ever). ``on_client_lost`` is "keep", or "cancel" to
-                cancel a client's goals when the client closes. When the server closes, a cancelled
-                body has ``grace`` seconds to clean up (event loop time, 5 by default). After that,
-                the body is given up. ``journal`` keeps the goals on disk (see
+                `turtleact.Reject`. ``cancel_callback(handle)`` returns a `CancelResponse`. These
+                two callbacks may be coroutine functions. ``policy`` decides what happens to a new
+                goal while another runs: "parallel", "reject", "queue" or "preempt". Under
+                "parallel", at most ``max_active`` goals run, and the others wait. At most
+                ``queue_limit`` goals may wait. Servers of this node with the same ``slot`` share
+                one policy and one place. ``result_timeout`` is how long a result is kept after the
+                goal's end (s, 10 by default; None keeps it for ever). ``on_client_lost`` is "keep",
+                or "cancel" to cancel a client's goals when the client closes. When the server
+                closes, a cancelled body has ``grace`` seconds to clean up (event loop time, 5 by
+                default). After that, the body is given up. ``journal`` keeps the goals on disk (see
                 `turtleact.open_journal`). ``on_restart`` says what to do with goals that an earlier
                 process left: "abort" or "resume". ``pausable=True`` declares that a coroutine body
                 awaits ``handle.checkpoint()``, where the body can be paused. ``on_pause(handle)``

@@ -1,4 +1,4 @@
-"""Points in time. Each belongs to one kind of clock."""
+"""Points in time. Each point in time belongs to one kind of clock."""
 
 from __future__ import annotations
 

@@ -44,8 +44,8 @@ class Runner(Protocol):
 class BodyTask(Coroutine[object, object, None]):
     """The coroutine of a body's task: it steps the body, and ends the goal when the body ends.
 
-    Each step must be watched, so this steps the body by hand. Awaiting the body in a coroutine of
-    its own as well would cost 290 bytes for each goal.
+    Each step must be watched, so this class steps the body itself. Awaiting the body in a coroutine
+    of its own as well would cost 290 bytes for each goal.
 
     Args:
         runner: Opens the body and ends the goal.

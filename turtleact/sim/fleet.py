@@ -107,7 +107,7 @@ class Fleet:
         return len(self._theta)
 
     def drive(self, commands: Mapping[int, Command], tick: int) -> None:
-        """Take up commands by index. Each lasts for ``COMMAND_TICKS``, from this tick on."""
+        """Take up commands by index. A command lasts ``COMMAND_TICKS`` from this tick on."""
         at = np.fromiter(commands, np.intp, len(commands))
         self._take_up(at, np.array(list(commands.values())).T, tick)
 
@@ -200,7 +200,7 @@ class Fleet:
         self._expires[at] = NEVER
 
     def _rearrange(self, order: _Indices) -> None:
-        """Keep these turtles, in this order. Each starts a new motion from where it is.
+        """Keep these turtles, in this order. Each turtle starts a new motion from where it is.
 
         Two fleets with the same turtles are then equal to the last bit, even if they had different
         histories.

@@ -119,7 +119,7 @@ class Turtles(Protocol):
     def __len__(self) -> int: ...
 
     def drive(self, commands: Mapping[int, Command], tick: int) -> None:
-        """Take up commands by index. Each lasts for ``COMMAND_TICKS``, from this tick on."""
+        """Take up commands by index. A command lasts ``COMMAND_TICKS`` from this tick on."""
 
     def drive_all(self, speeds: npt.NDArray[np.float64], tick: int) -> None:
         """Take up a command per turtle: an array of shape (3, N), with rows as in `Command`."""
@@ -223,7 +223,7 @@ class Handful:
         return len(self._turtles)
 
     def drive(self, commands: Mapping[int, Command], tick: int) -> None:
-        """Take up commands by index. Each lasts for ``COMMAND_TICKS``, from this tick on."""
+        """Take up commands by index. A command lasts ``COMMAND_TICKS`` from this tick on."""
         for index, command in commands.items():
             self._turtles[index].take_up(command, self._rule, tick + COMMAND_TICKS)
 

@@ -60,7 +60,7 @@ class Pose(NamedTuple):
 
 
 class World:
-    """Turtles in a square. Each step moves them all.
+    """Turtles in a square. Each step moves all turtles.
 
     ``turtle1`` starts in the middle and looks along x, as in turtlesim. The seed spreads
     all others over the square, unless `placing` says otherwise.

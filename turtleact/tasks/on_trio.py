@@ -113,7 +113,10 @@ class TrioTasks:
 
 
 class _Stop:
-    """The error that ends the program, and the blocks to cancel. Each event loop has one."""
+    """The error that ends the program, and the blocks to cancel.
+
+    Each event loop has one such object.
+    """
 
     def __init__(self) -> None:
         self.error: BaseException | None = None

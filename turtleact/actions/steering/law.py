@@ -33,12 +33,12 @@ and the edge of the area, and to finish its turn on the way. While it rolls the 
 `Helm` holds a command as long as the law would repeat it. Most ticks are like the one before:
 straight on, or turning at full rate. So the helm asks the law twice: for this pose, and for the
 pose to which the command leads some ticks later. If the answers are the same, the helm assumes the
-same answer for all ticks in between, and holds the command for them. Then it looks ahead again,
-twice as far each time, up to eight ticks. If the answers differ, the second one is used next. The
-helm checks each pose: as soon as the turtle is not where it should be, the hold ends. The helm
-holds no command while commands come late. With limited accelerations it holds none either, because
-then the speeds change with every tick. A hold ends before the target is reached, and never leads
-out of the area.
+same answer for all ticks in between, and holds the command for them. Then the helm looks ahead
+again, twice as far each time, up to eight ticks. If the answers differ, the second one is used
+next. The helm checks each pose: as soon as the turtle is not where it should be, the hold ends. The
+helm holds no command while commands come late. With limited accelerations it holds none either,
+because then the speeds change with every tick. A hold ends before the target is reached, and never
+leads out of the area.
 
 Why the turtle always arrives: let e be the angle to the target, d its distance, and R = v/omega the
 radius of the turning circle. The law drives forwards only if tan(e) <= d / R. Then e/omega + d/v,

@@ -1,7 +1,7 @@
 """The status topic of an action: the states of all goals that its server holds.
 
-The message grows with the number of goals. So it is made only while somebody reads the topic, and
-several changes in quick succession become one message.
+The message grows with the number of goals. The message is therefore made only while somebody reads
+the topic, and several changes in quick succession become one message.
 """
 
 from __future__ import annotations

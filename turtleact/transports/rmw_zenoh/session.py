@@ -350,7 +350,7 @@ class Publisher:
 
         The object is dropped, which releases the GIL. An advanced publisher's ``undeclare`` would
         hold the GIL while it waits for a task in one of Zenoh's threads, which may itself be
-        waiting for the GIL. Then no Python code runs for ten seconds (eclipse-zenoh 1.10).
+        waiting for the GIL. In that case, no Python code runs for ten seconds (eclipse-zenoh 1.10).
         """
         del self._publisher
 
