@@ -1,8 +1,8 @@
 """Signals: SIGINT and SIGTERM shut every context down.
 
 Python may call a signal handler anywhere in the program, even while the program holds a lock. The
-handler therefore only tells a thread, which shuts the contexts down. After that, the thread calls
-the earlier handler. For SIGINT, Python's own handler raises KeyboardInterrupt.
+handler therefore only tells a thread, which shuts the contexts down. After that, the signal handler
+itself calls the earlier handler. For SIGINT, Python's own handler raises KeyboardInterrupt.
 """
 
 from __future__ import annotations
