@@ -41,7 +41,7 @@ _ENDS_PROGRAM = (KeyboardInterrupt, SystemExit)
 
 # Members of enums that each goal needs. Python 3.11 looks them up slowly in their classes.
 _CANCELING = GoalStatus.CANCELING
-_SUCCEED = GoalEvent.SUCCEED
+_CANCEL_GOAL, _SUCCEED, _CANCELED = GoalEvent.CANCEL_GOAL, GoalEvent.SUCCEED, GoalEvent.CANCELED
 
 BURST = 16
 """After this many messages in a row, a generator that never waits must let other tasks run."""
@@ -357,7 +357,7 @@ class Execution:
         """
         before = goal.status
         goal.apply(event)
-        if event is GoalEvent.CANCEL_GOAL:
+        if event is _CANCEL_GOAL:
             self.pauses.end(goal)
         if self.durable is not None and not goal.is_decided:
             self.durable.moved(goal)
@@ -484,7 +484,7 @@ class Execution:
     def _end_canceled(self, goal: Goal) -> None:
         """End a goal that was cancelled: CANCELED if a client asked for that, otherwise ABORTED."""
         if goal.status is _CANCELING:
-            self.end(goal, GoalEvent.CANCELED, None)
+            self.end(goal, _CANCELED, None)
         else:
             self.end(goal, GoalEvent.ABORT, None, goal.reason or CUT_OFF)
 

@@ -49,6 +49,7 @@ __all__ = ["SHUTDOWN", "LocalActionServer", "SlotRequest", "restore_all"]
 _ACCEPTED = GoalStatus.ACCEPTED
 _EXECUTING = GoalStatus.EXECUTING
 _CANCELING = GoalStatus.CANCELING
+_CANCEL_GOAL = GoalEvent.CANCEL_GOAL
 _AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that starts without being seen ACCEPTED
 
 IN_A_ROW = 64
@@ -507,7 +508,7 @@ class LocalActionServer:
         if is_canceled:
             if self.durable is not None:
                 await self.durable.written()
-            return CancelGoal.Response(CancelCode.NONE, [self.info(goal)])
+            return CancelGoal.Response(goals_canceling=[self.info(goal)])
         is_kept = goal.status.is_active
         return CancelGoal.Response(CancelCode.REJECTED if is_kept else CancelCode.GOAL_TERMINATED)
 
@@ -542,7 +543,7 @@ class LocalActionServer:
         if goal.is_decided:
             return False
         if goal.status is not _CANCELING:
-            self.execution.move(goal, GoalEvent.CANCEL_GOAL)
+            self.execution.move(goal, _CANCEL_GOAL)
             if goal.body is not None and not goal.reason:  # else the body was cancelled before
                 goal.body.cancel()
         return True
