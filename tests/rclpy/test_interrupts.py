@@ -24,7 +24,8 @@ def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
 
 def interrupt_in(function):
-    # Sends the signal as soon as the main thread is in a function of that name.
+    # Sends the signal as soon as the main thread is seen in a function of that name, where it
+    # must stay or come back to, because this thread looks only now and then.
     def watch():
         main = threading.main_thread().ident
         while True:
@@ -65,8 +66,14 @@ def execute(goal_handle):
 
 MOMENTS = {
     "before rclpy is imported": "interrupt(); time.sleep(60)",
-    "while rclpy is imported": f"interrupt_in('create_module'){IMPORTS}",
-    "while a node is made": f"{IMPORTS}rclpy.init(); interrupt_in('join')\n"
+    "while rclpy is imported": """
+interrupt_in('create_module')
+while True:
+    import rclpy.action
+    for name in [each for each in sys.modules if each.startswith('rclpy')]:
+        del sys.modules[name]
+""",
+    "while a node is made": f"{IMPORTS}rclpy.init(); interrupt_in('create_node')\n"
     "while True: rclpy.create_node('lab')",
     "in a spin with nothing to do": "{node}interrupt_in('_sleep'); rclpy.spin(node)",
     "in a callback": "{node}node.create_timer(0.001, interrupt); rclpy.spin(node)",
