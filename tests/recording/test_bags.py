@@ -5,6 +5,7 @@ import functools
 import os
 import shutil
 import sqlite3
+import struct
 import subprocess
 import sys
 import tempfile
@@ -467,6 +468,20 @@ def test_a_file_with_a_damaged_index_is_looked_through(tmp_path):
     path = write_bag(tmp_path / "run.mcap", 20)
     damaged = path.read_bytes().replace(b"serialized_metadata", b"\xff" * 19)
     path.write_bytes(damaged)
+    assert len(stamps(path)) == 20
+
+
+def test_a_file_whose_places_of_chunks_are_damaged_is_looked_through(tmp_path):
+    path = write_bag(tmp_path / "run.mcap", 20)
+    damaged = bytearray(path.read_bytes())
+    # The times of the chunk's first and last message, its place, its length, and a count.
+    times = struct.pack("<QQ", START, START + 19 * STEP)
+    index = [at for at in range(len(damaged)) if damaged.startswith(times, at)][-1]
+    damaged[index + 32 : index + 36] = b"\xff" * 4
+    path.write_bytes(damaged)
+    bag = Bag(path)
+    assert bag.info.count == 20  # the statistics are whole
+    bag.close()
     assert len(stamps(path)) == 20
 
 

@@ -12,18 +12,17 @@ import heapq
 import struct
 from collections import Counter
 from collections.abc import Iterator
+from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
 from mcap.records import Channel as ChannelRecord
-from mcap.records import Chunk, Metadata
+from mcap.records import Chunk, ChunkIndex, Footer, Metadata, MetadataIndex, Statistics
 from mcap.records import Schema as SchemaRecord
 from mcap.stream_reader import get_chunk_data_stream
-from mcap.summary import Summary
 from zstandard import ZstdError
 
 from turtleact.recording.mcap_writing import MAGIC, MESSAGE
@@ -37,6 +36,9 @@ ABOUT: Final = "rosbag2"
 """The name of the metadata record in which rosbag2 describes the bag."""
 
 _HEAD: Final = struct.Struct("<BQ")
+_FOOTER: Final = _HEAD.size + 20
+"""The length of the last record (bytes)."""
+
 _DAMAGED: Final = (
     *(McapError, struct.error, ValueError, MemoryError, EOFError, OverflowError, OSError, KeyError),
     *(RuntimeError, ZstdError),  # of the packages that decompress
@@ -60,6 +62,23 @@ class _Piece(NamedTuple):
     channels: frozenset[int] | None
 
 
+class _Summary(NamedTuple):
+    """What is needed from the index at the end of a file.
+
+    Attributes:
+        statistics: How many messages the file has.
+        declared: The records of schemas and channels, each with its opcode.
+        chunks: The records with the places of chunks. A gigabyte has a thousand of them, and only
+            `McapFile.messages` needs them, so they are left as bytes.
+        about: Where the last metadata record about the bag is; 0 if there is none.
+    """
+
+    statistics: Statistics
+    declared: list[tuple[int, bytes]]
+    chunks: list[bytes]
+    about: int
+
+
 class McapFile:
     """An MCAP file, open for reading; see `turtleact.recording.storage.BagStorage`.
 
@@ -78,6 +97,7 @@ class McapFile:
         self.is_closed = True
         self.about = ""
         self._pieces: list[_Piece] = []
+        self._unread: list[bytes] = []  # the records of chunks that are not among the pieces yet
         self._schemas: dict[int, Schema] = {}
         try:
             self._file: BinaryIO = path.open("rb")
@@ -112,6 +132,7 @@ class McapFile:
             yield heapq.heappop(waiting)[3]
 
     def _chosen(self, wanted: Range) -> list[_Piece]:
+        self._read_index()
         channels = {number for number, each in self.channels.items() if wanted.has(each.topic)}
         return [
             piece
@@ -129,56 +150,75 @@ class McapFile:
         summary = self._summary()
         if summary is None or not _is_complete(summary) or not self._takes(summary):
             self._scan()
-        self._pieces.sort()
+            self._pieces.sort()
 
-    def _summary(self) -> Summary | None:
+    def _summary(self) -> _Summary | None:
         """The index at the end of the file; None if no index can be read."""
         self._file.seek(-len(MAGIC), 2)
         self.is_closed = self._file.read() == MAGIC and self._file.tell() > 16
         if not self.is_closed:
             return None
-        self._file.seek(0)
         try:
-            return SeekingReader(self._file).get_summary()
+            return self._read_summary()
         except _DAMAGED:
             self.is_closed = False
             return None
 
-    def _takes(self, summary: Summary) -> bool:
+    def _read_summary(self) -> _Summary | None:
+        end = self._file.seek(-len(MAGIC) - _FOOTER, 2)
+        [(opcode, content)] = _split(self._file.read(_FOOTER))
+        begin = Footer.read(_stream(content)).summary_start
+        if opcode != Opcode.FOOTER or begin > end:
+            raise EOFError("it has no footer")
+        self._file.seek(begin)
+        statistics, about = None, 0
+        declared, chunks = list[tuple[int, bytes]](), list[bytes]()
+        for opcode, content in _split(self._file.read(end - begin)) if begin else ():
+            if opcode == Opcode.CHUNK_INDEX:
+                chunks.append(content)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                declared.append((opcode, content))
+            elif opcode == Opcode.STATISTICS:
+                statistics = Statistics.read(_stream(content))
+            elif opcode == Opcode.METADATA_INDEX:
+                index = MetadataIndex.read(_stream(content))
+                about = index.offset if index.name == ABOUT else about
+        return None if statistics is None else _Summary(statistics, declared, chunks, about)
+
+    def _takes(self, summary: _Summary) -> bool:
         """Take what is needed from the index. Return False, and take nothing, if it is damaged."""
         try:
             self._take(summary)
         except _DAMAGED:
             self.is_closed = False
-            for each in (self.channels, self.counts, self._schemas, self._pieces):
+            for each in (self.channels, self.counts, self._schemas, self._unread):
                 each.clear()
             self.start = self.end = 0
         return self.is_closed
 
-    def _take(self, summary: Summary) -> None:
+    def _take(self, summary: _Summary) -> None:
         """Take what is needed from the index."""
-        for schema in summary.schemas.values():
-            self._add_schema(schema)
-        for channel in summary.channels.values():
-            self._add_channel(channel)
-        if summary.statistics is not None:
-            self.counts.update(summary.statistics.channel_message_counts)
-            self.start = summary.statistics.message_start_time
-            self.end = summary.statistics.message_end_time
-        for index in summary.chunk_indexes:
-            offsets = index.message_index_offsets
-            self._pieces.append(
-                _Piece(
-                    index.message_start_time,
-                    index.chunk_start_offset,
-                    index.message_end_time,
-                    frozenset(offsets) if offsets else None,
-                )
-            )
-        places = [each.offset for each in summary.metadata_indexes if each.name == ABOUT]
-        if places:
-            self._file.seek(places[-1] + _HEAD.size)
+        for opcode, content in sorted(summary.declared, key=itemgetter(0)):  # schemas first
+            self._declare(opcode, content)
+        self.counts.update(summary.statistics.channel_message_counts)
+        self.start = summary.statistics.message_start_time
+        self.end = summary.statistics.message_end_time
+        self._unread = summary.chunks
+        if summary.about:
+            self._file.seek(summary.about + _HEAD.size)
             self._note(Metadata.read(ReadDataStream(self._file)))
+
+    def _read_index(self) -> None:
+        """Read where the chunks are; if that is damaged, look through the whole file."""
+        unread, self._unread = self._unread, []
+        try:
+            self._pieces += map(_piece, unread)
+        except _DAMAGED:
+            self.is_closed = False
+            self.counts.clear()
+            self._pieces.clear()
+            self._scan()
+        self._pieces.sort()
 
     def _scan(self) -> None:
         """Read the whole file, up to a record that is cut off. Leave out damaged records."""
@@ -284,12 +324,33 @@ class McapFile:
         )
 
 
-def _is_complete(summary: Summary) -> bool:
+def _is_complete(summary: _Summary) -> bool:
     """Whether the index lists all messages. In a file without chunks, it lists none."""
-    statistics = summary.statistics
-    if statistics is None:
-        return False
-    return bool(summary.chunk_indexes) or not statistics.message_count
+    return bool(summary.chunks) or not summary.statistics.message_count
+
+
+def _piece(content: bytes) -> _Piece:
+    """Read the record with the place of a chunk."""
+    index = ChunkIndex.read(_stream(content))
+    offsets = index.message_index_offsets
+    return _Piece(
+        index.message_start_time,
+        index.chunk_start_offset,
+        index.message_end_time,
+        frozenset(offsets) if offsets else None,
+    )
+
+
+def _split(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield the opcode and the content of each record."""
+    place = 0
+    while place < len(data):
+        opcode, length = _HEAD.unpack_from(data, place)
+        behind = place + _HEAD.size + length
+        if behind > len(data):
+            raise EOFError("it is cut off")
+        yield opcode, data[place + _HEAD.size : behind]
+        place = behind
 
 
 def _stream(content: bytes) -> ReadDataStream:
