@@ -62,6 +62,14 @@ def test_a_spin_ends_although_another_one_has_seen_that_its_future_is_done(conte
     assert future.done()
 
 
+def test_an_idle_executor_looks_again_now_and_then(executor, monkeypatch):
+    """A signal that comes right before a wait does not interrupt it."""
+    monkeypatch.setattr("turtleact.rclpy.executors.LONGEST_LOCK", 0.001)
+    looks = iter([False] * 9)
+    with pytest.raises(ConditionReachedException):
+        executor.wait_for_ready_callbacks(condition=lambda: next(looks, True))
+
+
 def test_two_executors_may_take_nodes_from_each_other(context):
     both = threading.Barrier(2)
 

@@ -78,7 +78,7 @@ while True:
     "in a spin with nothing to do": "{node}interrupt_in('_sleep'); rclpy.spin(node)",
     "in a callback": "{node}node.create_timer(0.001, interrupt); rclpy.spin(node)",
     "in a callback that sleeps": "{node}interrupt_in('nap')\n"
-    "def nap(): time.sleep(60)\n"
+    "def nap():\n  while True: time.sleep(0.01)\n"
     "node.create_timer(0.001, nap); rclpy.spin(node)",
     "in a callback of another thread": "{node}node.create_timer(0.001, interrupt)\n"
     "executor.add_node(node); executor.spin()",

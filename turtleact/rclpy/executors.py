@@ -52,8 +52,12 @@ __all__ = [
 Work: TypeAlias = tuple[Task, object, object]
 """Something to run, and the entity and node that it belongs to, if any."""
 
-LONGEST_LOCK = 0.1 if sys.platform == "win32" else None
-"""How long to wait for a lock at a time (s). On Windows, a signal cannot interrupt that wait."""
+LONGEST_LOCK = 0.1 if sys.platform == "win32" else 1.0
+"""How long to wait for a lock at a time (s).
+
+On Windows, a signal cannot interrupt that. Elsewhere it can, unless it comes right before the wait:
+then Python calls its handler only after the wait.
+"""
 
 
 class Spinnable(Protocol):
@@ -394,9 +398,7 @@ class Executor(Block):
         with self._wake:
             if self._wakes != seen or (left is not None and left <= 0):
                 return
-            if LONGEST_LOCK is not None:
-                left = LONGEST_LOCK if left is None else min(left, LONGEST_LOCK)
-            self._wake.wait(left)
+            self._wake.wait(LONGEST_LOCK if left is None else min(left, LONGEST_LOCK))
 
 
 class SingleThreadedExecutor(Executor):
