@@ -135,14 +135,7 @@ async def test_different_definitions_are_named_with_their_fields(address):
 
 
 async def test_a_clock_that_is_wrong_is_named(address, monkeypatch):
-    class Ahead:
-        """The clock of a server that is five seconds ahead."""
-
-        @staticmethod
-        def time_ns() -> int:
-            return time.time_ns() + 5_000_000_000
-
-    monkeypatch.setattr(services, "time", Ahead)
+    monkeypatch.setattr(services, "time_ns", lambda: time.time_ns() + 5_000_000_000)
     async with graph_at(address) as graph:
         (await graph.node("late")).action_server(Count, "count", count)
         fault = await graph.only_fault(endpoints=5)
