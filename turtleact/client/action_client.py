@@ -497,7 +497,8 @@ class _ClientObservers(Observers):
 
     The client follows goals in other processes itself and reports on them. A server in the same
     process reports on its goals through its own observers. While the client has observers of goals,
-    a relay among the server's observers passes on the news of this client's goals.
+    a relay that is registered with the server's observers passes on the reports about this client's
+    goals.
     """
 
     __slots__ = ("_relay", "_relayed", "_theirs")
@@ -519,7 +520,7 @@ class _ClientObservers(Observers):
         self._set_relay()
 
     def watch(self, server: object | None) -> None:
-        """Relay the news of this server from now on; None to relay from no server."""
+        """Relay the reports of ``server`` from now on. If it is None, relay nothing."""
         theirs = getattr(server, "observers", None)
         self._theirs = theirs if isinstance(theirs, Observers) else None
         self._set_relay()
@@ -544,7 +545,7 @@ class _Relay(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """Whether an observer of the client does."""
+        """Whether an observer of the client wants the ACCEPTED state."""
         return self._observers.want_acceptance
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:

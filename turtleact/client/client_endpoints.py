@@ -82,7 +82,7 @@ class RequestLimiter:
         self._waiting: deque[anyio.Event] = deque()
 
     async def call(self, caller: Caller, request: object, note: str = "") -> Reply:
-        """Send a request in its turn, and wait for the reply. The errors are those of the caller.
+        """Send a request in its turn, and wait for the reply. The errors are the caller's.
 
         Cancelling: safe. A request that still waits for its turn is not sent.
         """
@@ -144,7 +144,7 @@ class ClientEndpoints:
         is_open: Whether the other endpoints are open.
         send_goal: Sends goals, each to one server.
         get_result: Asks for results. It exists after `open`.
-        is_ours: Whether the server belonged to turtleact when it last answered; see `knows_ours`.
+        is_ours: Whether the server ran turtleact when it last answered; see `knows_ours`.
         takes_both: Whether a goal's two requests may be sent at the same time. It becomes False if
             a second request arrived before the server knew its goal.
     """
@@ -201,7 +201,7 @@ class ClientEndpoints:
     # which kind of server
 
     def knows_ours(self) -> bool:
-        """Whether the server belongs to turtleact. Requests then need not wait for their turn.
+        """Whether the server runs turtleact. If so, requests need not wait for their turn.
 
         This is True if the server's note showed it and no server has appeared since.
         """
@@ -211,7 +211,7 @@ class ClientEndpoints:
         return self.is_ours
 
     def learn(self, reply: Reply) -> None:
-        """Learn from a reply whether the server belongs to turtleact: its replies have a note."""
+        """Learn from a reply whether the server runs turtleact: turtleact's replies have a note."""
         if not reply.note:
             self.is_ours = False
         elif not self.is_ours:
@@ -270,7 +270,7 @@ class ClientEndpoints:
         """Open the other services and the feedback topic. A second call does nothing.
 
         Args:
-            goals: Maps the id of each goal with wanted feedback to an object of any kind.
+            goals: Maps the id of each goal whose feedback is wanted to an object of any kind.
             take_feedback: Called with that object and the feedback message.
         """
         if self.is_open:

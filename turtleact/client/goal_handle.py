@@ -361,7 +361,10 @@ class GoalReader:
         return goal
 
     def _hurry(self, change: int) -> None:
-        """Count the callers that wait for the end. They must not wait for a reader of feedback."""
+        """Count the callers that wait for the end.
+
+        While there are any, the body does not wait for a reader of feedback.
+        """
         self._hurried += change
         log = self.goal.feedback  # before there is feedback or a reader, there is no log
         if log is not None:
@@ -403,8 +406,8 @@ class GoalReader:
 class _Reading:
     """Reads the feedback of a goal.
 
-    `read` is here and not in `GoalReader`, because an iterator can then use it as ``__anext__``. A
-    call more for each message would be noticed.
+    `read` is here and not in `GoalReader`, because an iterator can then use it as ``__anext__``.
+    One more call for each message would be noticeable.
     """
 
     __slots__ = ("_reader",)

@@ -109,7 +109,7 @@ class RemoteGoal(msgspec.Struct, eq=False):
         is_observed: Whether observers have heard of the goal.
         note: The note to send with the goal.
         received: How many feedback messages have arrived.
-        reattach: How long to wait for a server that has gone to return (s, event loop time).
+        reattach: How long to wait for the return of a server that has gone (s, event loop time).
         sent: The request that sends the goal, while it is under way without a task.
         asked: The request for its result, while it is under way without a task.
         task: The task that follows the goal, if there is one.
@@ -167,7 +167,8 @@ class RemoteGoals:
 
         Args:
             goal: The goal.
-            reattach: How long to wait for a server that has gone to return (s, event loop time).
+            reattach: How long to wait for the return of a server that has gone (s, event loop
+                time).
 
         Raises:
             InvalidMessage: if a value does not fit its type. Nothing was sent.
@@ -513,10 +514,10 @@ class RemoteGoals:
                 self._observers.goal_changed(goal, before, goal.status)
 
     def _show(self, remote: RemoteGoal) -> None:
-        """Tell the observers that this client has sent a goal, before anything else of it.
+        """Tell the observers that this client has sent a goal, before any other news of it.
 
-        Feedback does not travel with the acceptance and may arrive before it. So the first of the
-        two leads to this call.
+        Feedback and the acceptance travel separately, and either may arrive first. The first one
+        leads to this call.
         """
         if remote.is_sender and not remote.is_observed:
             remote.is_observed = True
@@ -590,11 +591,11 @@ class RemoteGoals:
 class _Patience:
     """Decides whether to send a request again after its server has gone.
 
-    Without ``reattach``, the server may only have been unreachable for a moment. The client then
-    waits once for its return, and sends at most `ATTEMPTS` requests. With ``reattach``, each
-    absence of the server may last that many seconds. An absence ends when feedback arrives, or when
-    a request has been open for `SETTLED` seconds. A server that is killed again and again may never
-    live that long.
+    Without ``reattach``, the client waits once for the server's return, in case the server was
+    unreachable only for a moment, and sends at most `ATTEMPTS` requests. With ``reattach``, each
+    absence of the server may last ``reattach`` seconds. An absence ends when feedback arrives, or
+    when a request has been open for `SETTLED` seconds. A server that is killed again and again may
+    never live that long, so its restarts count as one absence.
 
     Args:
         endpoints: The client's endpoints.
@@ -617,7 +618,7 @@ class _Patience:
         """Wait until the client can send the request again.
 
         Raises:
-            ServerUnavailable: the first error of this absence, if the server stays away.
+            ServerUnavailable: if the server stays away. This is the first error of the absence.
         """
         now, lost, reattach = anyio.current_time(), self._lost, self._remote.reattach
         if reattach and self._was_back(now):
@@ -637,5 +638,5 @@ class _Patience:
         self._asked = anyio.current_time()
 
     def _was_back(self, now: float) -> bool:
-        """Whether the server had returned since it was last missed."""
+        """Whether the previous absence had ended before this failure."""
         return now - self._asked > SETTLED or self._remote.received > self._received

@@ -134,10 +134,10 @@ class RemoteActionServer:
     async def _abandon(self, remote: RemoteGoal, timeout: float) -> None:
         """Cancel a goal after its sender was cancelled, and wait for its end. This never raises.
 
-        The sender must end cancelled even if the server does something else. The server may die
-        while it is asked to cancel, or never answer. If the goal is not accepted yet, the task that
-        follows it cancels it as soon as it is accepted. That task continues after the ``timeout``,
-        until the client closes.
+        The sender's task must end cancelled, whatever the server does. The server may die while it
+        is asked to cancel, or never answer. If the goal is not accepted yet, the task that follows
+        the goal cancels it upon acceptance. That task continues after the ``timeout``, until the
+        client closes.
         """
         remote.is_abandoned = not remote.is_accepted
         with anyio.move_on_after(timeout, shield=True):

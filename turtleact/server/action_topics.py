@@ -110,7 +110,7 @@ class FeedbackTopic(Source):
     def _tell_of_loss(self, goal: Goal) -> None:
         """Tell the observers that feedback was dropped.
 
-        The dropped feedback may be that of an older goal.
+        The report names ``goal``, but the dropped feedback may belong to another goal.
         """
         lost, self._dropped = self._publication.dropped - self._dropped, self._publication.dropped
         self._server.observers.noted(goal, FeedbackLost(lost))
@@ -169,7 +169,7 @@ class StatusTopic(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """Only for readers in this process. Other readers get the state at the loop's next turn."""
+        """Whether it has readers in this process. Others get the state at the loop's next turn."""
         return self._publication is not None and self._publication.has_near_readers
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
@@ -226,7 +226,7 @@ class ReasonTopic(Source, GoalObserver):
             self._server.observers.add(self)
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
-        """Publish the reason of an end, if it has one."""
+        """Publish why a goal has ended, if it has a reason."""
         if after.is_terminal and goal.reason:
             self._publish(self._server.name_goal(goal), after, goal.reason)
 

@@ -35,7 +35,7 @@ class Runner(Protocol):
         """End a goal after its body. ``error`` is StopIteration if the body has returned."""
 
     def end_unstarted(self, goal: Goal) -> None:
-        """End a goal that was cancelled before its body took the first step."""
+        """End a goal that was canceled before its body took the first step."""
 
     def report_blocking(self, goal: Goal, seconds: float) -> None:
         """Log a step that has blocked the event loop."""
@@ -44,8 +44,8 @@ class Runner(Protocol):
 class BodyTask(Coroutine[object, object, None]):
     """The coroutine of a body's task: it steps the body, and ends the goal when the body ends.
 
-    Each step must be watched, so this class steps the body itself. Awaiting the body in a coroutine
-    of its own as well would cost 290 bytes for each goal.
+    Each step must be watched, so this class steps the body itself. An extra coroutine that awaits
+    the body would cost 290 bytes for each goal.
 
     Args:
         runner: Opens the body and ends the goal.

@@ -164,7 +164,7 @@ class DurableGoals:
     # after a restart
 
     def load(self) -> list[GoalRecord]:
-        """Return the journal's records of this action. One name may have several types.
+        """Return the journal's records of this action. Actions of different types may share a name.
 
         A built-in action and a user's action of the same name never take each other's goals.
         """
@@ -177,7 +177,7 @@ class DurableGoals:
         return names == (self._name, self._action_type.type_name)
 
     def ended(self, record: GoalRecord, now: int) -> Goal:
-        """Make the goal of a record that has ended. ``now`` is the graph's time (ns)."""
+        """Make the ended goal that a record describes. ``now`` is the graph's time (ns)."""
         # The graph's clock may be virtual and start anew, so the wall clock tells how long ago the
         # goal ended. That clock may have been set back.
         ago = max(0, time.time_ns() - record.ended)
@@ -190,7 +190,7 @@ class DurableGoals:
         return goal
 
     def unfinished(self, record: GoalRecord) -> Goal:
-        """Make the goal of an unfinished record, as it was when its server went away."""
+        """Make the unfinished goal that a record describes, as it was when its server went away."""
         goal = self._goal(record)
         feedback = self._decode(self._feedback, record, record.feedback)
         partial_result = self._decode(self._results, record, record.partial_result)

@@ -254,8 +254,8 @@ class _SendGoal(_ActionService):
 
     Attributes:
         goal_server: The server, for clients in the same process; see `turtleact.goal_server`. If an
-            observer watches the requests, this attribute is missing, and these clients send
-            messages, too.
+            observer watches the requests, this attribute is missing, and clients in the same
+            process send messages like all others.
         expect_readers: Called with the first goal from another process, because the goal's client
             reads feedback.
         on_rejection: Called with the id of each goal that is rejected, and the reason.
@@ -320,7 +320,7 @@ class _SendGoal(_ActionService):
 
 
 class _CancelGoal(_ActionService):
-    """Cancels goals. Servers that have one name and several types share this service."""
+    """Cancels goals. Servers with the same name and different types share this service."""
 
     def __init__(
         self, server: LocalActionServer, names: ActionNames, transport: Transport, tasks: Tasks
@@ -359,7 +359,7 @@ class _GetResult(_ActionService):
 
     @contextmanager
     def expecting(self, goal_id: bytes | None) -> Iterator[None]:
-        """Mark a block in which the server decides about a goal."""
+        """Mark a goal as undecided while the block runs."""
         self._expected.append(goal_id)
         try:
             yield
@@ -427,7 +427,7 @@ def _unlisted(
 
 
 def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
-    """Join the answers of servers that share a cancel service. Each goal is known to one server."""
+    """Join the answers of servers that share a cancel service. Only one server knows each goal."""
     codes = [each.return_code for each in answers]
     known = [code for code in codes if code != CancelCode.UNKNOWN_GOAL_ID]
     return CancelGoal.Response(

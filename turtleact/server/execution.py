@@ -104,7 +104,8 @@ class Execution:
         bodies: The tasks of the running bodies, with their goals.
         durable: The goals in the server's journal, if it has one.
         pauses: Pauses goals.
-        is_suspended: Whether bodies are being stopped while their goals go on in the journal.
+        is_suspended: Whether bodies are being stopped while their goals stay unfinished in the
+            journal.
     """
 
     def __init__(
@@ -139,7 +140,7 @@ class Execution:
     def start(self, goal: Goal, context: Context | None = None) -> None:
         """Run a goal's body in its own task, in ``context`` or a copy of the current context.
 
-        If an observer has already had the goal cancelled, the goal ends at once.
+        If an observer has already canceled the goal, the goal ends at once.
         """
         if goal.status is _CANCELING or goal.reason:
             self._end_canceled(goal)
@@ -231,7 +232,7 @@ class Execution:
         return result
 
     def _publish_or_emit(self, goal: Goal, feedback: object) -> bool:
-        """Publish feedback. Return whether a callback or observer has cancelled the goal.
+        """Publish feedback. Return whether a callback or observer has canceled the goal.
 
         Without a journal, this repeats the work of `publish`, because another call for each message
         would be too slow.
@@ -329,7 +330,7 @@ class Execution:
             self.observers.feedback_published(goal, message)
 
     def report_blocking(self, goal: Goal, seconds: float) -> None:
-        """Warn about a step that blocked the event loop. A stopped process looks the same."""
+        """Warn about a step that blocked the event loop. A suspended process looks the same."""
         logger.warning(
             "a step of the body of %s took %.1f s (goal %s): nothing else could run meanwhile;"
             " unless the process was stopped, await what waits, and move long work to"
@@ -372,7 +373,7 @@ class Execution:
         self._ended.fire()  # no body ends here, which would fire it
 
     def end_unstarted(self, goal: Goal) -> None:
-        """End a goal that was cancelled before its body took the first step."""
+        """End a goal that was canceled before its body took the first step."""
         if not goal.is_decided:
             task = goal.body
             self._end_canceled(goal)
@@ -386,7 +387,7 @@ class Execution:
         With a journal, announce it once it is on disk.
 
         If the goal's end is decided already, for example because its body was given up, this does
-        nothing. While the server is suspended, only a success and a client's cancel count.
+        nothing. While `is_suspended` is true, a goal ends only by a success or a client's cancel.
         """
         if goal.is_decided:
             return
@@ -482,7 +483,7 @@ class Execution:
             self.end(goal, GoalEvent.ABORT, None, summary(error))
 
     def _end_canceled(self, goal: Goal) -> None:
-        """End a goal that was cancelled: CANCELED if a client asked for that, otherwise ABORTED."""
+        """End a goal that was canceled: CANCELED if a client asked for that, otherwise ABORTED."""
         if goal.status is _CANCELING:
             self.end(goal, _CANCELED, None)
         else:
@@ -537,7 +538,7 @@ async def _awaiting(running: Awaitable[object]) -> object:
 
 
 async def _finish(steps: Steps) -> None:
-    """Let a generator run on after its result. The result stands, whatever happens then."""
+    """Resume a generator that has yielded its result. The result stands, whatever happens then."""
     try:
         extra = await steps.asend(None)
         logger.warning("a body yielded %s after its result; it is closed", type(extra).__name__)

@@ -80,9 +80,9 @@ class GoalHandle(Generic[G, R, F]):
 
     @property
     def paused_time(self) -> float:
-        """How long the goal has been paused until now (s, by the graph's clock).
+        """How long the goal has been paused so far (s, by the graph's clock).
 
-        If your body measures a time, subtract this, so that pauses do not count.
+        If your body measures time, subtract this value, so that pauses do not count.
         """
         return self._execution.pauses.paused_time(self._goal)
 

@@ -225,7 +225,7 @@ class LocalActionServer:
     async def take(self, order: GoalOrder, *, is_streamed: bool = False) -> Goal:
         """Accept a goal, after asking the callback if there is one.
 
-        ``is_streamed`` keeps feedback.
+        If ``is_streamed`` is true, the goal's feedback is kept.
         """
         try:
             if self.durable is not None:
@@ -380,7 +380,7 @@ class LocalActionServer:
         return goal
 
     def _show_accepted(self, goal: Goal) -> None:
-        """Show observers a goal that starts at once, in its ACCEPTED state if one wants that.
+        """Show observers a goal that starts at once. If one of them wants that, show it ACCEPTED.
 
         An observer may cancel the goal. A goal that an observer cancels never becomes EXECUTING and
         never starts.
@@ -472,7 +472,7 @@ class LocalActionServer:
         return goal.listener  # type: ignore[return-value]  # only this method sets it
 
     def name_goal(self, goal: Goal) -> bytes:
-        """Return the goal's id, giving it one if needed; the goal can then be found by it."""
+        """Return the goal's id. A goal without an id gets one, and can then be found by it."""
         return self.execution.name_goal(goal)
 
     def info(self, goal: Goal) -> GoalInfo:
@@ -498,7 +498,7 @@ class LocalActionServer:
         return CancelGoal.Response(int(code), [self.info(goal) for goal in canceled])
 
     async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
-        """Answer a request to cancel one goal, even if it has been forgotten."""
+        """Answer a request to cancel one goal, even if the server has forgotten the goal."""
         if goal.ended and self.find(self.name_goal(goal)) is not goal:
             return CancelGoal.Response(CancelCode.UNKNOWN_GOAL_ID)
         if self._callbacks.ask_about_cancels:
@@ -525,7 +525,7 @@ class LocalActionServer:
                 self._cancels[goal] = asking
 
     async def _ask_and_cancel(self, goal: Goal) -> bool:
-        """Cancel a goal if the user agrees. Return False if not, or if the goal has ended."""
+        """Cancel a goal if the user agrees. Return whether the goal is being canceled."""
         has_ended = not goal.status.is_active  # perhaps while the user was asked about another goal
         if has_ended or not self._callbacks.ask_about_cancels or goal.status is _CANCELING:
             return self._cancel(goal)
@@ -671,8 +671,8 @@ def restore_all(servers: list[LocalActionServer]) -> None:
     """Let servers go on with the goals that their journals hold.
 
     Servers may share a slot. Therefore the goals of all servers are restored in one order: first
-    the goals that ran, then those that waited for their turn. If several servers have the name of a
-    goal's action, the server with the goal's type takes the goal. If no server has that type, the
+    the goals that ran, then those that waited for their turn. If several servers share the name of
+    a goal's action, the server with the goal's type takes the goal. If no server has that type, the
     goal is aborted, because its type has changed.
     """
     durable = [(server, server.durable) for server in servers if server.durable is not None]

@@ -2,13 +2,13 @@
 
 A generator stands still at a ``yield``, because the server does not step it further. A coroutine
 body stands still at ``await handle.checkpoint()``, if it is declared with ``pausable=True``. Then
-``on_pause``, if there is one, brings the robot to rest. A body that is neither kind runs on, and
-``on_pause`` alone pauses its goal.
+``on_pause``, if there is one, brings the robot to rest. Any other body runs on, and ``on_pause``
+alone pauses its goal.
 
 ROS 2 has no state for this: a paused goal is EXECUTING. A paused goal keeps its place in its slot.
-A cancel, a preemption and the end of the server reach it at once.
+A cancel, a preemption and the server's shutdown reach a paused goal at once.
 
-Source: VDA 5050 ``startPause`` and ``stopPause`` for the expectations of users.
+Source: VDA 5050 ``startPause`` and ``stopPause``, for what users expect of a pause.
 """
 
 from __future__ import annotations
@@ -353,7 +353,7 @@ def _is_ending(goal: Goal) -> bool:
 
 
 class _Switch:
-    """A lock for each goal, kept while somebody uses it."""
+    """Holds the lock of one goal. The lock exists only while somebody uses it."""
 
     def __init__(self, locks: dict[Goal, anyio.Lock], goal: Goal) -> None:
         self._locks = locks
