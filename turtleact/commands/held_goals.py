@@ -6,8 +6,8 @@ a server of turtleact; see `turtleact.commands.pause_requests`.
 
 A server publishes its status when a goal changes, and its last message is latched; a server that
 never had a goal may publish nothing. The commands therefore wait for latched messages, but not for
-long. A latched message may also outlive a server that hangs. Therefore the commands ask each server
-to cancel a goal that does not exist. A working server answers that request.
+long. A latched message may also arrive from a server that hangs. Therefore the commands ask each
+server to cancel a goal that does not exist. A working server answers that request.
 
 Source: the ROS 2 design article "Actions"; action_msgs/srv/CancelGoal; rcl_action
 ``action_server.c`` for the contents and times of messages.
@@ -182,7 +182,7 @@ def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
 async def find_goal(node: Node, wanted: str) -> HeldGoal:
     """Find the goal on the graph with an id that begins with a text.
 
-    Prints a note if its server does not answer.
+    Print a note if the goal's server does not answer.
 
     Raises:
         UsageError: if there are several.
@@ -520,7 +520,7 @@ def _as_json(node: Node, goal: HeldGoal, now: int) -> str:
 
 
 def _clients(node: Node, action: str) -> list[str]:
-    """The nodes that may have sent a goal. ROS 2 does not say which client sent it."""
+    """The nodes that may have sent a goal. ROS 2 does not say which of them sent it."""
     service = action_names(action).send_goal
     return sorted(
         {

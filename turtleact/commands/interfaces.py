@@ -81,7 +81,7 @@ def make_found(folder: str | None, *, is_silent: bool = False) -> None:
 
     Args:
         folder: As for `turtleact.interfaces.load_interfaces`; None for no folder.
-        is_silent: Whether to print no such line.
+        is_silent: Whether to leave out this line.
 
     Raises:
         InvalidInterface: if the folder does not exist.

@@ -3,25 +3,24 @@
 A signal is recorded; it never raises in the middle of an import or of a body. The effect of a
 signal depends on what the program is doing:
 
-- Before the event loop runs, a signal has no effect: the program looks at `Interrupts.received`
-before it starts the loop.
-  A second signal ends the process at once.
+- Before the event loop runs, a first signal is only recorded: the program looks at
+  `Interrupts.received` before it starts the loop. A second signal ends the process at once.
 - While the program reads input (`Interrupts.read`), a signal ends the reading.
 - In a start that may take long (`Interrupts.beginning`), a signal sets the system's alarm clock.
-The alarm ends the process unless the start is over within `GRACE`.
+  The alarm ends the process unless the start is over within `GRACE`.
 - In the event loop (`Interrupts.listening`), a signal wakes the task that waits in
   `Interrupts.wait`. The loop may be stuck in a body, or in writing to a pipe that nobody reads. So
-  the alarm clock ends the process if the loop does not handle the second signal within `GRACE`, or
-  if a deadline passes (`Interrupts.end_within`, `Interrupts.patience`). A third signal ends the
-  process at once. From the first signal on, the alarm clock also rings every `GRACE`. Without that,
-  Python would notice a signal that comes just before a blocking write only after the write.
-- After the loop, a signal has no effect. In the end, signals are ignored.
+  the alarm clock ends the process if the loop has not ended `GRACE` after a second signal, or when
+  another deadline passes (`Interrupts.end_within`, `Interrupts.patience`). A third signal ends the
+  process at once. From the first signal on, the alarm clock also rings every `GRACE`. Otherwise, if
+  a signal came just before a blocking write, Python would notice it only after the write.
+- After the loop, a signal has no effect. While Python shuts down, signals are ignored.
 
 One signal handler, set once, does all of this. With the loop's own signal handling, Python's
 default handler would be active just before and after the loop, and print a traceback. The handler
 wakes the loop through ``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. While the loop
 or a read waits in the system, it also waits for a socket to which the system writes each signal.
-Without that, Python would notice a signal that came just before the wait only after the wait.
+Without that socket, if a signal came just before the wait, Python would notice it only afterwards.
 
 Windows has neither an alarm clock nor a way to wait for a file. On Windows, threads do both.
 """
@@ -204,15 +203,15 @@ class Interrupts:
 
     @contextmanager
     def beginning(self, status: int | None = None) -> Iterator[None]:
-        """Mark a block that only starts something, so that a signal may end the process at once.
+        """Mark a block that only starts something: a signal may end the process during the block.
 
         After a signal during or before the block, the program has `GRACE` to leave the block. Then
-        the process ends, however busy the loop is. If turtleact raises an error after a signal, the
-        error ends the block and is dropped. So check `received` before you use the results of the
-        block.
+        the process ends, however busy the loop is. After a signal, a `TurtleactError` ends the
+        block and is dropped. So check `received` before you use the results of the block.
 
         Args:
-            status: The exit status in that case. None means the status of the signal.
+            status: The exit status if the process ends in the block. None means the status of the
+                signal.
         """
         from turtleact.errors import TurtleactError
 
@@ -237,7 +236,7 @@ class Interrupts:
             self._arrive(number, None)
 
     def end_within(self, seconds: float, status: int) -> None:
-        """End the process if the loop has not left `listening` after some seconds and `GRACE`.
+        """End the process unless the loop leaves `listening` within ``seconds`` plus `GRACE`.
 
         The earliest of several deadlines counts. Nothing is flushed.
         """
@@ -279,7 +278,7 @@ class Interrupts:
         self.end_within(0.0, self.status if self._early is None else self._early)
 
     def _set_alarm(self) -> None:
-        """Set the alarm clock for the deadline, and after a signal for `GRACE` at most.
+        """Set the alarm clock for the deadline; after a signal, let it ring within `GRACE`.
 
         The clock then rings every `GRACE`. A single alarm could get lost: Python 3.11 may record a
         signal without running its handler if the main thread is in a loop of its own.
@@ -302,7 +301,7 @@ class Interrupts:
         """Act as the alarm clock, in a thread: end the process when the deadline has passed.
 
         The thread only reads values that the handlers write. A handler may have interrupted the
-        main thread anywhere, so it must take no lock, such as that of a timer.
+        main thread anywhere, so the handler must take no lock, such as that of a timer.
         """
         while monotonic() < self._due:
             sleep(TICK)
@@ -328,8 +327,9 @@ def _read(file: int, woken: socket.socket, most: int) -> bytes:
 def _reading_thread(file: int) -> Callable[[int], bytes]:
     """Return a function like `_read` for systems that cannot wait for a file: a thread waits.
 
-    Signal handlers run between two checks of what the thread has read. After a signal, the thread
-    may keep reading, but it does not keep the program alive.
+    The main thread checks again and again what the other thread has read, so that signal handlers
+    can run in between. After a signal, the other thread may keep reading, but it does not keep the
+    program alive.
     """
     import queue
     from threading import Thread

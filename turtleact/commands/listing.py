@@ -200,7 +200,7 @@ def _hash_of(type_name: str) -> str:
 
 
 async def print_nodes(node: Node, *, count: bool, hidden: bool) -> int:
-    """Print the names of all nodes, or their number. A note names nodes that share a name."""
+    """Print the names of all nodes, or their number. A note lists names that nodes share."""
     names = sorted(name for name in node.transport.nodes() if hidden or not is_hidden_node(name))
     shared = [name for name, number in Counter(names).items() if number > 1]
     if shared:

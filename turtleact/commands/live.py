@@ -364,7 +364,10 @@ class Dashboard:
                     print(line.full, file=sys.stderr)
 
     async def run(self) -> None:
-        """Draw from the first heading line on. When cancelled, print the last lines."""
+        """Draw frames, from the first heading line on.
+
+        When cancelled, print the heading and the last lines of the log.
+        """
         if not self._has_said.is_set():
             await self._has_said.wait()
         with (
@@ -467,7 +470,7 @@ class _Served:
         )
 
     def _marks(self) -> Iterator[str]:
-        """Words about a resumed or paused goal, or about how the turtle of another goal moves."""
+        """The marks of the goal: resumed, and paused or else how its turtle moves."""
         if self._goal.resumed is not None:
             yield "resumed"
         if self._goal.is_paused:

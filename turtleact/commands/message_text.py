@@ -90,7 +90,7 @@ def read_text_file(path: str, what: str) -> str:
 
     Args:
         path: The path of the file.
-        what: The beginning of an error: the option, and the file.
+        what: How errors begin: with the option and the file.
 
     Raises:
         UsageError: if the file cannot be read, is longer than `MOST` bytes, or is not UTF-8.
@@ -155,7 +155,7 @@ class Style(NamedTuple):
     strings: bool = True
 
     def values(self, message: Message) -> dict[str, object]:
-        """A message as plain values. Fields that are left out are only described."""
+        """A message as plain values. Fields that are not printed are only described."""
         values = to_dict(message)
         if self.arrays and self.strings:
             return values

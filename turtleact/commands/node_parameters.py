@@ -111,7 +111,7 @@ async def print_names(
 ) -> int:
     """Print the names of the parameters of a node, or of all nodes that have some.
 
-    With all nodes, a node that does not answer leads to a note and the exit status 1.
+    If ``name`` is None, a node that does not answer leads only to a note and the exit status 1.
 
     Args:
         node: A node on the graph.
@@ -520,7 +520,7 @@ async def _set_again(
 
 
 def _of_type(value: ParameterValue, kind: int) -> ParameterValue:
-    """The value in the type of its parameter if nothing is lost; otherwise the value unchanged.
+    """Convert a value to its parameter's type if nothing is lost; otherwise return it unchanged.
 
     An integer can become a double or byte, and an empty list can become an array of any type.
     """
@@ -537,7 +537,7 @@ def _of_type(value: ParameterValue, kind: int) -> ParameterValue:
 
 
 def _quoted(value: ParameterValue, kind: int) -> str:
-    """A hint on writing a number or bool as text, for a parameter that is text."""
+    """How to write a number or bool as text, if the parameter is text; otherwise empty."""
     plain = value_of(value)
     if kind != ParameterType.PARAMETER_STRING or not isinstance(plain, bool | int | float):
         return ""

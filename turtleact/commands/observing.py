@@ -56,7 +56,7 @@ def set_up_logging(log_format: LogFormat | None) -> None:
 
 
 class _ToStderr(logging.Handler):
-    """Writes to the stderr of the moment, because the dashboard redirects stderr."""
+    """Writes to the current `sys.stderr`, because the dashboard redirects it."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a record."""
@@ -123,7 +123,7 @@ async def _export(stack: AsyncExitStack, starts: list[Callable[[Node], None]]) -
 
 
 class _ExporterProblems(logging.Filter):
-    """Reports once, in clear words, what the exporters log at each of their attempts."""
+    """Reports in clear words, and once per `REPEAT`, what exporters log at each attempt."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -152,7 +152,7 @@ def _unreachable(reason: str) -> str:
 
 
 def _problem(record: logging.LogRecord) -> str:
-    """The problem in the record of an exporter; empty if the record only says that it gives up."""
+    """The problem in an exporter's record; empty if the exporter only says that it gives up."""
     text = record.getMessage()
     if answer := ANSWER.search(text):
         is_metrics = record.name.endswith("metric_exporter")

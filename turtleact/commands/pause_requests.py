@@ -1,7 +1,7 @@
 """Asks servers to pause or resume goals, and asks which goals are paused.
 
-ROS 2 has no pauses. Servers of turtleact offer a service and a topic for them, as soon as somebody
-asks; see `turtleact.goal_wire`.
+ROS 2 has no pauses. Servers of turtleact offer a service and a topic for pauses, as soon as
+somebody asks; see `turtleact.goal_wire`.
 """
 
 from __future__ import annotations

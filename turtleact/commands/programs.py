@@ -79,10 +79,10 @@ def run_program(
     All users' programs begin here. Everything that they need in the process, such as modules that
     turtleact provides, is set up here before their first import.
 
-    The program finds the same as under ``python``: its arguments in ``sys.argv``, its folders in
-    ``sys.path``, Python's own signal handlers, and ``__main__`` if it is a file. A function's
-    result becomes the exit status as in an entry point that pip installed. A program in machine
-    code replaces this process.
+    The program finds what it would find under ``python``: its arguments in ``sys.argv``, its
+    folders in ``sys.path``, Python's own signal handlers, and ``__main__`` if it is a file. A
+    function's result becomes the exit status, as in a script that pip installs. A program in
+    machine code replaces this process.
 
     Args:
         program: What to run.
@@ -202,7 +202,7 @@ def _become(command: list[str]) -> NoReturn:
 
 
 def _status(code: object) -> int:
-    """The exit status for the argument of `sys.exit`. A text is printed, as Python does."""
+    """The exit status for the argument of `sys.exit`. A text is printed, as in Python."""
     if code is None:
         return 0
     if isinstance(code, int):
@@ -235,7 +235,7 @@ def _place_of(error: BaseException) -> str:
 
 
 def _is_ours(file: str) -> bool:
-    """Whether a file is this module, or one with which Python runs or imports a program."""
+    """Whether a file is this module, or a part of Python that imports or runs programs."""
     return file in (OURS, importlib.__file__) or file.startswith("<frozen ")
 
 

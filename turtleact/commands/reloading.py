@@ -58,7 +58,7 @@ class Kept(TypedDict, total=False):
 
 
 class Watch:
-    """Finds the files of the user's that have changed since they were imported.
+    """Finds the user's files that have changed since they were imported.
 
     Args:
         modules: The user's modules, not yet imported.

@@ -48,9 +48,9 @@ CANCELLED = (
 def run(main: Coroutine[object, object, T], interrupts: Interrupts) -> T:
     """Run a command to its end, and return its result.
 
-    If the user's code stops the loop, the command is ended as by a signal. Once it has ended, the
-    cause is raised. If tasks or threads do not end then, `Interrupts.must_leave` is set: the
-    process must end without waiting for them.
+    If the user's code stops the loop, the command ends as after a signal. Then the code's exception
+    is raised, or a `TurtleactError` if there is none. If other tasks or threads do not end in time,
+    `Interrupts.must_leave` is set: the process must end without waiting for them.
 
     Raises:
         SystemExit: if the user's code called `sys.exit`.
@@ -86,13 +86,14 @@ def run(main: Coroutine[object, object, T], interrupts: Interrupts) -> T:
 def _drive(
     loop: asyncio.AbstractEventLoop, task: asyncio.Task[Any], interrupts: Interrupts | None
 ) -> BaseException | None:
-    """Run the loop until a task is done. Return the exception that stopped the loop before, if any.
+    """Run the loop until a task is done. If something stopped it earlier, return the cause.
 
-    If something stops the loop, ``interrupts`` tell the task to end.
+    If something stops the loop before, ``interrupts`` tell the task to end, and the loop runs
+    again.
 
     An exception such as SystemExit leaves the loop in the middle of a turn, and ``loop.stop()`` at
-    the end of one. Either way, the loop can run again. The loop must run again, because running
-    goals must end and their clients need an answer.
+    the end of one. Either way, the loop can run again. It must, because running goals must end and
+    their clients need an answer.
     """
     cause: BaseException | None = None
     # `run_until_complete` would not do: it removes its callback when an exception leaves the loop,

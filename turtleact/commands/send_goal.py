@@ -199,8 +199,8 @@ class Sending:
         """Open a node on the graph in reach or, if the graph has no actions, in an embedded world.
 
         Raises:
-            TurtleactError: if no server is in reach, but the goal waits for a server
-                (``--reattach``) or must outlive this command.
+            TurtleactError: if no server is in reach, but the user waits for one (``--reattach``) or
+                the goal must outlive this command.
         """
         order, place, reach = self._order, self._order.place, self._order.place.reach
         why = ""
@@ -228,8 +228,8 @@ class Sending:
     async def _enter_graph(self, stack: AsyncExitStack, reach: Reach) -> Node | None:
         """Enter the graph in reach. With ``--reattach``, wait for the graph and for the action.
 
-        If the router is off, the connection fails at once, so this tries again until the time is
-        over.
+        If the router is off, the connection fails at once, so this function tries again until the
+        time of ``--reattach`` is over.
         """
         patience = self._order.reattach
         due = anyio.current_time() + patience
@@ -428,7 +428,7 @@ class Sending:
         leave(status)
 
     def _way_back(self, sent: Sent) -> str:
-        """A sentence with the command that follows a goal that goes on."""
+        """A sentence on what becomes of the goal and, if it goes on, how to follow it."""
         if self._is_embedded:
             return ENDED_WITH_WORLD
         command = f"turtleact watch {sent.handle.goal_id.hex()}{self._order.place.options}"

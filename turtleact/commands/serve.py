@@ -241,9 +241,9 @@ async def serve_declared(
     """Serve actions, and return once all of them are on the graph.
 
     Only one node serves an action name; `turtleact.node.conflicts` has the rules. A node with this
-    node's own name may be its predecessor, which was killed a moment ago. This function always
-    waits for such a node. But the node may also belong to another ``turtleact serve`` that still
-    runs. Without ``wait``, this function therefore waits at most `LEASE` seconds.
+    node's own name may be its predecessor, which was killed a moment ago. This function waits for
+    such a node even without ``wait``. But the node may also belong to another ``turtleact serve``
+    that still runs, so without ``wait`` this function waits at most `LEASE` seconds.
 
     Args:
         node: The node that serves the actions.
@@ -493,7 +493,7 @@ class ServerLog:
     def complain(self, problem: str) -> None:
         """Print a problem of modules that cannot be served yet.
 
-        On a dashboard, a reload replaces it.
+        On a dashboard, the line of the next reload replaces it.
         """
         if self.board is None:
             self.note(problem)
@@ -502,7 +502,7 @@ class ServerLog:
 
     @contextmanager
     def hearing_reloads(self) -> Iterator[None]:
-        """During a block, show errors of reloads like `reload` does: only the newest one."""
+        """During a block, print reload errors with `reload`: a dashboard keeps only the newest."""
         logger, told = logging.getLogger("turtleact.reload"), _Told(self.reload)
         logger.addHandler(told)
         try:

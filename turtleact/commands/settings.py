@@ -91,7 +91,8 @@ class Place(NamedTuple):
         seed: The seed of the embedded world.
         reach: Where to look for a server first. With None, only the embedded world is used.
         interfaces: A folder with more interfaces.
-        options: The same values as text for the command line of other verbs, each after a space.
+        options: ``reach`` and ``interfaces`` as options for the command line of another verb, with
+            a space before each option.
     """
 
     speed: float | str = 1.0
@@ -193,7 +194,8 @@ class Service(NamedTuple):
 
     Attributes:
         targets: The user's actions, as `turtleact.commands.targets` reads them.
-        listen: The endpoints to listen at. If empty, it is the endpoint of a router.
+        listen: The endpoints to listen at, as a router. If there are none, and none to connect to,
+            the server is the router of this machine, or a peer of that router.
         reach: The endpoints to connect to, and the domain.
         fleet: The turtles; None for no world and no built-in actions.
         page: The page and rosbridge; None for neither.

@@ -123,7 +123,10 @@ def run(order: Order, interrupts: Interrupts) -> int:
 
 @asynccontextmanager
 async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
-    """Open a node on the graph in reach or in an embedded world. Yield node and turtle's name."""
+    """Open a node on the graph in reach or in an embedded world.
+
+    The block gets the node and the turtle's name.
+    """
     why = ""
     async with AsyncExitStack() as stack:
         if order.reach is not None:
@@ -181,7 +184,7 @@ def _wanted(order: Order) -> str:
 
 
 def turtles_in_reach(node: Node) -> list[str]:
-    """The names of all turtles, sorted: everything that subscribes to a ``cmd_vel``."""
+    """The sorted names of all turtles; whatever subscribes to a ``cmd_vel`` is one."""
     return sorted(
         {
             each.name.removesuffix(f"/{COMMANDS}").strip("/")

@@ -4,8 +4,8 @@ Only `Region` moves the cursor and changes the terminal's modes. While a region 
 is hidden and typed characters are not echoed. If keys are read, each key comes at once. All of this
 is undone whenever the process ends or stops. Only SIGKILL and SIGSTOP cannot be handled.
 
-While a region is held, writing never waits for the terminal (`Outlet`). A terminal that takes
-nothing, because its user pressed Ctrl-S or its connection hangs, misses frames.
+While a region is held, writing never waits for the terminal (`Outlet`). Frames are left out while
+the terminal takes no text, for example because the user pressed Ctrl-S or the connection hangs.
 
 Two limits remain. When the window gets narrower, the terminal wraps lines again, which may push the
 first lines out of the window for good. Besides, keys that nobody reads are kept for the next
@@ -93,7 +93,7 @@ class Outlet:
 
     The terminal is opened a second time, because non-blocking mode belongs to the open file, and
     the process shares its open file with the shell. If the terminal cannot be opened again, a frame
-    is written only while the terminal accepts text, and the writing may wait.
+    is written only while the terminal accepts text, and writing it may block.
 
     Attributes:
         is_writing: Whether text is being written right now. Text from a signal handler would end up
@@ -159,8 +159,8 @@ class Region:
 
     Between two frames the hidden cursor stands at the beginning of the first line. When a terminal
     is resized and wraps lines anew, the cursor stays with its line, so the next frame starts where
-    the last one did. Each line is erased before it is drawn: otherwise the terminal would treat
-    lines that it wrapped as one, and wrap them together the next time.
+    the last one did. Each line is erased before it is drawn: otherwise the terminal would treat the
+    parts of a line that it has wrapped as one line, and wrap that line again at the next resize.
 
     Args:
         stream: The terminal.
@@ -197,7 +197,10 @@ class Region:
         return self._outlet is None or self._outlet.push()
 
     def draw(self, lines: Sequence[str]) -> None:
-        """If `is_ready`, draw lines in place of the last ones. The window needs one line more."""
+        """If `is_ready`, draw lines in place of the last ones.
+
+        The window must have at least one line more than these.
+        """
         if not self.is_ready():
             return
         if self._is_held and self._modes is None:
@@ -449,7 +452,7 @@ class LogLines(io.TextIOBase):
     def listening(self) -> Iterator[None]:
         """During a block, add prints to stdout to this log.
 
-        Do so for stderr if it is a terminal.
+        Prints to stderr are added too, unless stderr is redirected.
         """
         is_shown = sys.stderr is None or sys.stderr.isatty()
         with redirect_stdout(self), redirect_stderr(self) if is_shown else nullcontext():

@@ -143,7 +143,7 @@ async def _print(
 
 
 def _durability(node: Node, name: str) -> Durability:
-    """The durability to ask for. If a publisher has latched messages, they are included."""
+    """The durability to ask for: ``transient_local`` if a publisher latches its messages."""
     endpoints = node.transport.endpoints()
     publishers = [each for each in endpoints if each.kind == "publisher" and each.name == name]
     is_latched = any(each.qos.durability == "transient_local" for each in publishers)
@@ -231,7 +231,7 @@ class Rate:
     """Measures the times between messages, and their rate.
 
     Args:
-        window: How many times to keep.
+        window: How many of these times to keep.
     """
 
     def __init__(self, window: int) -> None:

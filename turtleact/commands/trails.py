@@ -201,7 +201,8 @@ def sends_a_turtle(name: str, goal: Message) -> tuple[bool, str]:
 
     Args:
         name: The action's name: ``/turtle1/rotate_absolute`` drives ``turtle1``.
-        goal: The goal. A goal with places that names no turtle drives ``turtle1``.
+        goal: The goal. If neither the goal nor the action's name has a turtle, a goal with places
+            drives ``turtle1``.
     """
     named = str(getattr(goal, "turtle", "")) or name.rpartition("/")[0].strip("/")
     has_places = any(True for _ in places_in(to_dict(goal)))

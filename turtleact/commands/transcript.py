@@ -152,7 +152,8 @@ class Sent(NamedTuple):
 class PlainTranscript:
     """The transcript of ``ros2 action send_goal``, but with all YAML indented alike.
 
-    ROS 2 indents only the first line below ``Feedback:`` and ``Result:``, so its output is no YAML.
+    ROS 2 indents only the first line below ``Feedback:`` and ``Result:``, so its output is not
+    YAML.
 
     Args:
         wants_feedback: Whether to print each feedback message.

@@ -54,7 +54,7 @@ class ManyVerb(Verb):
     """A verb with options that take several values, as argparse's do: ``--topics /a /b``."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
-        """Read the arguments. An option is repeated before each of its values."""
+        """Repeat each such option before each of its values, then read the arguments."""
         many = {name for each in self.params if _is_list(each) for name in each.opts}
         args = [SHORT.get(each, each) for each in _with_frequency(args)]
         for option, following in pairwise([*args, "--"]):
@@ -68,7 +68,7 @@ def _is_list(param: Any) -> bool:  # noqa: ANN401  # of click, as in `load`
 
 
 def _repeated(args: Sequence[str], many: set[str]) -> list[str]:
-    """Repeat an option that takes several values before each of its values.
+    """Repeat each option with several values, once before each value.
 
     >>> _repeated(["--topics", "/a", "/b", "-o", "run", "/c"], {"--topics"})
     ['--topics', '/a', '--topics', '/b', '-o', 'run', '/c']
@@ -86,7 +86,7 @@ def _repeated(args: Sequence[str], many: set[str]) -> list[str]:
 
 
 def _with_frequency(args: Sequence[str]) -> list[str]:
-    """Give ``--clock`` the frequency that ``ros2 bag play`` takes if none follows.
+    """Add the default frequency of ``ros2 bag play`` to a ``--clock`` without one.
 
     >>> _with_frequency(["run", "--clock", "--loop"])
     ['run', '--clock', '40', '--loop']
@@ -537,7 +537,7 @@ def convert(
     max_duration: MaxDuration = 0,
     preset: PresetProfile = "none",
 ) -> Job:
-    """Write bags anew: merged, cut by time or topic, split or compressed."""
+    """Convert bags: merge, cut by time or topic, split or compress them."""
     named: dict[str, Any] = {
         "topics": topics,
         "services": services,
@@ -604,7 +604,7 @@ def _renamed(rule: str) -> tuple[str, str]:
 
 
 def _work(module: str) -> Any:  # noqa: ANN401  # a module
-    """Import a module that needs the extra.
+    """Import a module that needs the extra ``bag``.
 
     Raises:
         TurtleactError: if a package is missing. The text names it.

@@ -337,7 +337,7 @@ def only_one(what: str, **given: bool) -> None:
     """Refuse options that exclude each other.
 
     Args:
-        what: The thing that each option gives, for the error.
+        what: What each of these options gives, as the error names it.
         **given: Whether each option was given, by its name: ``goal_file`` is ``--goal-file``.
 
     Raises:

@@ -352,7 +352,7 @@ def _overrides(files: list[Path] | None, assignments: list[str] | None) -> tuple
 
 
 def _node_name(targets: list[str] | None, *, no_sim: bool) -> str:
-    """The name of the node with the user's actions. Without a world, it is that of their module.
+    """The name of the node with the user's actions. Without a world, it is their module's.
 
     ROS 2 warns of two nodes with one name, and a server without a world often runs beside one with
     a world.
