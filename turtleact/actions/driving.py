@@ -207,7 +207,7 @@ class Drive:
             target: The target to drive to.
             next_target: The target after that.
             theta: The heading at the target (rad). If left out, any heading will do.
-            until: The time of the drive (s) at which this returns, or at the first tick after it.
+            until: This returns no later than the first tick at or after this time of the drive (s).
 
         Raises:
             Abort: if no pose of the turtle arrives.
@@ -218,7 +218,7 @@ class Drive:
         await self.wait_for_pose()
 
     async def rest(self) -> None:
-        """Stop as fast as the accelerations allow. Without limits, this takes no tick.
+        """Stop as fast as the accelerations allow. If they are not limited, this takes no tick.
 
         Raises:
             Abort: if no pose of the turtle arrives.

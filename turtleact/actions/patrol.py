@@ -163,7 +163,7 @@ class _Tour:
         return self._sum_from(stop, self._legs)
 
     async def bound(self, drive: Drive, goal: Patrol.Goal) -> float:
-        """The shortest possible time (s). For stops beyond `EXACT`, it leaves out the turns.
+        """The shortest possible time (s). For stops beyond `WHOLE`, this leaves out the turns.
 
         The first round alone may give a higher bound than all rounds, because the search is finer
         with fewer stops.
@@ -353,4 +353,4 @@ class _Leg:
 
 
 def _nothing(_: Patrol.Result) -> None:
-    """The lecture's result message cannot hold partial progress."""
+    """Drop a partial result: the lecture's result message cannot hold one."""

@@ -81,7 +81,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
             infinite.
 
     Raises:
-        InvalidOption: if there is no such type, or a number is out of its range.
+        InvalidOption: if a type is not in its table, or a number is out of its range.
         InvalidName: if a topic breaks ROS 2's rules.
 
     Example:

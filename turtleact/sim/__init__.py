@@ -3,11 +3,11 @@
 Without ROS and without a clock:
 
 - `world`: turtles by name, which come and go, commands, teleports and walls; `start_poses` chooses
-where turtles start.
+  where turtles start.
 - `kinematics` moves a few turtles by one step, `fleet` many; `fleet` also finds the turtles that
-block each other.
+  block each other.
 - `drawing`: the pens of the turtles and what they draw, as lines and on a `canvas`; `rasterising`
-draws the lines of a fleet; `pictures` turns a drawing into SVG and PNG.
+  draws the lines of a fleet; `pictures` turns a drawing into SVG and PNG.
 
 As a node:
 

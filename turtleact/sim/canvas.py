@@ -119,7 +119,7 @@ def _within(low: float, high: float) -> tuple[int, int]:
 
 
 def _strip(dx: float, dy: float, low: float, high: float) -> tuple[float, float, float]:
-    """Where ``low <= dx * x + dy * y < high``: the slope of x by y, and its bounds at y = 0.
+    """The x with ``low <= dx * x + dy * y < high``: their shift for each y, their bounds at y = 0.
 
     If the condition does not depend on x, there are no bounds; the caller chooses the rows
     accordingly.

@@ -11,8 +11,8 @@ tick by tick as arrays (`rasterising`).
 
 - Pixels show every line, and later lines cover earlier ones.
 - A polyline leaves out points if the line without them passes within `TOLERANCE` of them. A
-polyline continues while
-  its turtle draws with the same pen from where it stopped, up to `LONGEST` points.
+  polyline continues while its turtle draws with the same pen from where it stopped, up to `LONGEST`
+  points.
 - A drawing is bounded: when its polylines hold `MOST_POINTS` points, everything drawn so far is
   kept only as pixels.
 
@@ -414,7 +414,7 @@ class _Fleet(NamedTuple):
 
 
 class _Run:
-    """Consecutive lines of one turtle that no pixel can tell from one straight line."""
+    """Consecutive lines of one turtle that set the same pixels as one straight line."""
 
     __slots__ = ("end", "pen", "start")
 
@@ -441,10 +441,10 @@ class _Run:
 class _Stroke:
     """A polyline that may continue.
 
-    From the last corner, all later points up to the tip lie in a narrow cone: `_low` to `_high`
-    (rad), counted from `_axis`. If the next tip is inside the cone and no nearer than the earlier
-    points, the straight line to the tip passes all of them within `TOLERANCE`. Otherwise the old
-    tip becomes a corner.
+    Seen from the last corner, all later points up to the tip lie in a narrow cone: `_low` to
+    `_high` (rad), counted from `_axis`. If the next tip is inside the cone and no nearer than the
+    earlier points, the straight line to the tip passes all of them within `TOLERANCE`. Otherwise
+    the old tip becomes a corner.
     """
 
     __slots__ = ("_axis", "_high", "_low", "_reach", "corners", "pen", "tip")

@@ -383,7 +383,7 @@ def _complex(real: _Floats, imag: _Floats) -> _Complexes:
 
 
 def _near(places: _Complexes, some: _Indices, distance: float) -> tuple[_Indices, _Indices]:
-    """The pairs of turtles nearer than a distance (m), if at least one turtle is in ``some``."""
+    """The pairs of turtles nearer than a distance (m), each with at least one of ``some``."""
     cells = np.floor(places.imag / distance).astype(np.int64) * _COLUMNS
     cells += np.floor(places.real / distance).astype(np.int64)
     order = np.argsort(cells, kind="stable")

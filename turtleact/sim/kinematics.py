@@ -1,8 +1,8 @@
 """One step of a turtle: turn, move, stop at the walls, forget old commands.
 
-The numbers and the order of the operations are turtlesim's, so that its Poses come out to the last
-bit. So y is kept as the depth below the upper edge, and half a turn is 3.14159265. A Pose is
-rounded to float32 only when it is read. `Handful` moves a few turtles in plain floats;
+The numbers and the order of the operations are turtlesim's, so that Poses equal turtlesim's to the
+last bit. Therefore y is kept as the depth below the upper edge, and half a turn is 3.14159265. A
+Pose is rounded to float32 only when it is read. `Handful` moves a few turtles in plain floats;
 `turtleact.sim.fleet` moves many as arrays. This module knows no names, no ROS and no clock: time is
 the number of a tick.
 
@@ -177,8 +177,8 @@ def chord(rule: StepRule, turn: float) -> tuple[float, float]:
         turn: The turn made in the step (rad).
 
     Returns:
-        The angle of the line behind the heading at the end of the step (rad), and the length of the
-        line for each m/s of speed (s).
+        The angle by which the line lags behind the heading at the end of the step (rad), and the
+        length of the line for each m/s of speed (s).
     """
     if rule is StepRule.EULER or not turn:
         return 0.0, DT

@@ -127,7 +127,7 @@ def to_svg(snapshot: Snapshot) -> str:
 
 
 def to_png(snapshot: Snapshot) -> bytes:
-    """Draw a picture in which each pixel of the drawing equals turtlesim's window."""
+    """Draw a picture in which the drawing equals that of turtlesim's window, pixel by pixel."""
     import numpy as np
 
     layers = np.frombuffer(snapshot.pixels, np.uint8).reshape(SIZE, SIZE, 4)

@@ -1,6 +1,6 @@
 """Draws the lines of a fleet as arrays: joins them while they are straight, then sets pixels.
 
-`Runs` joins the steps of a turtle that moves straight into one line, so that a fleet does not draw
+While a turtle moves straight, `Runs` joins its steps into one line, so that a fleet does not draw
 one line per turtle and tick. `draw_lines` colours the pixels of many lines. These are exactly the
 pixels of `Canvas.line`, because the arithmetic runs in the same order. `drawing` does the same with
 plain floats for a few turtles. This module knows no turtle, no ROS and no clock.

@@ -3,11 +3,11 @@
 The first turtles of a world are placed in one of the ways in `PLACINGS`:
 
 - ``random``: the first turtle in the middle, looking along x, and the others spread evenly over the
-square. The place and heading of each depend only on its number and the seed;
+  square. The place and heading of each depend only on its number and the seed.
 - ``grid``: in rows from the lower left, with as many turtles in a row as there are rows, all
-looking along x;
+  looking along x.
 - ``ring``: on a circle around the middle, counterclockwise from the right, each turtle looking
-along the circle.
+  along the circle.
 
 All turtles keep a metre from the walls. Numbers from messages are rounded to float32, as in
 turtlesim. This module knows no ROS and no clock; all randomness comes from a seed.

@@ -5,10 +5,10 @@
   published after each tick if somebody subscribes to them;
 - ``<turtle>/set_pen``, ``<turtle>/teleport_absolute`` and ``<turtle>/teleport_relative``;
 - ``<turtle>/rotate_absolute``, one goal at a time; `Rotation` is turtlesim's controller for such a
-goal, a pure class that is called once in each tick. This module rounds to float32 wherever
-turtlesim does.
+  goal, a pure class that is called once in each tick.
 
-This module knows no clock: `turtlesim` calls it at each tick.
+This module rounds to float32 wherever turtlesim does. It knows no clock: `turtlesim` calls it at
+each tick.
 
 Source: turtlesim 1.8.2, ``turtle.cpp`` (for the controller ``Turtle::update`` and
 ``Turtle::rotateAbsoluteAcceptCallback``) and ``qos.hpp``.

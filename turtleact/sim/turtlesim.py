@@ -6,7 +6,7 @@ topics and services of each turtle, and `world_services` has those for time, pos
 Only these three modules know ROS and a clock.
 
 Where turtlesim would exit (a turtle with an invalid name) or turn forever (numbers that are not
-finite), this logs a message and goes on.
+finite), this node logs a message and goes on.
 
 Source: turtlesim 1.8.2, ``turtle_frame.cpp``.
 """

@@ -79,8 +79,8 @@ class World:
     Attributes:
         holonomic: The argument ``holonomic``. You may change it at any time; it applies to later
             commands.
-        on_jump: Called with a turtle's name and its places ``x + 1j * depth`` (m) before and after
-            each teleport that is made.
+        on_jump: Called for each teleport that is made, with the turtle's name and its places before
+            and after, ``x + 1j * depth`` (m).
 
     Raises:
         SimError: if ``turtles`` is below 1, or ``placing`` is unknown.

@@ -148,8 +148,8 @@ class Ticking:
             on_tick: Called after each tick.
 
         Raises:
-            SimError: if the world is not paused or already being stepped, if ``ticks`` is negative,
-                or if somebody pauses or resumes the world before the last tick.
+            SimError: if the world is not paused or is already being stepped, if ``ticks`` is
+                negative, or if somebody pauses or resumes the world before the last tick.
         """
         if ticks < 0:
             raise SimError(f"{ticks} steps: give 0 or more")

@@ -2,28 +2,29 @@
 
 `shortest_time` is proven for every law that keeps to a style. `time_bound` is proven for unlimited
 accelerations (`turtleact.actions.steering.law` has the proof). For limited ones it is an estimate
-that no test has been able to exceed.
+that no test has exceeded.
 
 `least_loss` is the least time that turning costs a turtle that turns while it drives. Each leg of a
 tour has a direction, in which the turtle must cover a certain distance. While its heading is off by
 an angle e, only cos(e) of its speed counts in that direction, or nothing if cos(e) is negative. In
 a tick, the turtle therefore loses 1 - cos(e) of its speed. The error changes no faster than the
-turn rate, so turning from an error e to zero loses F(e) over the turn rate. The loss of a leg
-depends on the errors at both ends:
+turn rate, so turning from an error e to zero loses F(e) over the turn rate, where F(e) is the
+integral of that loss from 0 to e. The loss of a leg depends on the errors at both ends:
 
-- If they are on different sides, it is F of both. If the leg is too short for that turn, the rest
-  of the turn is added.
-- If they are on the same side, it is F of both, too. On a short leg, the turtle arrives before its
-  error is zero; the loss below that error is subtracted.
+- If the errors are on different sides, the loss is F of one plus F of the other. If the leg is too
+  short for that turn, the rest of the turn is added.
+- If the errors are on the same side, the loss is the same sum. On a short leg, the error never
+  falls to zero; the loss below its least value is subtracted.
 
-A leg may lose more than this shows. The distance in another direction also takes a certain time,
-and for a short leg the two times are similar. Short legs are therefore measured in several
-directions. For each pair of headings, the direction with the strongest bound is used. A leg that is
-left out of the length still takes at least the time of its turn.
+A leg may lose more than this shows. The distance of the leg in any other direction gives another
+bound, and for a short leg that bound may be the higher one. Short legs are therefore measured in
+several directions. For each pair of headings, the direction with the strongest bound is used. If
+the bound of the length leaves out a leg (see `shortest_time`), that leg still takes at least the
+time of its turn.
 
 The heading at the end of a leg is the heading at the start of the next. The headings are divided
-into cells, and all cells are tried. Each cell counts as its best heading would, so the result is a
-bound however coarse the cells are. In this module, angles are in rad, distances in turning radii,
+into cells, and all cells are tried. Each cell counts like its best heading, so the result is a
+bound, however coarse the cells are. In this module, angles are in rad, distances in turning radii,
 and losses in rad of turning at full rate. In a tick the turtle first turns and then moves, which
 may save it time; that gain is subtracted.
 
@@ -85,10 +86,12 @@ def time_bound(
 ) -> float:
     """Return a time (s) within which the steering law is sure to have reached all targets in order.
 
-    Each target counts with the time to drive to it at full speed, up to half a turn (``forward``:
-    three quarters of a turn), and four ticks. With limited accelerations, all this is tripled. The
-    time to reach full speed, driving and turning, is then added four times for each target, and
-    once more. The bound holds if every command acts for its tick and nobody else moves the turtle.
+    For each target, the bound counts the time to drive to it and one tolerance farther at full
+    speed, the time of half a turn (``natural`` and ``forward``: three quarters of a turn), and four
+    ticks. A wanted heading counts as another half turn and four ticks. With limited accelerations,
+    all this is tripled, and the time to reach full speed, driving and turning, is added four times
+    for each target and four times more. The bound holds if every command acts for its tick and
+    nobody else moves the turtle.
 
     Args:
         pose: Where the turtle starts.
@@ -124,14 +127,14 @@ def shortest_time(
     they drive, this loss is the least sum over all possible headings at the targets (see the
     module's docstring). For styles that turn before they drive, the loss is the sum of all turns.
 
-    The time to reach full speed from rest is also a lower bound. The time to turn to a wanted
-    heading is a lower bound, too.
+    Two more times are lower bounds: the time to drive the line from rest with a limited
+    acceleration, and the time to turn to a wanted heading.
 
-    The line need not be exact. By duality, any unit vectors prove a lower bound of the length: what
-    they measure along the legs, with each point at its worst place in its disc. A vector of zero
-    leaves out its leg. If a leg is too short for its turns, the vectors are rotated until the bound
-    no longer rises. In tours of at most six targets, such legs are also measured in several
-    directions.
+    The line need not be exact. By duality, any unit vectors, one for each leg, prove a lower bound
+    of the length: the sum of the legs, each measured along its vector, with each point at its worst
+    place in its disc. A zero vector leaves out its leg. If a leg is too short for its turns, the
+    vectors are rotated until the bound no longer rises. In tours of at most six targets, such legs
+    are also measured in several directions.
 
     Args:
         pose: Where the turtle starts, at rest.
@@ -203,10 +206,10 @@ def _unit(leg: complex) -> complex:
 def _proven_length(
     start: complex, centres: Sequence[complex], units: Sequence[complex], tolerance: float
 ) -> float:
-    """The least sum of unit * leg; a point's weight is the difference of the units at its sides.
+    """The least sum of the legs, each measured along its unit vector.
 
-    The sum is negative if the units lead back. The loss by turning is then added to that negative
-    sum.
+    A point's weight is the difference of the vectors before and after it. The sum is negative if
+    the vectors point against the legs. The loss by turning is then added to that negative sum.
     """
     total = -(start * units[0].conjugate()).real
     for centre, unit, leaving in zip(centres, units, [*units[1:], 0j], strict=True):
@@ -230,7 +233,7 @@ def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[f
 
 
 class _Tour:
-    """The time and length that unit vectors prove, for a turtle that turns as it drives."""
+    """The lower bounds that unit vectors prove, for a turtle that turns as it drives."""
 
     def __init__(
         self, pose: Pose, centres: Sequence[complex], steering: Steering, theta: float | None
@@ -242,7 +245,7 @@ class _Tour:
         self._theta = theta
 
     def proofs(self, units: Sequence[complex]) -> Iterator[tuple[float, float]]:
-        """Yield lengths (m) and times (s) that these directions prove, then better ones."""
+        """Yield the length (m) and time (s) that these directions prove, then better ones."""
         if len(units) > _TUNED:
             yield self._length(units), self._time(units, _COARSE)[0]
             return
@@ -347,7 +350,7 @@ class _Tour:
 class View(msgspec.Struct, frozen=True):
     """A direction (rad), and how far the turtle must and can come in that direction (radii).
 
-    The gain is how much more the way counts in this direction than in that of its leg (radii).
+    ``gain`` is how much longer the leg counts in this direction than in its own (radii).
     """
 
     direction: float
@@ -359,7 +362,7 @@ class View(msgspec.Struct, frozen=True):
 class Leg(msgspec.Struct, frozen=True):
     """One leg: its unit vector, and how far along it the turtle must and can come (radii).
 
-    A leg that is left out of the length is only seen through its views in other directions.
+    A leg that is left out of the length counts only through its views in other directions.
     """
 
     unit: complex
@@ -370,7 +373,7 @@ class Leg(msgspec.Struct, frozen=True):
 
 
 class Cell(msgspec.Struct, frozen=True):
-    """Headings between two legs: the middle one (rad), their range, and the least cost up to there.
+    """A range of headings between two legs: its middle and width (rad), and the least cost so far.
 
     ``before`` is the cell at the previous corner that leads here at this cost.
     """
@@ -423,8 +426,9 @@ def least_loss(
         known: Results for the first legs of other tours with the same first heading and the same
             ``turning``. New results are added.
         tried: Headings (rad), one for each corner, that may be nearly the best. These headings are
-            tried first. If ``known`` is empty, headings that cannot be better are then left out.
-        enough: The search ends with the tried headings if they lose at most this.
+            tried first. If ``known`` is not given, headings that cannot be better are then left
+            out.
+        enough: The search ends with the tried headings if they lose at most this much.
     """
     corners = [_corner(one, next_, turning) for one, next_ in pairwise(legs)]
     wanted = None if turning.last is None else Cell(turning.last, 2.0 * turning.slack)
@@ -477,9 +481,9 @@ def _nearest(corner: Sequence[Cell], heading: float, half: float) -> Cell:
 
 
 def _corner(leg: Leg, following: Leg, turning: Turning) -> list[Cell]:
-    """All headings at a corner, cut at both directions and at the opposite ones.
+    """All headings at a corner, in cells that end at the legs' directions and at their opposites.
 
-    If there is room for both turns, only the best one: half of the turn before the target.
+    If there is room for both turns, only the best heading: half of the turn before the target.
     """
     half, begun = turning.half, phase(leg.unit)
     turn = math.remainder(phase(following.unit * leg.unit.conjugate()), 2.0 * half)
@@ -502,7 +506,7 @@ def _views(leg: Leg) -> Sequence[View]:
 
 
 def _sight(cell: Cell, view: View, half: float, tick: float = 0.0) -> _Sight:
-    """The least error of a cell in a direction, if the turtle may turn for a tick."""
+    """The least error of a cell's headings in a view, after a turn by at most ``tick`` (rad)."""
     angle, off = math.remainder(cell.heading - view.direction, 2.0 * half), cell.width / 2.0
     error = abs(angle)
     if error < off - _ROUNDING or error > half - off + _ROUNDING:
@@ -525,7 +529,7 @@ def _pass(
 ) -> Iterator[Cell]:
     """The cells at the end of a leg, each with the least cost up to there.
 
-    Cells from which the following leg must cost more than the limit are left out.
+    A cell is left out if the cost after the following leg must exceed the limit.
     """
     half, tick = turning.half, turning.tick
     starts, views = _best(starts, half), _views(leg)
@@ -565,9 +569,9 @@ def _pass(
 
 
 def _best(cells: Sequence[Cell], half: float) -> list[Cell]:
-    """The cells by cost.
+    """The cells, cheapest first.
 
-    A cell is left out if a turn on the spot from another one costs no more.
+    A cell is left out if another cell and a turn on the spot from there cost no more.
     """
     best: list[Cell] = []
     for cell in sorted(cells, key=_cost):
@@ -585,7 +589,7 @@ def _cost(cell: Cell) -> float:
 
 
 def _turned(start: Cell, end: Cell, half: float) -> float:
-    """The least turn from a cell to another."""
+    """The least turn from one cell to another (rad)."""
     angle = abs(math.remainder(end.heading - start.heading, 2.0 * half))
     return angle - (start.width + end.width) / 2.0
 
@@ -593,7 +597,7 @@ def _turned(start: Cell, end: Cell, half: float) -> float:
 def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
     """The cost of a leg from one error to another.
 
-    Each error may be larger by the width of a cell.
+    Each error may be larger by up to ``width`` (rad).
     """
     sides = start[1] * end[1]
     if sides > 0:
@@ -622,8 +626,8 @@ def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: f
 def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
     """The cost of a leg from one error to another on the same side.
 
-    The error first falls. When the rest of the way is as long as the turn to the other error needs,
-    the error rises again.
+    The error first falls. It rises again when the rest of the leg is just long enough for the turn
+    to the other error.
     """
     (low, _, made_low), (high, _, made_high) = (one, other) if one < other else (other, one)
     lost = low - made_low + high - made_high
@@ -653,10 +657,10 @@ def _started(cell: Cell, leg: Leg, turning: Turning) -> float:
 
 
 def _made(error: float) -> float:
-    """How far the turtle gets while it turns an error to zero (radii)."""
+    """How far the turtle gets while it turns until an error is zero (radii)."""
     return math.sin(error) if error < _RIGHT else 1.0
 
 
 def _lost(error: float) -> float:
-    """The loss until an error is zero: the integral of 1 - cos, or 1 beyond a right angle."""
+    """The loss until an error is zero: the integral of 1 - cos, or of 1 beyond a right angle."""
     return error - _made(error)

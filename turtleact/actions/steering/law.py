@@ -14,37 +14,35 @@ calls, so if somebody else moves the turtle, it continues from its new place. Th
   turn on the spot.
 - **Look one target ahead.** Before a turn, the turtle swings wide: a turn by an angle a costs
   a - sin(a) over the turn rate, and only a quarter of that if half of the turn is made before the
-  target. The turtle also cuts the inner side of the target's disc. Swinging and cutting stop where
-  the target would get into the turning circle. Styles that drive forwards turn to the next target
-  as
-  soon as the arc to that target leads through the current one. If the discs of two targets overlap,
-  the turtle may drive to a point between them. It drives to that point if an arc leads there, or if
-  it would otherwise have to turn round for the second target.
+  target. The turtle also cuts the inner side of the target's disc. The turtle does neither if the
+  target would then get into the turning circle. Styles that drive forwards turn to the next target
+  as soon as the arc to that target leads through the current one. If the discs of two targets
+  overlap, the turtle may drive to a point between them. It drives to that point if an arc leads
+  there, or if it would otherwise have to turn round for the second target.
 - **Land.** No tick turns beyond the aim or drives beyond the target. A step that would leave the
   area ends at its edge; there the turtle continues to turn.
 - **Face last.** If a heading is wanted at the target, the turtle turns to that heading there, on
-the spot.
-- **Ease.** With limited accelerations, the turtle slows down early enough to stop before the target
-and the edge of the area, and to finish its turn on the way. While it rolls the wrong way,
-  it does not turn. With limited accelerations, the turtle does not swing wide, and does not stop at
-  a target before the last. A turtle that comes fast into a corner may leave the area by
-  centimetres.
+  the spot.
+- **Ease.** With limited accelerations, the turtle does not swing wide, and only stops at the last
+  target. It slows down early enough to stop before the target and the edge of the area,
+  and to finish its turn on the way. While it rolls the wrong way, it does not turn. A turtle that
+  comes fast into a corner may leave the area by centimetres.
 
 `Helm` holds a command as long as the law would repeat it. Most ticks are like the one before:
 straight on, or turning at full rate. So the helm asks the law twice: for this pose, and for the
 pose to which the command leads some ticks later. If the answers are the same, the helm assumes the
 same answer for all ticks in between, and holds the command for them. Then the helm looks ahead
-again, twice as far each time, up to eight ticks. If the answers differ, the second one is used
-next. The helm checks each pose: as soon as the turtle is not where it should be, the hold ends. The
-helm holds no command while commands come late. With limited accelerations it holds none either,
-because then the speeds change with every tick. A hold ends before the target is reached, and never
-leads out of the area.
+again, twice as far each time, up to eight ticks. If the answers differ, the hold is not extended,
+and the answer for the pose where it ends is the next command. The helm checks each pose: as soon as
+the turtle is not where it should be, the hold ends. The helm holds no command while commands come
+late. With limited accelerations it holds none either, because then the speeds change with every
+tick. A hold ends before the target is reached, and never leads out of the area.
 
 Why the turtle always arrives: let e be the angle to the target, d its distance, and R = v/omega the
 radius of the turning circle. The law drives forwards only if tan(e) <= d / R. Then e/omega + d/v,
 the time to turn on the spot and then drive, falls at least as fast as time passes, also at lower
-speeds. In the other gear, this time falls at least half as fast. The angle e falls faster than
-omega there, so the turtle leaves that gear after e/omega. Therefore a target takes at most 1.5
+speeds. In the other gear, this time falls at least half as fast, and e falls faster than at the
+rate omega, so the turtle leaves that gear within e/omega. Therefore a target takes at most 1.5
 e/omega + d/v; `time_bound` adds room for swinging wide. With limited accelerations, the turtle
 drives at v <= omega d / (2 tan(e)) in the same region, and stands still elsewhere.
 
@@ -219,7 +217,7 @@ class Steering(msgspec.Struct, frozen=True):
 
     @property
     def _turns_round(self) -> bool:
-        """Whether the turtle drives on forwards to a target that lies back from the one before."""
+        """Whether the turtle drives forwards even to a target that lies behind the one before."""
         return self.style in ("natural", "forward")
 
     def _gear(self, seen: complex, turning: float) -> float:
@@ -352,7 +350,7 @@ class Helm:
 
     @property
     def steering(self) -> Steering:
-        """The steering law. A new law drops held commands, but keeps the first law's tick."""
+        """The steering law. A new law drops the held command, but keeps the first law's tick."""
         return self._steering
 
     @steering.setter
@@ -455,7 +453,7 @@ class Helm:
         return int(away / step) if step and away < LONGEST * step else LONGEST
 
     def pose_after(self, ticks: int) -> Pose:
-        """The pose to which the command leads."""
+        """The pose to which the command leads in ``ticks`` ticks."""
         x, y, theta = self.at
         half = self._turn / 2.0
         # The sum of the steps, each along the heading at its end.
@@ -469,11 +467,11 @@ class Helm:
         )
 
     def _bulge(self, ticks: int) -> float:
-        """How far the path to that pose can deviate from a straight line (m)."""
+        """How far the path of ``ticks`` ticks can deviate from a straight line (m)."""
         return abs(self._step * self._turn) * ticks * ticks / 8.0
 
     def _is_same(self, command: Speeds, ticks: int) -> bool:
-        """Whether a command is as good as the held one, up to the pose after some ticks."""
+        """Whether a command leads to nearly the same place as the held one in ``ticks`` ticks."""
         limits, speeds = self._steering.limits, self.speeds
         if command[0] != speeds[0] or not speeds[0]:
             return command == speeds

@@ -2,8 +2,9 @@
 
 - `Limits`: speeds, accelerations, tolerances, and the `Area` in which the turtle stays.
 - `ramp`, `stopping_speed`, `ramp_time`: speeds under limited accelerations. These functions count
-in ticks: a speed holds for a tick, and the next speed differs by at most the acceleration times the
-tick. The functions work for lengths (m) and for angles (rad). An acceleration may be infinite.
+  in ticks: a speed holds for a tick, and the next speed differs by at most the acceleration times
+  the tick. The functions work for lengths (m) and for angles (rad). An acceleration may be
+  infinite.
 - `Frame`, `approach` and the rest: where a turtle sees its target, and where it aims on the way
   there. Points are complex numbers here, so a turn is a product.
 
@@ -92,8 +93,8 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         area: Where the turtle stays. It leaves the area only for a target outside.
 
     Raises:
-        InvalidMessage: if a number is not above zero, or not finite where it must be, or a turn at
-            full rate is over pi/2 rad in a tick.
+        InvalidMessage: if a number is not above zero, or not finite where it must be, or a tick at
+            full rate turns by more than pi/2 rad.
     """
 
     max_linear: float = 2.0
@@ -157,7 +158,7 @@ def stopping_speed(room: float, acceleration: float, dt: float) -> float:
     """The highest speed for the next tick after which the turtle can still stop within some room.
 
     From a speed v, the ticks until it stops cover v dt + (v - a dt) dt + …, at most
-    (v + a dt / 2)² / 2a. From a speed up to a dt, the turtle stops within the tick.
+    (v + a dt / 2)² / 2a. From any speed v <= a dt, the turtle stops within the tick.
 
     Args:
         room: The length or angle that it may still cover, 0 or more (m or rad).
@@ -213,7 +214,7 @@ class Frame(msgspec.Struct, frozen=True):
 
 
 def turn_to(seen: complex, turning: float, limits: Limits) -> float:
-    """The angle to a point (rad), the short way round. In a tie it turns as before."""
+    """The angle to a point (rad), the short way round. In a tie, the side of ``turning`` wins."""
     error = wrap_angle(phase(seen))
     if error * turning < 0.0 and abs(error) > math.pi - late(limits):
         return math.copysign(math.pi, turning)
@@ -228,9 +229,9 @@ def late(limits: Limits) -> float:
 def sway(aside: float, limits: Limits) -> float:
     """How far late commands may shift a point along the heading (m).
 
-    For nearer points, both gears are equally good.
+    If a point is less far ahead or behind, both gears count as equally good.
 
-    A turtle that backs away from a point beside it turns and drives; both shift the point.
+    A turtle that backs away from a point beside it both turns and drives, and both shift the point.
 
     Args:
         aside: How far the point is to the side (m).
@@ -242,7 +243,7 @@ def sway(aside: float, limits: Limits) -> float:
 def leads_back(frame: Frame, target: complex, after: complex, limits: Limits) -> bool:
     """Whether the next target lies behind this one.
 
-    False if late commands could drive past both.
+    False if late commands could drive the turtle past both.
     """
     back = ((target - frame.at) * (after - target).conjugate()).real < 0.0
     return back and _LATE * limits.step <= limits.tolerance
@@ -257,7 +258,7 @@ def nearest(area: Area, point: complex, limits: Limits) -> complex:
 
 
 def inside(target: complex, limits: Limits) -> tuple[Area, complex]:
-    """The area and the aim within it; no area if the target cannot be reached from inside."""
+    """The area and the aim in it; an infinite area if the target cannot be reached from inside."""
     aim = nearest(limits.area, target, limits)
     return (limits.area, aim) if abs(aim - target) <= limits.tolerance / 2 else (Area(), target)
 
