@@ -239,7 +239,7 @@ class Node(NodeParameters, NodeGraph, Block):
     def entities(self) -> tuple[Sequence[Anything], ...]:
         """Everything with callbacks except waitables, by kind, in the order of a round.
 
-        A change replaces a sequence instead of changing it, so any thread may iterate over it.
+        A sequence is never changed, only replaced, so any thread may iterate over it.
         """
         return self._timers, self._subscriptions, self._guards, self._clients, self._services
 
@@ -548,7 +548,7 @@ class Node(NodeParameters, NodeGraph, Block):
             callback: Called each time.
             callback_group: Decides when the callback may run.
             clock: The clock to follow. None means the node's clock.
-            autostart: Whether it runs at once.
+            autostart: Whether the timer starts at once.
 
         Raises:
             RCLError: if the period is negative.

@@ -35,7 +35,7 @@ SERVICES = (
 
 
 class AsyncParameterClient:
-    """Calls the parameter services of a node. Each call returns the future of the response.
+    """Calls the parameter services of another node. Each call returns the future of the response.
 
     Args:
         node: The node that calls.
@@ -124,7 +124,7 @@ class AsyncParameterClient:
     ) -> Future:
         """Delete parameters.
 
-        Only parameters that are undeclared or have no fixed type can be deleted.
+        A parameter that was declared can be deleted only if its type is dynamic.
         """
         return self.set_parameters([Parameter(name) for name in names], callback)
 

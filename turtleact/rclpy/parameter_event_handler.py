@@ -49,7 +49,7 @@ class ParameterEventHandler:
         """The callbacks of a `ParameterEventHandler`.
 
         Attributes:
-            parameter_callbacks: The callbacks for one parameter, by parameter and node.
+            parameter_callbacks: The callbacks for single parameters, by parameter and node.
             event_callbacks: The callbacks for all events.
         """
 

@@ -49,7 +49,8 @@ class Options(msgspec.Struct, frozen=True):
 def prepare(options: Options, *folders: Path) -> None:
     """Make rclpy and its interface packages importable, unless the genuine ones are used.
 
-    The interfaces of the sourced workspace, and those near the working directory, must be known.
+    The caller has already made known the interfaces of the sourced workspace, and those near the
+    working directory.
 
     Args:
         options: How the program is run.
@@ -91,11 +92,11 @@ def offer_neighbours(*folders: Path) -> None:
 def end_threads() -> list[str]:
     """Leave the graph, and wait for the threads of a program that has ended.
 
-    Name the stuck threads.
+    Return the names of the stuck threads.
 
     A callback that sleeps or computes for ever would keep the process alive, because the
-    interpreter waits for its thread. If there are such threads, end the process without waiting for
-    them.
+    interpreter waits for its thread. If there are such threads, the caller must end the process
+    without waiting for them.
     """
     process = sys.modules.get("turtleact.rclpy.impl.process")
     if process is None:
@@ -128,7 +129,7 @@ def leave(error: BaseException | None) -> NoReturn:
 
 
 def _places(folders: Sequence[Path]) -> Iterator[Path]:
-    """The folders to search for packages: these, and those above them that have a ``src``."""
+    """The folders to search for packages: these, and each above that is or has a ``src``."""
     for folder in folders:
         yield folder
         for above in list(folder.absolute().parents)[:PARENTS]:
@@ -137,7 +138,7 @@ def _places(folders: Sequence[Path]) -> Iterator[Path]:
 
 
 def _searched(options: Options, folders: Sequence[Path]) -> list[str]:
-    """The places where interfaces were sought, as an error shows them."""
+    """The places that were searched for interfaces, as an error shows them."""
     given = [] if options.interfaces is None else [f"{options.interfaces} (--interfaces)"]
     sourced = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     near = [str(place.absolute()) for place in (Path(), *_places(folders))]

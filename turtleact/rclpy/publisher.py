@@ -24,7 +24,7 @@ class Publisher(Subscriptable, Destroyable):
     A message is encoded in the thread that publishes it. You may change the message afterwards.
 
     Args:
-        sender: The transport's end.
+        sender: Sends the encoded messages.
         msg_type: The class of the messages.
         topic: The name of the topic, as it was given.
         full_name: The full name of the topic.

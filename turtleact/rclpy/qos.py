@@ -1,7 +1,8 @@
 """Quality of service: profiles, policies, presets, and whether two profiles fit.
 
-turtleact's transports know depth, reliability and durability, and never keep endpoints apart. The
-other policies are declared to peers and counted by the entity itself.
+turtleact's transports know depth, reliability and durability, and connect endpoints even if their
+profiles do not fit. Peers are told the other policies, and `turtleact.rclpy.event_handler` checks
+deadlines and liveliness.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ class QoSPolicyEnum(IntEnum):
 
     @classmethod
     def get_from_short_key(cls: type[P], name: str) -> int:
-        """Return the value with a short name."""
+        """Return the value with this short name."""
         return cls[name.upper()].value
 
     @property
@@ -264,7 +265,7 @@ class QoSProfile:
         return f"{type(self).__name__}({', '.join(values)})"
 
     def get_c_qos_profile(self) -> QoSProfile:
-        """Return the profile itself, because it has no other form."""
+        """Return the profile itself: turtleact has no profiles in C."""
         return self
 
     def to_dict(self) -> dict[str, Anything]:
@@ -282,7 +283,7 @@ class QoSProfile:
         )
 
     def times(self) -> TimePolicies:
-        """Return the profile's policies in time, as peers are shown them."""
+        """Return the deadline, lifespan and liveliness policies, as peers see them."""
         manual = self.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
         return TimePolicies(
             deadline=_limit(self.deadline),
@@ -384,7 +385,7 @@ class QoSPresetProfiles(Enum):
 
     @classmethod
     def get_from_short_key(cls, name: str) -> Anything:
-        """Return the profile of that name."""
+        """Return the profile with this name."""
         return cls[name.upper()].value
 
 
@@ -401,7 +402,7 @@ def qos_check_compatible(
 ) -> tuple[QoSCompatibility, str]:
     """Return whether these profiles of a publisher and a subscription fit, and if not, why.
 
-    turtleact and rmw_zenoh connect two endpoints even if their profiles do not fit.
+    turtleact and rmw_zenoh connect endpoints with any profiles, so the answer is always OK.
     """
     del publisher_qos, subscription_qos
     return QoSCompatibility.OK, ""

@@ -72,7 +72,7 @@ class Service(Introspected, Subscriptable, Entity):
             return self._full_name
 
     def opened(self, opened: Closeable) -> None:
-        """Remember the transport's end, to close it."""
+        """Remember what the transport has opened, to close it later."""
         self._opened = opened
 
     def _receive(self, request: bytes, respond: Callable[[bytes, str], object]) -> None:

@@ -36,7 +36,7 @@ class ServiceIntrospectionState(IntEnum):
 
 
 class Owner(Protocol):
-    """What this module knows of a node."""
+    """The part of a node that this module uses."""
 
     @property
     def connection(self) -> Connection:
@@ -52,7 +52,7 @@ class ServiceEvents(CallEvents):
     """Publishes the events of one end of a service, once `configure` has switched them on.
 
     Args:
-        node: The node of the end.
+        node: The node that has the end.
         service: The full name of the service.
         srv_type: The class of the service.
         is_client: Whether it is the client's end.
@@ -74,7 +74,7 @@ class ServiceEvents(CallEvents):
         return self._sender is not None
 
     def configure(self, clock: Clock, qos: QoSProfile, state: ServiceIntrospectionState) -> None:
-        """Choose what is published, with the times of a clock, on a topic of this quality."""
+        """Choose what is published, the clock that times it, and its topic's quality of service."""
         sender = None
         if state != ServiceIntrospectionState.OFF:
             type_name = f"{self._type.type_name}_Event"

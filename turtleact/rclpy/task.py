@@ -40,7 +40,7 @@ RUNNING = _Running()
 
 
 class Future(Subscriptable):
-    """The outcome of something that has not ended yet.
+    """The outcome of something that may not have ended yet.
 
     Args:
         executor: Runs the done callbacks. Without an executor, they run at once.

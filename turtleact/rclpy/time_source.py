@@ -89,7 +89,7 @@ class TimeSource:
         """Follow the parameter ``use_sim_time`` of a node. If necessary, declare it.
 
         Raises:
-            RuntimeError: if the object is not a node.
+            TypeError: if the object is not a node.
         """
         if not hasattr(node, "declare_parameter"):
             raise TypeError("Node must be of type rclpy.node.Node")

@@ -56,7 +56,7 @@ class Timer(Entity):
         timer_period_ns: The time between two calls (ns).
         clock: The clock to follow.
         context: The context.
-        autostart: Whether it runs at once.
+        autostart: Whether the timer starts at once.
 
     Raises:
         RCLError: if the period is negative.
@@ -209,7 +209,7 @@ def _info_parameter(callback: Anything) -> str:
 class Rate:
     """Lets a thread sleep until the next beat. `Node.create_rate` makes one.
 
-    Somebody else must spin the node meanwhile.
+    Another thread must spin the node meanwhile.
 
     Args:
         timer: Makes the beats.

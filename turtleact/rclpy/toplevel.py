@@ -78,14 +78,14 @@ def init(
     domain_id: int | None = None,
     signal_handler_options: SignalHandlerOptions | None = None,
 ) -> InitContextManager:
-    """Initialise a context. None means the default context.
+    """Initialise a context, or the default one.
 
     Args:
         args: The arguments of the program. None means ``sys.argv``.
-        context: The context.
+        context: The context. None means the default context.
         domain_id: The ROS domain. None means the domain in the environment.
-        signal_handler_options: Which signals shut contexts down. For the default context, None
-            means all signals.
+        signal_handler_options: Which signals shut contexts down. None means all signals for the
+            default context, and no signals for any other.
 
     Raises:
         RuntimeError: if the context was initialised before.
@@ -108,7 +108,7 @@ def get_global_executor() -> Executor:
 
 
 def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
-    """Shut down a context. None means the default context.
+    """Shut down a context, or the default one.
 
     Raises:
         RuntimeError: if the context is not initialised, or was shut down before.
@@ -120,7 +120,7 @@ def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None 
 
 
 def try_shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
-    """Shut down a context, unless that has been done. None means the default context."""
+    """Shut down a context, or the default one, unless that has been done."""
     _drop_executor()
     _try_shutdown(context=context)
     if uninstall_handlers or (uninstall_handlers is None and context is None):
@@ -141,7 +141,7 @@ def create_node(node_name: str, **options: Anything) -> Node:
 
 @contextmanager
 def _borrowed(node: Node, executor: Executor | None) -> Iterator[Executor]:
-    """Have a node in an executor for a while; then it goes back to its earlier executor.
+    """Put a node into an executor for a while, then return it to its earlier executor.
 
     rclpy would leave the node without an executor, and its callbacks would never run again.
     """

@@ -34,7 +34,7 @@ class NumberOfEntities:
 
 
 class Waitable(Subscriptable, Entity):
-    """The base of waitables. There is no wait set: an executor asks `is_ready` with None.
+    """The base of waitables. Executors have no wait sets: they call ``is_ready(None)``.
 
     Args:
         callback_group: Decides when `execute` may run.

@@ -93,7 +93,7 @@ class Arguments(msgspec.Struct, frozen=True):
     """The ROS arguments of a program's command line.
 
     Attributes:
-        remaps: Names to replace, in order. The first match counts.
+        remaps: The rules for renaming, in order. The first match counts.
         parameters: Values of parameters. Later values replace earlier ones.
         log_levels: Levels by the names of loggers. The empty name is the root logger.
         flags: Options without a value.
@@ -179,10 +179,10 @@ def parse_arguments(args: Sequence[str] | None) -> Arguments:
 
 
 def arguments_of(own: Sequence[str] | None, shared: Arguments, *, use_shared: bool) -> Arguments:
-    """Return the arguments that apply to a node. Its own arguments come first.
+    """Return the arguments that apply to a node. Its own arguments take precedence.
 
     Args:
-        own: More arguments, as on a command line.
+        own: The node's own arguments, as on a command line.
         shared: The arguments of the program.
         use_shared: Whether to include the arguments of the program.
     """
@@ -214,7 +214,7 @@ def without_ros_arguments(args: Sequence[str]) -> list[str]:
 
 
 def parse_value(text: str) -> object:
-    """Return the value of a text, which is read as YAML.
+    """Read a text as YAML, and return its value.
 
     Raises:
         RCLError: if the text is malformed.
@@ -242,10 +242,9 @@ def read_parameters(path: Path) -> list[ParameterRule]:
 
 
 def _trees(text: str, path: str) -> list[object]:
-    """Parse a file of parameters as a whole, or block by block.
+    """Parse a file of parameters as a whole, or block by block if a key appears twice.
 
-    A key may appear twice, because ROS 2 reads the file from its beginning to its end. We do the
-    same.
+    ROS 2 allows repeated keys, because it reads the file from its beginning to its end.
     """
     try:
         return [_tree(text, "parameters", path)]
@@ -327,7 +326,7 @@ def _flat(tree: Mapping[str, object], prefix: str) -> Iterator[tuple[str, object
 
 
 def _plain(value: object) -> object:
-    """Replace words that keep their spelling (for errors) with plain values."""
+    """Replace words that remember their spelling for error messages with plain values."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):

@@ -33,7 +33,7 @@ class CallEnd:
         connection: The graph.
         endpoint: The description of the end.
         type_hash: The hash of the service.
-        events: Publishes the calls, if they are switched on.
+        events: Publishes the calls, if introspection is on.
         target: Which servers to ask.
 
     Attributes:
@@ -110,7 +110,7 @@ class CallEnd:
     def _watched(
         self, handler: RequestHandler, request: bytes, answered: Callable[[bytes, str], object]
     ) -> Callable[[bytes, str], object]:
-        """Tell the observers of a call in this process, which no transport sees."""
+        """Report a call inside this process to the observers, because no transport sees it."""
         both = (self.events, handler.observer)
         observers = [each for each in both if each is not None and each.is_on]
         if not observers:

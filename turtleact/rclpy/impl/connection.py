@@ -2,10 +2,10 @@
 
 Everything that travels is bytes: a publisher encodes in the thread that publishes, and a
 subscription decodes in the thread that runs its callback. Endpoints are opened and closed in the
-event loop; topics are sent and received without it.
+event loop; messages bypass it, except those of latched topics.
 
-What exists on the graph is asked in the background, because the answer takes a tenth of a second,
-and most nodes do not need it. Everything that depends on the graph waits.
+A background task asks what exists on the graph, because the answer takes a tenth of a second, and
+most nodes do not need it. Functions that need the answer wait for it.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Sender:
 
     Args:
         connection: The graph.
-        publication: The transport's end.
+        publication: The transport's end of the topic.
         is_latched: Whether late subscriptions get the last messages.
     """
 
@@ -104,7 +104,7 @@ class Sender:
         return self._publication.has_readers
 
     def expect_readers(self) -> None:
-        """Send from now on. A reader exists, even if it has not been discovered yet."""
+        """Send from now on, because a reader exists, even if it has not been discovered yet."""
         self._connection.loop.call(self._publication.expect_readers)
 
     def refresh_soon(self, delay: float, begin: Callable[[], object]) -> None:
@@ -127,7 +127,7 @@ class Sender:
 
 
 class CallEvents(CallObserver, Protocol):
-    """Watches the calls of a service, if it is on. Requests and responses are bytes."""
+    """Watches the calls of a service while `is_on`. Requests and responses are bytes."""
 
     @property
     def is_on(self) -> bool:
@@ -138,14 +138,14 @@ class RequestHandler:
     """Passes the requests for a service to a function that may answer in any thread, at any time.
 
     Args:
-        take: Takes a request and the function that answers it, in any thread.
+        take: Called in any thread, with a request and the function that answers it.
         observer: Watches the calls.
 
     Attributes:
         take: The argument ``take``.
         observer: The argument ``observer``.
         has_far_callers: Whether another process has sent a request.
-        is_threaded: True: transports need not use the event loop for it.
+        is_threaded: Always True: transports may call the handler outside the event loop.
     """
 
     is_threaded = True
@@ -220,7 +220,7 @@ class Connection:
             wait([self._exploring])
 
     def once_explored(self, function: Callable[[], object]) -> None:
-        """Call a function when that is known: now, or in the event loop later."""
+        """Call a function when `wait_until_explored` need not wait: now, or later in the loop."""
         self._exploring.add_done_callback(lambda _: function())
 
     async def _close(self) -> None:
@@ -306,12 +306,15 @@ class Connection:
         return found if isinstance(found, RequestHandler) else None
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints on the graph, or those with a name."""
+        """All endpoints on the graph, or only those with this name."""
         self.wait_until_explored()
         return self.loop.call(partial(self._transport.endpoints, name))
 
     def count_servers(self, name: str) -> int:
-        """Count the servers of a service. A node that serves it twice has only one endpoint."""
+        """Count the servers of a service.
+
+        A node of this process that serves it twice counts twice, although it has one endpoint.
+        """
         self.wait_until_explored()
         return self.loop.call(partial(self._count_servers, name))
 

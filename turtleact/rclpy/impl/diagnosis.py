@@ -48,7 +48,7 @@ def warn_if_blocked(entity: Entity, what: str, *, is_answered: bool) -> None:
 
     Args:
         entity: The entity with the callback.
-        what: The function that waits.
+        what: The name of the waiting function.
         is_answered: Whether the callback has something to do.
     """
     if not is_answered:

@@ -20,12 +20,13 @@ NOTHING = object()
 
 
 class Handle:
-    """Shows whether an object may still be used. As a context manager, it raises if not.
+    """Shows whether an object may still be used.
 
-    The object stays usable while any block is entered. It is closed when the last block is left.
+    As a context manager, it raises `InvalidHandle` if the object was destroyed. If the object is
+    destroyed while threads are in such blocks, it is closed when the last block is left.
 
     Args:
-        close: Called once, when it is destroyed.
+        close: Closes the object; called once.
     """
 
     def __init__(self, close: Callable[[], object] | None = None) -> None:
@@ -78,7 +79,7 @@ class Handle:
 
 
 class Block:
-    """A context manager that gives itself, and does one thing at its end."""
+    """A context manager that returns itself, and calls `_leave` at the end of the block."""
 
     def __enter__(self) -> Self:
         return self
@@ -92,7 +93,7 @@ class Block:
         self._leave()
 
     def _leave(self) -> None:
-        """Do that thing."""
+        """Do what is due at the end of the block."""
         raise NotImplementedError
 
 

@@ -317,8 +317,8 @@ class NodeParameters:
         """Set parameters one by one, and return a ``SetParametersResult`` for each.
 
         Raises:
-            ParameterNotDeclaredException: if one is not declared, and undeclared ones are not
-                allowed; those before it are set.
+            ParameterNotDeclaredException: if a parameter is not declared, and undeclared parameters
+                are not allowed. The parameters before it stay set.
         """
         results: list[Anything] = []
         for parameter in parameter_list:
@@ -330,8 +330,8 @@ class NodeParameters:
         """Set all parameters or none, and return a ``SetParametersResult``.
 
         Raises:
-            ParameterNotDeclaredException: if one is not declared, and undeclared ones are not
-                allowed; none is set.
+            ParameterNotDeclaredException: if a parameter is not declared, and undeclared parameters
+                are not allowed. No parameter is set then.
         """
         self._check_declared(parameter_list)
         return self._set_atomically(parameter_list)
@@ -417,7 +417,7 @@ class NodeParameters:
     # callbacks
 
     def add_pre_set_parameters_callback(self, callback: PreCallback) -> None:
-        """Call ``callback(parameters)`` first. The callback returns the list to set instead."""
+        """Call ``callback(parameters)`` before anything is checked. It returns the list to set."""
         self._pre_set_parameters_callbacks.insert(0, callback)
 
     def add_on_set_parameters_callback(self, callback: OnCallback) -> None:
@@ -465,7 +465,7 @@ class NodeParameters:
     def set_descriptor(
         self, name: str, descriptor: Anything, alternative_value: Anything = None
     ) -> Anything:
-        """Give a parameter a descriptor and, optionally, another value. Return its value.
+        """Give a parameter a descriptor and, optionally, another value; return the value.
 
         Raises:
             ParameterNotDeclaredException: if the parameter is not declared.

@@ -66,7 +66,7 @@ Rosout: TypeAlias = Callable[[Record], object]
 
 
 def rosout_of(sender: Sender) -> Rosout:
-    """Return a function that publishes each record."""
+    """Return a function that publishes records on ``/rosout``."""
     log: Anything = interface_class("rcl_interfaces/msg/Log")
     stamp: Anything = interface_class("builtin_interfaces/msg/Time")
 
@@ -124,7 +124,7 @@ class _Log:
         return level
 
     def reset(self) -> None:
-        """Give all loggers the levels that they had at first."""
+        """Reset all loggers to their initial levels."""
         with self._lock:
             self._levels = {UNNAMED: LoggingSeverity.INFO}
             self._effective = {}
@@ -263,7 +263,7 @@ class RcutilsLogger:
         """Log a message.
 
         Args:
-            message: The text, or an object to convert.
+            message: The text, or an object that is converted to text.
             severity: How severe it is.
             name: The name of another logger to use instead of this one.
             **kwargs: ``once``, ``skip_first``, ``throttle_duration_sec``, and

@@ -17,7 +17,7 @@ callback with as many arguments as it takes.
 class Subscriptable:
     """A class that programs may subscript in annotations, with any arguments.
 
-    How many type parameters rclpy's classes have differs between the distributions of ROS 2.
+    The number of type parameters of rclpy's classes differs between the distributions of ROS 2.
     """
 
     def __class_getitem__(cls, parameters: object) -> type:

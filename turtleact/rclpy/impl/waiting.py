@@ -50,7 +50,7 @@ def wait_for_answer(
 
     Args:
         entity: Handles the answer.
-        what: The function that waits, for the warning.
+        what: The name of the waiting function, for the warning.
         answered: Set when the answer was handled.
         is_ok: Whether to go on.
         timeout: How long to wait (s). None or a negative number means for ever.

@@ -49,7 +49,7 @@ CHECKS_BY_DEFAULT = os.environ.get("ROS_PYTHON_CHECK_FIELDS") == "1"
 
 
 class Metaclass(type):
-    """The class of message classes: constants and defaults cannot be changed."""
+    """The metaclass of message classes: constants and defaults cannot be changed."""
 
     def __setattr__(cls, name: str, value: object) -> None:
         """Set an attribute that is neither a constant nor a default."""
@@ -82,12 +82,12 @@ class MessageBase:
 
     @classmethod
     def get_fields_and_field_types(cls) -> dict[str, str]:
-        """Return the names of the fields and the names of their types, in IDL."""
+        """Return the IDL name of each field's type, by the field's name."""
         return {field.attribute: type_text(field.type) for field in cls._shape.fields}
 
 
 class ServiceMeta(type):
-    """The class of service and action classes, which have no instances."""
+    """The metaclass of service and action classes, which have no instances."""
 
     type_name: str
 
@@ -155,7 +155,7 @@ def shape_of(message_class: Anything) -> Shape:
 
 @functools.cache
 def maker(message_class: Anything) -> Callable[..., object]:
-    """Return a function that makes a message of decoded values, in the order of the fields.
+    """Return a function that makes a message from decoded values in the order of the fields.
 
     turtleact's decoder uses this function like a message class. The function therefore has a shape,
     too, which holds such functions for nested messages.
@@ -179,7 +179,7 @@ def maker(message_class: Anything) -> Callable[..., object]:
 
 
 def _decoded(field: Field) -> Callable[[Anything], object] | None:
-    """Return the function that converts a decoded value to that of a field, if it differs."""
+    """Return the function that converts a decoded value for a field; None if none is needed."""
     if is_numeric_array(field.type):
         import numpy as np
 
