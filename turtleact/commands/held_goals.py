@@ -134,7 +134,7 @@ async def held_goals(node: Node, actions: dict[str, str]) -> tuple[list[HeldGoal
         actions: The actions, with their types.
 
     Returns:
-        The goals in the order of their acceptance, and the names of the nodes.
+        The goals in the order of their acceptance, and the names of the silent nodes.
     """
     found: dict[tuple[str, bytes], HeldGoal] = {}
     silent: set[str] = set()
@@ -483,7 +483,7 @@ def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
 
 
 async def _ask(node: Node, server: str, action: str, silent: set[str]) -> None:
-    """Ask a server to cancel a goal that does not exist. Record servers that do not answer."""
+    """Ask a server to cancel a goal that does not exist. If it does not answer, record it."""
     client = node.service_client(CancelGoal, action_names(action).cancel_goal)
     try:
         await client.call(CancelGoal.Request(GoalInfo(UUID(uuid.uuid4().bytes))), ANSWER)

@@ -73,7 +73,7 @@ def make_known(folder: str | None, *, is_silent: bool = False) -> None:
 
 
 def make_found(folder: str | None, *, is_silent: bool = False) -> None:
-    """Make known the interfaces of a folder, of the sourced workspace, and near this directory.
+    """Register the interfaces in a folder, in the sourced workspace, and near this directory.
 
     If there are several definitions, the first in this order counts. Built-in definitions come
     last. When an interface near the working directory is first used, a line on stderr says where it
@@ -187,7 +187,7 @@ def read_type(type_name: str, interrupts: Interrupts) -> str:
 
 
 def write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> int:
-    """Write typed Python classes for the interfaces of some packages, and of packages they use.
+    """Write typed Python classes for the interfaces of some packages, and of the packages they use.
 
     The path of each written file is printed. Files that are already right are left alone.
 

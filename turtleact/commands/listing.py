@@ -1,4 +1,4 @@
-"""Implements ``list``, ``type``, ``find`` and ``info``, which print what exists as ``ros2`` does.
+"""Implements ``list``, ``type``, ``find`` and ``info``, which print what exists, as ``ros2`` does.
 
 Actions, services and topics are listed alike (`Kind`). A name is hidden if one of its parts begins
 with an underscore. Hidden names are listed only on request, but found if you name them.

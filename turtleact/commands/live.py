@@ -106,7 +106,7 @@ class LiveTranscript:
         self.follows(sent.followed())
 
     def follows(self, goal: Followed) -> None:
-        """Called when the goal is followed from now on."""
+        """Called when the display starts to follow the goal."""
         self._picture = GoalPicture(goal)
 
     async def animate(self) -> None:

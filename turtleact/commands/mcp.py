@@ -174,7 +174,7 @@ async def _what_there_is(node: Node) -> str:
 
 
 async def _warn_of_missing(node: Node, actions: tuple[str, ...]) -> None:
-    """Warn about actions that nobody serves yet. Their tools come when they are served."""
+    """Warn about actions that nobody serves yet. Their tools appear once the actions are served."""
     names = {resolve_name(each) for each in actions}
     await find_server(node.transport, lambda: names <= node.graph().actions.keys() or None)
     missing = sorted(names - node.graph().actions.keys())

@@ -321,7 +321,7 @@ def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, Parameter
         use_wildcard: Whether to include the parameters for all nodes (``/**``).
 
     Raises:
-        UsageError: if the file cannot be read, or has another form.
+        UsageError: if the file cannot be read, or is not in that form.
         InvalidMessage: if it is not YAML.
     """
     if not path:
@@ -357,7 +357,8 @@ def read_overrides(files: Sequence[str], assignments: Sequence[str]) -> list[Ove
     """Read files of parameters, then single assignments.
 
     Raises:
-        UsageError: if a file cannot be read or has another form, or an assignment is malformed.
+        UsageError: if a file cannot be read or is not such as `dump` prints, or if an assignment is
+            malformed.
         InvalidMessage: if a value is not YAML.
     """
     found: list[Override] = []
@@ -504,7 +505,7 @@ async def _set(
 async def _set_again(
     node: Node, owner: str, parameter: Parameter, refusal: SetParametersResult
 ) -> SetParametersResult:
-    """Set the parameter to the same value in its own type, or explain the refusal."""
+    """Set the parameter to the same value in the parameter's type, or explain the refusal."""
     # ROS 2 refuses an integer for a double, although ``2`` can mean nothing else. The node is asked
     # for the parameter's type only after it has refused, so all other cases cost one call.
     [known] = await _described(node, owner, [parameter.name])

@@ -166,7 +166,7 @@ def _scripts_in(declared: object) -> list[str]:
 
 
 def _value(node: ast.expr, known: Mapping[str, object]) -> object:
-    """Evaluate an expression of strings, lists and dicts. Parts that are not constant are None."""
+    """Evaluate an expression of strings, lists and dicts. Parts that are not known are None."""
     match node:
         case ast.Constant(value=value):
             return value

@@ -102,7 +102,7 @@ def _dashboard(service: Service) -> Dashboard | None:
 
 
 def _find(modules: Modules, service: Service, log: ServerLog) -> Found:
-    """Import the modules. With ``--reload``, the user can correct a failing module later."""
+    """Import the modules. With ``--reload``, only report a module that fails."""
     if not service.reload:
         return modules.find()
     sys.dont_write_bytecode = True  # a change within the same second could be taken for no change
@@ -276,7 +276,7 @@ async def serve_declared(
 
 
 def _refused(taken: ActionConflict) -> TurtleactError:
-    """Return the error with a hint at the option of the command line."""
+    """Return the error with a hint that names the command-line option."""
     return TurtleactError(
         f"action '{taken.action}' is served by node {taken.node} already: choose another name, or "
         "give --wait to serve it once that node has gone"

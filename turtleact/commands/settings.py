@@ -165,7 +165,7 @@ class Watched(NamedTuple):
     """How other programs can watch the goals of a server.
 
     Attributes:
-        otel: Whether traces and metrics are exported by OpenTelemetry.
+        otel: Whether traces and metrics are exported through OpenTelemetry.
         metrics: The host and port at which metrics are served; None for no metrics.
         log_format: The format of log records; None leaves logging alone.
     """

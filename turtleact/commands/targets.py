@@ -96,7 +96,7 @@ def read_target(text: str) -> Target:
 
 
 def _has_object(text: str) -> bool:
-    r"""Whether there is a colon other than that of a drive, as in ``C:\lab.py``."""
+    r"""Whether a text names an object after a colon. The colon in ``C:\lab.py`` does not count."""
     _, colon, after = text.rpartition(":")
     return bool(colon) and after[:1] not in ("/", "\\")
 

@@ -396,11 +396,11 @@ MOST: Final = 200
 
 
 class LogLine(NamedTuple):
-    """A line of the log in two forms: for the display, and for the end.
+    """A line of the log in two forms: one for the display, and one for the end of the display.
 
     Attributes:
         short: The line as the display shows it.
-        full: The line as it is printed at the end.
+        full: The line as it is printed when the display ends.
         subject: The subject of the line, if later lines about the same subject replace it.
     """
 

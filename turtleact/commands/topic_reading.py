@@ -188,7 +188,7 @@ def _check_path(message_type: type[Message], path: Sequence[str]) -> None:
 
 
 def _note_missed(subscription: Subscription[Message], noted: int) -> int:
-    """Print a note on the messages that were dropped since ``noted``. Return the new total."""
+    """Print a note if more than ``noted`` messages have been dropped. Return the new total."""
     if subscription.missed > noted:
         note(f"{subscription.missed - noted} messages were lost: they came too fast")
     return subscription.missed

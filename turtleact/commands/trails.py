@@ -155,7 +155,7 @@ class Course:
         self._last: tuple[float, float] | None = None
 
     def follow(self, x: float, y: float) -> None:
-        """Record that the turtle has moved to a point in a straight line (m)."""
+        """Record that the turtle has moved straight to a point (m)."""
         here, self._last = self._last or (x, y), (x, y)
         if self.passed < self.stops:
             place = self._places[self.passed % len(self._places)]

@@ -54,10 +54,10 @@ class Transcript(Protocol):
         """Called when the server has accepted the goal."""
 
     def follows(self, goal: Followed) -> None:
-        """Called when a goal that somebody else has sent is followed from now on."""
+        """Called when the transcript starts to follow a goal that somebody else sent."""
 
     async def animate(self) -> None:
-        """Run beside the goal. This is cancelled when the goal ends."""
+        """Run while the goal runs. This is cancelled when the goal ends."""
 
     def feedback(self, feedback: Message) -> None:
         """Called with each feedback message."""
@@ -145,7 +145,7 @@ class Sent(NamedTuple):
     handle: ClientGoalHandle[Message, Message]
 
     def followed(self) -> Followed:
-        """Return the same goal as a followed one."""
+        """Return the goal as a `Followed`."""
         return Followed(self.node, self.name, type(self.goal), self.goal, self.handle)
 
 
@@ -224,7 +224,7 @@ class PlainTranscript:
 class JsonTranscript:
     """Prints a JSON object per line.
 
-    ``event`` is accepted, rejected, status, feedback or result.
+    Its ``event`` is accepted, rejected, status, feedback or result.
     """
 
     wants_feedback = True

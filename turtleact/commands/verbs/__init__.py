@@ -162,7 +162,7 @@ class LazyGroup(Group):
     """The whole command line. A verb is imported when it is chosen, not when it is listed.
 
     `_root` declares the help option. Typer's own help option has no default, and Typer imports
-    pydantic to recognize a missing value, which takes longer than importing Typer.
+    pydantic to recognize a missing value. Importing pydantic takes longer than importing Typer.
     """
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # noqa: ARG002  # as in `Group`
@@ -170,7 +170,7 @@ class LazyGroup(Group):
         return _without_type([*self.params])
 
     def get_help_option(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401, ARG002  # as above
-        """Return the help option, which an error points to."""
+        """Return the help option, to which errors refer."""
         return next(param for param in self.params if param.name == "_help")
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]  # noqa: ANN401  # as in `Group`

@@ -51,7 +51,7 @@ Preset: TypeAlias = Literal["none", "fastwrite", "zstd_fast", "zstd_small"]
 
 
 class ManyVerb(Verb):
-    """A verb with options that take several values, as argparse's do: ``--topics /a /b``."""
+    """A verb with options that take several values, as in argparse: ``--topics /a /b``."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
         """Repeat each such option before each of its values, then read the arguments."""

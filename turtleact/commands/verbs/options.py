@@ -116,7 +116,7 @@ def _is_option(word: str) -> bool:
 
 
 def _quoted_in(args: list[str], words: list[str]) -> str:
-    """The arguments as text, with some of their words as one argument in quotes."""
+    """The arguments as text, with ``words`` as a single argument in quotes."""
     text, count = " ".join(words), len(words)
     starts = [i for i in range(len(args)) if args[i : i + count] == words]
     if starts:

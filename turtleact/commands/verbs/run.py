@@ -103,7 +103,7 @@ class Run(Verb):
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  # click's classes
         """Write the help.
 
-        Packages are searched for only here, because a command line needs none.
+        Packages are searched for only here, because parsing a command line does not need them.
         """
         from turtleact.commands.packages import runnable_here
 
