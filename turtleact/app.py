@@ -48,8 +48,8 @@ class WorldNode(Node):
     async def aclose(self) -> None:
         """Close the node as `Node.aclose` does, just before the world ends.
 
-        If a built-in action has made way for an action of this node, it does not come back: it
-        would serve for a moment, and the log would report that.
+        A built-in action that has made way for an action of this node does not come back: it would
+        serve only for a moment, and the log would report that.
         """
         if self._built_ins is not None:
             await close_withdrawn(self._built_ins)
@@ -122,7 +122,7 @@ async def open_world(
             `Node.on_transition`.
         on_start: Called with the turtles before anybody can send them commands.
         journal: Where the goals of the built-in actions are kept; see `turtleact.open_journal`. The
-            turtles themselves start afresh.
+            turtles themselves are not kept: they start afresh.
         on_restart: As for `Node.action_server`.
         introspection: The introspection of all nodes of the world; see `Node`.
         on_node: Called with each node of the world as soon as it is open.

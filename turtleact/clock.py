@@ -7,8 +7,8 @@ in milliseconds, and two runs of the same program see the same times. Every cloc
 Measure with `Clock.time`: it counts seconds from an arbitrary start, and never goes backwards.
 `Clock.now` is ROS time, in nanoseconds since the epoch. Messages to others carry it as their stamp.
 
-Under `turtleact.testing` the event loop's own time is virtual. Clocks made there take the loop's
-time for wall time, so that every clock and `anyio.sleep` agree.
+Under `turtleact.testing` the event loop's own time is virtual. Clocks made in such a loop use its
+time as wall time, so that every clock and `anyio.sleep` agree.
 """
 
 from __future__ import annotations
@@ -223,7 +223,7 @@ class VirtualClock:
     Some task must call `run`. Sleepers with the same deadline wake one at a time, in the order in
     which they went to sleep. Each sleeper wakes when everything that the previous one caused has
     been done. Virtual time does not stand still for tasks that wait for the network, a thread or
-    wall time. Virtual time stands still while a journal writes.
+    wall time. It does stand still while a journal writes.
     """
 
     def __init__(self) -> None:
@@ -312,8 +312,8 @@ def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
 class Heap(Generic[T]):
     """A set of items with quick access to the smallest.
 
-    Searching for an item in the middle would be slow if thousands sleep. A removed item therefore
-    stays in the list until it comes first, or until removed items outnumber the others.
+    Among thousands of items, searching for one in the middle would be slow. A removed item
+    therefore stays in the list until it comes first, or until removed items outnumber the others.
 
     Attributes:
         first: The smallest item; None if the heap is empty.
@@ -382,7 +382,7 @@ def check_timeout(seconds: object, option: str = "timeout", *, may_be_none: bool
 
 @asynccontextmanager
 async def within(seconds: float | None, clock: Clock) -> AsyncIterator[None]:
-    """Cancel the block after some seconds of a clock, and continue behind it.
+    """Cancel the block after some seconds of a clock, and continue after the block.
 
     None sets no limit.
     """

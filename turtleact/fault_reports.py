@@ -122,7 +122,7 @@ class LostFeedback:
         transport: The transport to publish on.
         node: The fully qualified name of the node.
         action: The name of the action.
-        how: What happened to the feedback, such as "did not reach".
+        how: The verb between the feedback and the node in the report, such as "did not reach".
         advice: What to do.
     """
 
@@ -196,7 +196,7 @@ async def _watch_disk(reports: FaultReports, path: Path, what: str) -> None:
 
 
 def disk_fault(path: Path, what: str) -> str:
-    """Describe the disk of a file if it is nearly full; an empty text otherwise."""
+    """Describe the disk of a file if the disk is nearly full; otherwise return an empty text."""
     try:
         usage = shutil.disk_usage(path if path.exists() else path.parent)
     except OSError:

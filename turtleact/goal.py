@@ -5,7 +5,7 @@
 - Only a client's cancel leads to CANCELED. If the server ends a goal by itself, it is ABORTED.
 - A cancel request names goals by id, by time, or by both (`select`).
 - A goal that has ended is kept for ``result_timeout`` seconds, and longer while somebody waits for
-its result. After that, the goal is forgotten (`GoalTable`).
+  its result. After that, the goal is forgotten (`GoalTable`).
 
 This module uses no clock, task or random number. The current time is passed in as ``now``, in
 nanoseconds.
@@ -167,12 +167,13 @@ class GoalOrder(msgspec.Struct, eq=False):
 
     Attributes:
         request: The goal message.
-        sender: The client. When it goes away, the server finds the client's goals by it.
+        sender: The client. If the client goes away, the server finds the client's goals by this
+            value.
         cancel_timeout: How long a cancelled caller waits for the goal to end (s, event loop time).
         goal_id: The 16 bytes of an id that the user or an observer chose; None to let the server or
             client choose one.
         on_feedback: The user's callback for feedback.
-        reattach: How long to wait for a server that has gone to return (s, event loop time).
+        reattach: How long to wait for the return of a server that has gone (s, event loop time).
     """
 
     request: object
@@ -195,11 +196,11 @@ class Goal(msgspec.Struct, eq=False):
         id: The 16 bytes of its id; None until somebody asks for the id.
         on_feedback: The sender's callback for feedback.
         is_streamed: Whether feedback must be kept for a reader.
-        parent: The goal with the body that sent this goal, if any.
+        parent: The goal whose body sent this goal, if any.
         sender: The client that sent it.
         feedback: The feedback kept so far; created by the first message or the first reader.
-        last_feedback: The newest message, which is always kept. It may remain as the bytes that
-            were sent until somebody in this process reads it.
+        last_feedback: The newest message, which is always kept. It may stay encoded until somebody
+            in this process reads it.
         result: The partial result; once the goal has ended, the result.
         reason: Why the goal was aborted, or why it is about to be.
         listener: Notified of each change.
@@ -289,7 +290,7 @@ class Goal(msgspec.Struct, eq=False):
 
 
 def failure(goal: Goal) -> TurtleactError:
-    """Return the exception that those who wait for a goal get when it has failed."""
+    """Return the exception for everybody who waits for a goal that has failed."""
     if goal.error is not None:
         return goal.error
     kind = GoalCanceled if goal.status is GoalStatus.CANCELED else GoalAborted

@@ -55,9 +55,9 @@ class GoalRecord(msgspec.Struct, kw_only=True):
         is_built_in: Whether a built-in action has accepted it.
         is_nested: Whether the body of another goal has sent it.
         sender: The gid of the client that sent it, if that client is in another process.
-        number: Its place in the order of acceptance, which the journal counts.
+        number: Its place in the order of acceptance. The journal assigns it.
         crashes: How often its server has crashed since its newest feedback.
-        is_stopped: Whether its server has shut down properly since its last start.
+        is_stopped: Whether its server has shut down properly since the goal last started.
         is_paused: Whether it is paused.
         feedback: The newest feedback; empty if there is none.
         feedback_count: How many feedback messages there have been.
@@ -139,7 +139,7 @@ class GoalJournal(Protocol):
     aborts_at_close: bool
 
     def load(self, action: str) -> list[GoalRecord]:
-        """Return the goals of an action that have not ended or still have their result."""
+        """Return an action's goals that have not ended, or whose results are still kept."""
 
     async def accept(self, record: GoalRecord) -> GoalRecord | None:
         """Put a new goal on disk. If its id is known, return the record of the known goal instead.

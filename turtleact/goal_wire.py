@@ -1,4 +1,4 @@
-"""Goals on the wire: what ROS 2 has no field for, pauses, and the bytes of the status topic.
+"""Goals on the wire: notes, pauses and reasons, and the bytes of the status topic.
 
 - A note carries facts for which ROS 2 has no field. It travels as a short JSON text attached to a
   request or a response. Other ROS 2 programs do not see it.

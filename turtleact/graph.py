@@ -77,11 +77,11 @@ def types_by_name(
     *kinds: EndpointKind,
     hidden: bool = False,
 ) -> dict[str, tuple[str, ...]]:
-    """The names of a kind and their types, both sorted.
+    """The names of all actions, services or topics, with their types; both are sorted.
 
     Args:
         endpoints: The endpoints of the graph, or of a node.
-        kind: The kind: actions, services or topics.
+        kind: What to list: actions, services or topics.
         *kinds: The kinds of endpoints that count. If left out, they are those in `ENDPOINTS`.
         hidden: Whether to include hidden names.
     """
@@ -132,7 +132,7 @@ def is_hidden_node(name: str) -> bool:
 
 
 def names_like(name: str, known: Iterable[str]) -> str:
-    """The end of an error about an unknown name: the nearest known name, or some known names."""
+    """The end of a message about an unknown name: the nearest known name, or some known names."""
     from turtleact.interfaces.definition import did_you_mean
 
     names = sorted(set(known))

@@ -1,4 +1,4 @@
-"""A web server on a port for the length of a block, shared by the doors that have one.
+"""A web server on a port for the length of a block, for every module that offers one.
 
 The server is uvicorn, which needs asyncio or uvloop. Here it leaves signals and logging to the
 program. This module knows neither the app that it serves nor the rules for access.
@@ -55,7 +55,7 @@ def bound(host: str, port: int, *, read_ahead: int | None = None) -> Iterator[so
     Args:
         host: The address or name to bind.
         port: The port, or 0 for any free one.
-        read_ahead: How much a client may send ahead (bytes); by default as the system says.
+        read_ahead: How much a client may send ahead (bytes); if left out, the system decides.
 
     Raises:
         InvalidOption: if the host or the port cannot be bound.
@@ -97,8 +97,8 @@ async def serving(
         config: Its configuration.
         listener: The socket.
         close: Awaited at the end of the block, while clients can still be answered.
-        is_patient: Whether requests that are under way may then end, as long as the configuration
-            allows; otherwise they are cancelled.
+        is_patient: Whether requests under way may then run to their end, within the time that the
+            configuration sets; otherwise they are cancelled.
 
     Raises:
         TurtleactError: if uvicorn does not start.
@@ -126,8 +126,8 @@ def token_for(host: str, token: str | None) -> str:
 
     Args:
         host: The address or name that is bound.
-        token: The token that the user has chosen. None chooses none for a loopback address, and
-            makes one for this run for any other.
+        token: The token that the user has chosen. If it is None, a loopback address needs no token,
+            and any other address gets a token for this run.
 
     Raises:
         InvalidOption: if the token is empty and other machines can connect.

@@ -66,7 +66,7 @@ class ServiceEvents(CallObserver):
     Args:
         transport: The transport to open the topic on.
         endpoint: A function that describes an endpoint.
-        service: The endpoint of the service with these calls.
+        service: The service endpoint whose calls are published.
         find_type: A function that returns the class of the service.
         mode: "metadata" or "contents".
 

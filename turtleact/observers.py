@@ -1,7 +1,8 @@
-"""Tells observers about the goals of a server or client. One list serves all purposes.
+"""Tells observers about the goals of a server or client.
 
-The status topic, users' hooks and telemetry are observers. An observer only watches. If an observer
-raises an exception, the list logs it, so that the exception never affects a goal.
+The status topic, users' hooks and telemetry are observers. One list holds them all. An observer
+only watches. If an observer raises an exception, the list logs it, so that the exception never
+affects a goal.
 
 All observers hear of one change before any of them hears of the next. If an observer causes a
 change, for example by canceling a goal, all observers hear of the current change first.
@@ -71,7 +72,7 @@ class GoalObserver:
 
     @property
     def wants_acceptance(self) -> bool:
-        """Whether it must hear that a goal is ACCEPTED even if the goal starts at once.
+        """Whether the observer must hear that a goal is ACCEPTED even if the goal starts at once.
 
         If no observer of a server wants that, such a goal goes from UNKNOWN to EXECUTING, which
         saves a tenth of what a goal from another process costs the server.
@@ -157,7 +158,7 @@ class Observers:
 
     Attributes:
         are_any: Whether any observer wants more than `pause_changed`. A server checks this before
-            it calls anything else.
+            it calls any other method.
         want_feedback: Whether any observer overrides `feedback_published`.
         want_bodies: Whether any observer overrides `enter_body`.
         want_calls: Whether any observer overrides `enter_call` or `leave_call`.
@@ -266,7 +267,7 @@ class Observers:
         )
 
     def _tell(self, method: str, *news: object) -> None:
-        """Tell all observers one piece of news, and then the news that they cause by it."""
+        """Tell all observers one piece of news, and then the news that observers cause in turn."""
         if self._is_telling:  # an observer has caused this; the call below tells it next
             self._untold.append((method, news))
             return

@@ -13,7 +13,7 @@ byte array          `bytes`                        ``b"on"``
 array of any other  a `list` of one of the others  ``[0.5, 1.0]``
 ==================  =============================  =============================================
 
-The reason of a refusal starts with rclcpp's words, because other programs may compare it.
+The reason of a refusal starts with rclcpp's words, because other programs may look for them.
 
 Source: rclcpp 28.1 (ROS 2 Jazzy), ``node_parameters.cpp``; rcl_interfaces.
 """
@@ -72,7 +72,7 @@ class Kind(NamedTuple):
     Attributes:
         word: rclcpp's name for the kind.
         field: The field of ``ParameterValue`` that holds the value.
-        expected: What to give for it in Python, for error messages.
+        expected: Which Python value it takes, for error messages.
     """
 
     word: str
@@ -304,7 +304,7 @@ def _convert(value: object, kind: int) -> object:
 
 
 def out_of_range(descriptor: ParameterDescriptor, value: ParameterValue) -> str:
-    """Describe the numbers that a parameter takes; return an empty text if it takes this one.
+    """Describe the numbers that a parameter takes; return "" if it takes this one.
 
     >>> speed = descriptor_of("speed", 2, bounds=(0, 10, 5))
     >>> out_of_range(speed, message_of("speed", 7))

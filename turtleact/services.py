@@ -7,8 +7,8 @@ their requests through a `Caller`.
 - The server handles each request in its own task. Several tasks run side by side.
 - Every caller gets an answer: the response, or the reason why there is none.
 - If a caller leaves, the handler of its request is cancelled. If the server is closed, all handlers
-are cancelled. A caller
-  in another process counts as gone only when its client is closed or its process has died.
+  are cancelled. A caller in another process counts as gone only when its client is closed or its
+  process has died.
 
 Source: rclpy ``service.py`` and ``client.py`` for names and behaviour.
 """
@@ -362,7 +362,7 @@ class ServiceClient(Generic[Req, Res]):
     def _find_local(self) -> LocalService | None:
         """Return the server in this process.
 
-        Return None if its requests must travel to be observed.
+        Return None if there is none, or if an observer needs the requests to travel as messages.
         """
         found = self._transport.local(self.name, self.service_type.type_name)
         is_observed = self._caller.observer is not None or observer_of(found) is not None
@@ -384,7 +384,7 @@ def service_events(
     Args:
         transport: The transport to publish on.
         endpoint: A function that makes the description of the topic.
-        service: The endpoint of the service with these calls.
+        service: The service endpoint whose calls are published.
         find_type: A function that returns the class of the service.
         mode: Which events to publish: "off", "metadata" or "contents".
 

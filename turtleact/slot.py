@@ -10,10 +10,10 @@ Goals run in the places of a `Slot`. Several actions can share one slot. The pol
 
 Two more rules concern goals that a body sends:
 
-- If the parent holds a place in this slot with another action, the child runs in the same place.
-  The place is free when both have ended.
+- If the parent belongs to another action and holds a place in this slot, the child runs in the same
+  place. The place is free when both have ended.
 - A goal that would have to wait for its own parent is rejected, because that is a deadlock. A goal
-is also rejected if every running goal would then wait for a child in the queue.
+  is also rejected if every running goal would then wait for a child in the queue.
 
 A `Slot` only decides what must happen; its caller does it.
 
@@ -234,7 +234,7 @@ class Slot(Generic[C]):
         return len({id(self._places[parent]) for parent in parents}) == self._taken
 
     def _kin(self, goal: Goal) -> list[C]:
-        """The parent of a goal, its parent, and so on, as far as they run here; nearest first."""
+        """The ancestors of a goal that run here, nearest first."""
         kin = []
         parent = goal.parent
         while parent is not None:
@@ -258,7 +258,8 @@ class Slots(Generic[C]):
             name: The slot's name; None for a slot of this action only.
 
         Raises:
-            InvalidOption: if the named slot has other rules, or these rules need no slot.
+            InvalidOption: if the named slot has other rules, or if there is a name but these rules
+                need no slot.
         """
         if name is None:
             return None if rules.is_free else Slot(rules)

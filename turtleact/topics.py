@@ -1,6 +1,7 @@
-"""The publishers and subscriptions of a node. Publishers check messages; you read subscriptions.
+"""The publishers and subscriptions of a node.
 
-This module knows messages and queues. `turtleact.transports` knows how messages travel.
+A publisher checks each message that it sends. You read a subscription with ``async for``. This
+module knows messages and queues. `turtleact.transports` knows how messages travel.
 
 Source: rclpy ``publisher.py`` and ``subscription.py`` for names and behaviour.
 """

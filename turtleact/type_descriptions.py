@@ -43,7 +43,7 @@ def offer_when_sought(transport: Transport, node: str) -> Closeable:
 
 
 class _Nothing:
-    """The service of a node that nobody can look for."""
+    """Stands in for the service if no other process can look for it."""
 
     def close(self) -> None:
         """Do nothing."""

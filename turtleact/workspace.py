@@ -4,9 +4,9 @@ A package is found in the folder itself, one level below it, one or two levels b
 and where colcon installs packages: ``install/PACKAGE/share/PACKAGE`` or ``install/share/PACKAGE``.
 In a folder below a ``src``, the other packages in that ``src`` are found as well.
 
-The search is limited, so that it is quick even in a home folder. It goes no deeper, looks at no
-more than `MOST_FOLDERS` folders, and opens only ``package.xml``. Folders that cannot be read are
-skipped.
+The search is limited, so that it is quick even in a home folder. It goes no deeper than that, looks
+at no more than `MOST_FOLDERS` folders, and opens only ``package.xml``. Folders that cannot be read
+are skipped.
 """
 
 from __future__ import annotations

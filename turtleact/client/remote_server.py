@@ -5,7 +5,7 @@ sends goals and follows them. Feedback and status arrive on topics.
 
 - The topics are open before the first request is sent, so no early feedback is lost.
 - A result that arrives before the goal's feedback waits for that feedback. The server says how many
-messages there are (`GoalNote`).
+  messages there are (`GoalNote`).
 - If a server goes away, its goals end here, and every waiter gets `ServerUnavailable`.
 
 Source: rcl_action ``action_client.c``; the ROS 2 design article "Actions".

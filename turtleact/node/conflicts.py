@@ -1,20 +1,19 @@
 """Ensures that only one node serves an action name, and decides what a second node does.
 
-A node may serve several types under one name, as it does for ``/fibonacci``. If two nodes served
-the same name, every goal would run twice, because ROS 2 sends a request to all servers of a
-service. A second node chooses one of these:
+One node may serve several types under one name, as for ``/fibonacci``. If two nodes served the same
+name, every goal would run twice, because ROS 2 sends a request to all servers of a service. A
+second node chooses one of these:
 
-- ``refuse``: its `action_server` raises and names the first node.
+- ``refuse``: its `action_server` raises an error, which names the first node.
 - ``wait``: it begins to serve when the first node has gone. This is useful for restarts and
-failover.
+  failover.
 - ``withdraw``: it withdraws when any other node, in any process, serves the name. The running goals
-of the second node finish. When no other node serves the name any more, it serves it again. The
-built-in actions do
-  this.
+  of the second node finish. When no other node serves the name any more, the second node serves the
+  name again. The built-in actions do this.
 
-A restarted node may still see its predecessor: a node of the same name. Its process has just died,
-and its lease has not run out. The restarted node is not refused: it waits until the predecessor is
-gone.
+A restarted node may still see its predecessor: a node of the same name. The predecessor's process
+has just died, and its lease has not run out. The restarted node is not refused: it waits until the
+predecessor is gone.
 
 Across processes, all of this depends on discovery: a server counts only after it has been
 discovered.
@@ -55,7 +54,7 @@ class Rivals:
     Args:
         transport: The graph.
         service: The name of the action's ``send_goal`` service.
-        node: The fully qualified name of the node that wants to serve it.
+        node: The fully qualified name of the node that wants to serve the action.
     """
 
     def __init__(self, transport: Transport, service: str, node: str) -> None:
@@ -64,7 +63,7 @@ class Rivals:
         self._node = node
 
     def check(self, action: str, type_name: str, own_types: set[str]) -> None:
-        """Check that no other node serves the action, and that this node does not serve its type.
+        """Check that no other node serves the action, and that this node does not serve that type.
 
         Args:
             action: The action's name.
@@ -109,7 +108,7 @@ class Rivals:
 
     @property
     def discovery_ends(self) -> float:
-        """Before this moment, an existing server may not have been seen (event loop time)."""
+        """Before this moment, an existing server may still be undiscovered (event loop time)."""
         return self._transport.discovery_ends
 
     async def wait_until_free(self) -> None:
@@ -144,7 +143,7 @@ class Rivals:
 
 
 class ServedName:
-    """The name of one action server, which serves it, waits for it, or makes way for others.
+    """The name of one action server: the server serves it, waits for it, or makes way for others.
 
     Args:
         server: The object that holds and runs the goals.
@@ -179,9 +178,9 @@ class ServedName:
         """Serve the name now, or once it is free.
 
         Args:
-            on_conflict: What to do if another node serves the name. "refuse" was decided before. In
-                that case, a node with this node's own name holds the action name, and is about to
-                disappear.
+            on_conflict: What to do if another node serves the name. "refuse" has been checked
+                before: with it, only a predecessor can still hold the name, and the predecessor is
+                about to disappear.
             again: Opens a server like this one, after this server has made way for another node.
         """
         if on_conflict == "withdraw":

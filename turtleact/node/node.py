@@ -445,7 +445,7 @@ class Node:
             name: The parameter's name; dots group parameters. With a name alone, this finds a
                 parameter that was declared before. With a declaration of `turtleact.parameter`,
                 this declares the parameter if the node does not have it yet.
-            default: The first value. This and the options are those of `turtleact.parameter`.
+            default: The first value. For ``default`` and the options, see `turtleact.parameter`.
 
         Raises:
             InvalidParameter: if the parameter is declared already; if ``default`` has an
@@ -618,7 +618,7 @@ class ActionServer(Generic[G, R, F]):
         await self._endpoints.aclose()
 
     async def wait_until_serving(self) -> bool:
-        """Wait until the server serves its name. False if it was closed or made way before.
+        """Wait until the server serves its name. False if it closes or makes way first.
 
         Cancelling: safe, the server goes on waiting for its name.
         """

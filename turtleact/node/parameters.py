@@ -339,7 +339,7 @@ class Parameter(Generic[P]):
         self._changed.fire()
 
     async def wait_for_change(self, count: int) -> int:
-        """Wait until there were more than ``count`` changes. Return the number of changes.
+        """Wait until there have been more than ``count`` changes. Return the number of changes.
 
         If there will be no more changes, this returns ``count``. Cancelling: safe.
         """

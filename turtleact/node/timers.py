@@ -21,7 +21,7 @@ class Tick(NamedTuple):
 
     Attributes:
         number: How many periods have passed since the timer was made: 1 for the first tick. Skipped
-            ticks count.
+            ticks count, too.
         elapsed: The scheduled time since the timer was made (s, by the graph's clock): ``number``
             periods.
         missed: How many ticks were skipped just before this one.
@@ -37,9 +37,9 @@ class Timer:
 
     ``async for tick in timer`` waits for each `Tick`. The first comes after one period. The
     schedule is absolute, so delays do not add up. If your loop takes longer than a period, the
-    timer skips the ticks that it has missed. The newest missed tick comes at once, and the next
-    tick at its scheduled time. In virtual time the ticks come as fast as the program takes them.
-    While a world is paused, no ticks come. The loop ends when the node closes.
+    newest missed tick comes at once and the timer skips the older ones. The next tick comes at its
+    scheduled time. In virtual time the ticks come as fast as the program takes them. While a world
+    is paused, no ticks come. The loop ends when the node closes.
 
     Only one task at a time can wait for ticks. Cancelling: safe, no tick is lost.
 
