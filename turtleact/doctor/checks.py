@@ -78,7 +78,7 @@ def missing_router(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def empty_domain(snapshot: Snapshot) -> Iterator[Fault]:
-    """The domain has no nodes, but another one has."""
+    """Find out whether the domain has no nodes although other domains have some."""
     others = [domain for domain in snapshot.domains if domain != snapshot.domain]
     if others and not snapshot.nodes:
         used = ", ".join(map(str, others))
@@ -148,7 +148,7 @@ def silent_nodes(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def duplicate_nodes(snapshot: Snapshot) -> Iterator[Fault]:
-    """Several nodes have one name."""
+    """Find names that several nodes share."""
     counts = Counter(each.name for each in snapshot.nodes if not is_hidden_node(each.name))
     for name, count in sorted(counts.items()):
         if count > 1:
@@ -182,9 +182,9 @@ def several_servers(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def differing_types(snapshot: Snapshot) -> Iterator[Fault]:
-    """A node wants a topic, service or action with a type that nobody offers it with.
+    """Find topics, services and actions that a node wants with a type that nobody offers.
 
-    A node may offer several types under one name, and does so for ``/fibonacci``.
+    A node may offer several types under one name, as turtleact's server does for ``/fibonacci``.
     """
     told: set[tuple[str, str]] = set()
     for name, ends in sorted(_by_name(snapshot).items()):
@@ -339,7 +339,7 @@ def _do(names: tuple[str, ...]) -> str:
 def _listed(endpoints: Iterable[EndpointSeen]) -> Iterator[EndpointSeen]:
     """Yield the endpoints of nodes that are not hidden.
 
-    Command-line tools take whatever they find.
+    Hidden nodes belong to command-line tools, which use whatever types they find.
     """
     return (each for each in endpoints if not is_hidden_node(each.endpoint.node))
 
@@ -371,12 +371,12 @@ def _short(type_hash: str) -> str:
 
 
 def _plain(name: str) -> str:
-    """The name that users know: that of the action, or of the service that a topic belongs to."""
+    """The name as users know it: for a part of an action or service, the name of the whole."""
     return name.partition("/_action/")[0].removesuffix("/_service_event")
 
 
 def _owner(type_name: str) -> str:
-    """The interface as users name it. For a part of an action or service, that is the whole."""
+    """The type as users know it: for a part of an action or service, the type of the whole."""
     package, _, rest = type_name.partition("/")
     kind, _, name = rest.partition("/")
     if kind in ("action", "srv"):
@@ -408,7 +408,7 @@ def _why_differing(snapshot: Snapshot, type_name: str, hashes: list[str]) -> str
 
 
 def _shown(path: str, *, is_implied: bool) -> str:
-    """The path of a field as users know it. For an action's services, ROS 2's part is left out."""
+    """The path of a field as users know it: in actions, without ``request.`` or ``response.``."""
     return path.removeprefix("request.").removeprefix("response.") if is_implied else path
 
 

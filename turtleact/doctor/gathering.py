@@ -72,7 +72,8 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
 
     Args:
         node: A node on the graph. It is left out of the snapshot.
-        with_domains: Whether to find out which ROS domains are in use, even if this one is.
+        with_domains: Whether to find out which ROS domains are in use even if this domain has
+            nodes.
 
     Raises:
         TurtleactError: if the node is closed, or loses the graph meanwhile.
@@ -103,7 +104,7 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
 
 @contextmanager
 def _one_error() -> Iterator[None]:
-    """Raise the first error of a group from a block in place of the group."""
+    """If a block raises a group of turtleact's errors, raise only the first of them."""
     try:
         yield
     except ExceptionGroup as group:
@@ -177,7 +178,7 @@ async def _ask(node: Node, session: str, service: Endpoint, answers: list[Answer
 
 
 def _join(node: Node, service: Endpoint) -> tuple[Caller, object]:
-    """A client of a service, and a request that does no harm."""
+    """A client of a service, and a harmless request to the service."""
     interface: Any = get_interface(service.type_name)
     described = Endpoint("client", service.name, service.type_name, node.fully_qualified_name)
     caller = node.transport.join(described, WireFormat(interface, asks=True))
@@ -213,7 +214,7 @@ async def _collect_reports(node: Node, reports: list[Report]) -> None:
 
 
 def _is_over(until: str) -> bool:
-    """Whether a fault was only to last until a time that has passed."""
+    """Whether a fault was reported only until a time that has passed."""
     try:
         return bool(until) and float(until) < time.time()
     except ValueError:  # another program may publish on the topic, too

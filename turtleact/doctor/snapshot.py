@@ -122,11 +122,11 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
         domain: The ROS domain; None within a process.
         routers: The routers in reach; None within a process, where no router is needed.
         zenoh: The version of our Zenoh; empty if unknown.
-        nodes: All nodes. Several may have one name.
+        nodes: All nodes. Several may share a name.
         endpoints: All endpoints.
-        answers: The sessions that were asked something.
+        answers: One for each session that was asked.
         reports: The faults that processes have found in themselves.
-        known: The type hash in this process of each known type on the graph, by type name.
+        known: This process's hash of each type on the graph that it knows, by type name.
         fields: The fields of types that have several definitions, by type name and hash.
         domains: The ROS domains that others use; empty if that was not asked.
     """

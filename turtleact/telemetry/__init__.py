@@ -1,4 +1,4 @@
-"""Reports what goals do to tracing, metrics and logs: OpenTelemetry, Prometheus, ``logging``.
+"""Traces, measures and logs goals, with OpenTelemetry, Prometheus and ``logging``.
 
 Everything here watches goals as an observer of servers and clients (`turtleact.observers`). A
 program that does not import this module pays nothing for it. `instrument` needs the extra ``otel``;

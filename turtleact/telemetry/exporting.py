@@ -1,9 +1,10 @@
 """Sets up OpenTelemetry's SDK to send spans and measurements to a collector by OTLP over HTTP.
 
-OpenTelemetry's own environment variables set the address, the interval and the amount: among others
-``OTEL_EXPORTER_OTLP_ENDPOINT``, ``OTEL_SERVICE_NAME``, ``OTEL_RESOURCE_ATTRIBUTES``,
-``OTEL_TRACES_SAMPLER``, ``OTEL_BSP_MAX_QUEUE_SIZE`` and ``OTEL_METRIC_EXPORT_INTERVAL``.
-``OTEL_TRACES_EXPORTER=none`` and ``OTEL_METRICS_EXPORTER=none`` switch traces or metrics off.
+The address, the interval and all other settings come from OpenTelemetry's own environment
+variables, such as ``OTEL_EXPORTER_OTLP_ENDPOINT``, ``OTEL_SERVICE_NAME``,
+``OTEL_RESOURCE_ATTRIBUTES``, ``OTEL_TRACES_SAMPLER``, ``OTEL_BSP_MAX_QUEUE_SIZE`` and
+``OTEL_METRIC_EXPORT_INTERVAL``. ``OTEL_TRACES_EXPORTER=none`` and ``OTEL_METRICS_EXPORTER=none``
+switch traces or metrics off.
 
 Threads of the SDK send everything. A collector that is slow or down delays no goal: spans that do
 not fit into the queue are dropped, and the SDK logs that.

@@ -80,7 +80,7 @@ class _Instrumentation:
 
 
 class _Nothing:
-    """A stand-in for the transport's object that an `_Instrumentation` does not have."""
+    """Takes the place of a transport's object, because an `_Instrumentation` has none."""
 
     def close(self) -> None:
         """Do nothing."""

@@ -1,4 +1,4 @@
-"""Adds the goal of a log record to the record, and formats records as text or JSON.
+"""Adds the current goal to log records, and formats the records as text or JSON.
 
 >>> import logging
 >>> handler = logging.StreamHandler()
@@ -73,7 +73,7 @@ class JsonFormatter(logging.Formatter):
     The members are ``time`` (UTC, ISO 8601), ``level``, ``logger`` and ``message``. In a body,
     there are also ``goal_id``, ``action`` and ``node``; in a span of OpenTelemetry, ``trace_id``
     and ``span_id``. A traceback is in ``exception``. Values passed as ``extra`` are members, too.
-    An underscore is added to an extra with one of these names.
+    An extra with one of these names gets an underscore at its end.
     """
 
     def format(self, record: logging.LogRecord) -> str:

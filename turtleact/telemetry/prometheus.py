@@ -174,8 +174,8 @@ class _Histogram:
     """A histogram: counts values between bounds, and adds them up.
 
     Attributes:
-        counts: How many values fell between each bound and the one before. The last number is of
-            those above all bounds.
+        counts: How many values fell between each bound and the one before. The last number counts
+            the values above all bounds.
         sum: The sum of all values.
     """
 

@@ -149,7 +149,7 @@ class _Record:
 
 
 class _Spans(GoalObserver):
-    """Writes the news of the goals of one server or client to the goals' spans.
+    """Writes what happens to the goals of one server or client into the goals' spans.
 
     Args:
         observers: The observers of the server or client.
@@ -161,9 +161,9 @@ class _Spans(GoalObserver):
         self._recording: _Recording | None = None
 
     def begin(self, span: Span, goal_id: bytes) -> _Record:
-        """Write the news of a goal to this span from now on.
+        """Write what happens to a goal into this span from now on.
 
-        If the client has sent the same goal before, the goal's first span goes on.
+        If the client has sent the same goal before, the goal keeps its first span.
         """
         if self._recording is None:  # it costs each message something, so there is none before
             self._recording = _Recording(self.records)
@@ -175,7 +175,7 @@ class _Spans(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """No: a goal that starts at once gets the event when it starts."""
+        """No: if a goal starts at once, its event "accepted" is written when it starts."""
         return False
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:

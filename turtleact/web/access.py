@@ -1,10 +1,10 @@
 """Decides who may connect, by the Host, Origin and token of a request; logs refusals.
 
 - A web page of another site can open a WebSocket to any address. The browser sends that page's
-origin, and the server refuses the connection. Programs send no origin, and may connect.
+  origin, and the server refuses the connection. Programs send no origin, and may connect.
 - By DNS rebinding, a page of another site can make its own name lead to this machine. Then the Host
-is that name, and the server refuses the connection. IP addresses and loopback names cannot be
-rebound.
+  is that name, and the server refuses the connection. IP addresses and loopback names cannot be
+  rebound.
 - Clients on other machines must know the token.
 
 Source: RFC 6454 (origins); RFC 6455, section 10.2; RFC 9110, section 7.2 (Host).

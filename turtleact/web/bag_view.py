@@ -5,7 +5,7 @@ of the bag leads to these poses, so a large bag opens as quickly as a small one.
 the goals separately, because they are spread over the whole bag.
 
 Like the server of a node's page, this server listens on the loopback, and refuses requests for
-other names.
+other host names.
 """
 
 from __future__ import annotations

@@ -255,6 +255,6 @@ def page_file(name: str, folder: str = "page") -> bytes:
 
 
 def _path(asked: HTTPConnection) -> str:
-    """The part of the path below the path where the bridge is mounted."""
+    """The path relative to where the bridge is mounted."""
     path: str = asked.scope["path"]
     return path.removeprefix(asked.scope.get("root_path", "")) or "/"

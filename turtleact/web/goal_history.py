@@ -62,14 +62,14 @@ class GoalRecord:
         id: The goal's id in hexadecimal. A rejected goal has one, too.
         action: The name of its action.
         type: The full name of the action's type.
-        accepted: When it was accepted.
+        accepted: When the goal was accepted, by the graph's clock (s).
         at: When the goal was accepted, as a time of day (s since the epoch).
         status: The name of its status, or `REJECTED`.
         request: The goal message, shortened; None if nobody in this process knows it.
         result: Its result, shortened; None before its end.
         reason: Why it was aborted or rejected.
         duration: How long the goal took; None while it runs, or if nobody saw its end.
-        revision: When it last changed.
+        revision: The revision of its last change.
         has_ended: Whether it has ended.
         is_paused: Whether it is paused.
         is_resumed: Whether an earlier process of its server began it.
@@ -143,8 +143,8 @@ class Changes(msgspec.Struct, frozen=True):
     Attributes:
         goals: The goals that are new or have changed, the latest change first.
         dropped: The ids of goals that are no longer kept.
-        is_complete: Whether nothing is missing. If False, too many goals were dropped since then,
-            and the page must ask for everything.
+        is_complete: Whether ``dropped`` names all goals dropped since the revision. If not, the
+            page must get everything anew.
     """
 
     goals: list[GoalRecord]
@@ -153,7 +153,7 @@ class Changes(msgspec.Struct, frozen=True):
 
 
 class GoalHistory:
-    """The goals of all actions. The goal that changed last is the last.
+    """The goals of all actions, in the order of their last change.
 
     Args:
         revise: A function that returns the next revision. It is called at each change.

@@ -3,11 +3,11 @@
 This module has no clock: time comes in as ``now=``.
 
 - The responses, results and goals that a client has asked for are kept in order and never dropped.
-A
-  client that lets too much of it pile up is disconnected (`Mailbox.is_overfull`).
-- Of topics and feedback, only the newest messages are kept. `Mailbox.dropped` counts the others.
+  A client that lets too many of them pile up is disconnected (`Mailbox.is_overfull`).
+- Of topics and feedback, only the newest messages are kept. `Mailbox.dropped` counts those that
+  were dropped.
 - `Budget` bounds the memory of all clients together. Without the budget, a hundred clients could
-stay below their own limits and still take a gigabyte together.
+  stay below their own limits and still take a gigabyte together.
 
 Source: rosbridge v2, ``throttle_rate`` and ``queue_length`` of ``subscribe``.
 """
@@ -121,7 +121,7 @@ class Mailbox:
         self._kept_bytes += len(frame)
 
     def put(self, source: str, frame: Frame) -> None:
-        """Put in a frame that may be dropped in favour of newer frames of its own or any source."""
+        """Put in a frame that may be dropped for newer frames, of its own source or of another."""
         line = self._droppable.setdefault(source, deque())
         line.append((next(self._order), frame))
         self._droppable_bytes += len(frame)
@@ -148,7 +148,7 @@ class Mailbox:
         return frame
 
     def forget(self, source: str) -> None:
-        """Drop all frames of a source, because nobody wants them any more. Do not count them."""
+        """Drop all frames of a source without counting them, because nobody wants them any more."""
         for _, frame in self._droppable.pop(source, ()):
             self._droppable_bytes -= len(frame)
 
@@ -189,8 +189,8 @@ class Throttle:
     Attributes:
         topic: The topic.
         interval: Least time between two messages (s).
-        queue_length: How many early messages, the newest ones, wait for their time. If 0, early
-            messages are dropped.
+        queue_length: How many early messages may wait for their time; the newest are kept. If 0,
+            early messages are dropped.
         compression: The form in which messages are written.
         due: When the next waiting message may be sent; None if no message waits.
     """

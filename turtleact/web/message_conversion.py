@@ -9,8 +9,8 @@ Values that JSON cannot express are written and read as in rosbridge:
   ``1.0``.
 - A list in place of the outermost object gives the fields in their order.
 
-CBOR has bytes, and tags for lists of numbers. Large values are checked in a thread, so that other
-clients do not wait: a million numbers take seconds.
+In CBOR, bytes stay bytes, and lists of numbers become typed arrays. Large values are checked in a
+thread, so that other clients do not wait: a million numbers take seconds.
 
 The server never sends an operation that the client has not asked for, because client libraries fail
 on operations that they do not know.

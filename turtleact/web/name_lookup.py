@@ -95,7 +95,7 @@ def action_class(spelled: str) -> type[Action]:
 
 
 class Directory:
-    """The names of a graph.
+    """Looks up names on a graph.
 
     Args:
         transport: The graph.
@@ -129,8 +129,8 @@ class Directory:
             spelled: The type as the client spells it; empty if the client gives no type.
 
         Raises:
-            InvalidOption: if the client gives no type and the graph has no type or several, or if
-                the graph has only other types.
+            InvalidOption: if the client gives no type and the topic has none or several on the
+                graph, or if the topic has only other types there.
             UnknownInterface: if there is no such type.
         """
         types = self.types(TOPIC_KINDS, topic)

@@ -44,7 +44,7 @@ Arguments: TypeAlias = dict[str, Any] | list[Any] | None
 
 
 class Base(msgspec.Struct, tag_field="op", frozen=True, kw_only=True):
-    """The member that every operation may have."""
+    """The id, which every operation may have."""
 
     id: Id = None
 
@@ -120,7 +120,7 @@ class AdvertiseService(Base, tag="advertise_service", frozen=True, kw_only=True)
 
 
 class UnadvertiseService(Base, tag="unadvertise_service", frozen=True, kw_only=True):
-    """The client stops serving it."""
+    """The client stops serving a service."""
 
     service: str
 
@@ -143,7 +143,7 @@ class SendActionGoal(Base, tag="send_action_goal", frozen=True, kw_only=True):
         feedback: Whether the client wants feedback.
         traceparent: The span in which the client sends the goal, as in W3C Trace Context. Other
             bridges ignore this member.
-        tracestate: What the client's tracing system adds to it.
+        tracestate: What the client's tracing system adds to ``traceparent``.
     """
 
     action: str
@@ -168,7 +168,7 @@ class AdvertiseAction(Base, tag="advertise_action", frozen=True, kw_only=True):
 
 
 class UnadvertiseAction(Base, tag="unadvertise_action", frozen=True, kw_only=True):
-    """The client stops serving it."""
+    """The client stops serving an action."""
 
     action: str
 
@@ -261,7 +261,7 @@ def _is_sound(frame: str) -> bool:
 
 
 def _second_look(frame: str, first: ValueError | RecursionError) -> Operation | Malformed:
-    """Accept NaN, which Python's own JSON writes. Otherwise return what is wrong."""
+    """Read a frame with Python's own JSON, which allows NaN, or return what is wrong."""
     try:
         members = json.loads(frame)
     except (ValueError, RecursionError):

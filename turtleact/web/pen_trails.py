@@ -57,7 +57,7 @@ class Tail(msgspec.Struct, frozen=True):
     """The new end of a line.
 
     Attributes:
-        is_whole: Whether this is the whole line. It then replaces the line that the page has.
+        is_whole: Whether this is the whole line, which then replaces the line that the page has.
         points: Places, each with its pen.
     """
 

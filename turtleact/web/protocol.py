@@ -9,7 +9,7 @@ the effects that it returns in order.
 - Without an id, ``unsubscribe`` and ``unadvertise`` end everything that the client has opened for
   the topic.
 - Only clients that have sent ``set_level`` get ``status`` frames, because client libraries fail on
-operations that they do not expect.
+  operations that they do not expect.
 
 Source: ``ROSBRIDGE_PROTOCOL.md`` of rosbridge_suite, version 2, and its ``capabilities/``.
 """
@@ -62,7 +62,7 @@ class Delivery(msgspec.Struct, frozen=True):
 
 
 class Reader(msgspec.Struct, frozen=True):
-    """A topic that a client subscribes to. The key is its name in the client's spelling."""
+    """A topic that a client subscribes to. ``key`` is its name as the client spells it."""
 
     key: str
     type: str
@@ -71,7 +71,7 @@ class Reader(msgspec.Struct, frozen=True):
 
 
 class Writer(msgspec.Struct, frozen=True):
-    """A topic that a client publishes to. The key is its name in the client's spelling."""
+    """A topic that a client publishes to. ``key`` is its name as the client spells it."""
 
     key: str
     type: str

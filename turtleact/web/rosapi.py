@@ -144,7 +144,7 @@ class Rosapi:
 
         Args:
             service: The name as a client spells it, with or without the leading slash.
-            args: An object by names, or a list in the order of rosapi's request.
+            args: An object by argument names, or a list in the order of rosapi's request.
 
         Raises:
             ServerUnavailable: if rosapi has no such service.
@@ -376,7 +376,7 @@ def typedefs(cls: type[Message]) -> list[dict[str, object]]:
 
 
 def full_text(cls: type[Message]) -> str:
-    """The text of a message, then the texts of the messages in it."""
+    """The definition of a message, then the definitions of the messages in it."""
     first, *rest = _with_nested(cls)
     blocks = [f"{RULE}\nMSG: {short_name(each.type_name)}\n{interface_text(each)}" for each in rest]
     return "\n".join([interface_text(first), *blocks])

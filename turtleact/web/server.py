@@ -6,11 +6,10 @@ server. Here, uvicorn's protocols are stricter with clients than usual:
 - A client that connects and sends no whole request is disconnected, and the number of connections
   is limited. Otherwise anybody could use up all connections that the process may have.
 - The app can cut off a client that does not read. A client that does not answer a ping counts as
-gone, unless it is still sending: then its answer comes after the rest.
+  gone, unless it is still sending a message: its answer may come after that message.
 - A text that is not UTF-8 is the client's mistake, so the log gets one line without a traceback.
 
-Source: uvicorn ``h11_impl.py`` and ``websockets_sansio_impl.py``; RFC 6455, section
-8.1.
+Source: uvicorn ``h11_impl.py`` and ``websockets_sansio_impl.py``; RFC 6455, section 8.1.
 """
 
 from __future__ import annotations
@@ -165,7 +164,7 @@ async def open_web(
 
 
 class Config(http_server.Config):
-    """uvicorn's configuration, with the budget and the refusals of the app for its protocols.
+    """uvicorn's configuration, in which its protocols also find the app's budget and refusals.
 
     Args:
         app: The app.
@@ -175,7 +174,7 @@ class Config(http_server.Config):
 
     Attributes:
         refusals: The argument ``refusals``.
-        budget: The memory of all WebSockets. It is needed only if the app has WebSockets.
+        budget: The budget for the memory of all WebSockets. An app without WebSockets needs none.
     """
 
     budget: Budget

@@ -113,7 +113,7 @@ class Serving:
             await question.take_feedback(said.values)
 
     async def aclose(self) -> None:
-        """Stop serving, as the client has gone."""
+        """Stop serving, because the client has gone."""
         # One after the other is quick enough: `withdraw` has given up the questions, so no server
         # waits for an answer of the client that has gone.
         for kind, name in list(self._servers):

@@ -5,11 +5,12 @@
   subscription gets the messages that the publishers keep.
 - Clients of services and actions are kept open for the next web client (`Pool`).
 - Each goal is followed to its end (`Goals`). A goal continues when its client disconnects, unless
-`cancel_on_disconnect` is set. Clients come and go during a goal, and may cancel the goal from
-another connection. Web clients choose the ids of their goals themselves, so two clients may choose
-the same id. A cancel is for the client's own goal of that id. If the client has no such goal, it is
-for the only goal of that id that anybody has sent. A cancel that comes before the server has
-accepted the goal is remembered.
+  `cancel_on_disconnect` is set.
+- A client may cancel a goal that another connection has sent. Web clients choose the ids of their
+  goals themselves, so two clients may choose the same id. A cancel is meant for the client's own
+  goal with that id. If the client has none, the cancel is meant for the only goal with that id that
+  other clients have sent. A cancel that comes before the server has accepted the goal is
+  remembered.
 
 Source: rosbridge_library ``capabilities/action_*.py``; its issues 1003, 1013, 1139 and 1152.
 """
@@ -96,7 +97,7 @@ class Limits(msgspec.Struct, frozen=True):
         memory: How much memory the server may hold for all clients together (bytes). This includes
             messages that have not arrived completely or have not been read yet, and frames that
             wait to be sent. If the limit is exceeded, the client that holds the most loses its
-            waiting topic messages and feedback. A client without any is disconnected.
+            waiting topic messages and feedback. If it has none, it is disconnected.
     """
 
     connections: int = 100
@@ -215,7 +216,7 @@ class Feeds:
         self._shared: dict[tuple[str, type[Message]], Feed] = {}
 
     def join(self, topic: str, message_type: type[Message], deliver: Deliver) -> Feed:
-        """Deliver a topic's messages, including kept messages of latched topics.
+        """Deliver a topic's messages; on a latched topic, these include the kept messages.
 
         Raises:
             TurtleactError: if the node is closed.
@@ -256,10 +257,10 @@ C = TypeVar("C", bound=Closing)
 
 
 class Pool(Generic[K, C]):
-    """A pool of things that are opened once and shared by their users.
+    """A pool of resources that are opened once and shared by their users.
 
     Args:
-        open: Opens the thing for a key.
+        open: Opens the resource for a key.
     """
 
     def __init__(self, open: Callable[[K], C]) -> None:
@@ -269,9 +270,9 @@ class Pool(Generic[K, C]):
 
     @asynccontextmanager
     async def use(self, key: K) -> AsyncIterator[C]:
-        """Give a block the thing for a key.
+        """Give a block the resource for a key.
 
-        The thing stays open at least for the length of the block.
+        The resource stays open at least for the length of the block.
         """
         # Taken out and put in again, so that the one used last stands last. No await lies between:
         # nobody else can open a second one for the key.
@@ -289,13 +290,13 @@ class Pool(Generic[K, C]):
                 await self._tidy()
 
     async def aclose(self) -> None:
-        """Close all things in the pool."""
+        """Close all resources in the pool."""
         held, self._held = self._held, {}
         for each in held.values():
             await each.aclose()
 
     async def _tidy(self) -> None:
-        """Close the least recently used idle thing, if there are too many."""
+        """Close the least recently used idle resource, if too many are idle."""
         idle = [key for key in self._held if key not in self._users]
         if len(idle) > MOST_IDLE:
             await self._held.pop(idle[0]).aclose()
@@ -378,7 +379,7 @@ class Goals:
                     sent.cancel()
 
     def leave(self) -> None:
-        """Tell all clients that wait for a goal that they will not hear of its end."""
+        """Tell all clients with goals under way that they will not hear how these goals end."""
         # `is_over` keeps the end of the goal, should it still come, from being told after this.
         for sent in self._sent.values():
             sent.fail(CLOSING)
@@ -455,7 +456,7 @@ class _Sent:
 
     Attributes:
         number: The number of the goal, which no other goal of the bridge has.
-        said: The operation with which its client has sent it.
+        said: The ``send_action_goal`` of its client.
         teller: Its client; None after the client has gone.
         goal_id: Its 16 bytes.
         following: The task that follows it.
@@ -476,7 +477,7 @@ class _Sent:
     def accept(self, handle: ClientGoalHandle[Message, Message]) -> None:
         """Record that the server has accepted the goal.
 
-        The client may have canceled it meanwhile.
+        If the client has canceled the goal meanwhile, cancel it now.
         """
         self._handle = handle
         if self._is_canceled:

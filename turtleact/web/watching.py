@@ -7,9 +7,9 @@ that only use rosbridge, it costs nothing.
 A page asks by calling services that only web clients can call, like those of rosapi:
 
 - ``/turtleact/web/watch`` answers with the news after a revision, and waits if there is none. A
-slow page therefore asks less often, and nothing piles up for it.
+  slow page therefore asks less often, and nothing piles up for it.
 - ``/turtleact/web/form`` describes an action's type.
-- ``/turtleact/web/clear_trails`` wipes the trails off.
+- ``/turtleact/web/clear_trails`` erases the trails.
 - ``/turtleact/web/set_paused`` pauses or resumes a goal.
 
 Each goal is followed as any other client would follow it: this module attaches to the goal when it
@@ -159,7 +159,7 @@ class Watch:
     # called by other parts of the bridge
 
     def note_request(self, goal_id: bytes, request: Message) -> None:
-        """Record a web client's goal, because remote servers do not send its message."""
+        """Record the message of a web client's goal, because a remote server does not send it."""
         if not self.is_watching:
             return
         record = self.history.find(goal_id.hex())
@@ -210,7 +210,7 @@ class Watch:
     async def _watch(self, args: Values) -> Values:
         """Return the news after a revision.
 
-        If it is 0 or from another session, return everything.
+        If the revision is 0 or from another session, return everything.
         """
         since = args.get("since", 0)
         if not isinstance(since, int):
@@ -327,8 +327,8 @@ class Watch:
         Args:
             action: The name and the type of the action.
             message: The status message.
-            known: The ids of the last message. Goals that the history has dropped are not taken up
-                again.
+            known: The ids in the message before. Goals that the history has dropped are not taken
+                up again.
         """
         told: set[str] = set()
         for each in message.status_list:
@@ -364,7 +364,7 @@ class Watch:
                 self.history.change(record)
 
     def _lose(self, ids: set[str], reason: str) -> None:
-        """Record that no more news of these goals will come, except of goals that are followed."""
+        """End these goals as UNKNOWN, except those that are followed or have ended."""
         for id in ids - self._following.keys():
             record = self.history.find(id)
             if record is not None and not record.has_ended:
@@ -457,12 +457,12 @@ class _Action:
     Args:
         node: The node that subscribes to its status.
         key: Its name and type.
-        take: Called with each status message and the ids of the message before. Returns the new
+        take: Called with each status message and the ids in the message before. Returns the new
             ids.
         take_paused: Called with the known ids and the ids of the paused goals.
 
     Attributes:
-        known: The ids of the last message.
+        known: The ids in the last status message.
     """
 
     def __init__(
