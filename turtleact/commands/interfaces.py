@@ -189,7 +189,7 @@ def read_type(type_name: str, interrupts: Interrupts) -> str:
 def write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> int:
     """Write typed Python classes for the interfaces of some packages, and of the packages they use.
 
-    The path of each written file is printed. Files that are already right are left alone.
+    The path of each written file is printed. Files that would not change are left alone.
 
     Args:
         packages: Their names.

@@ -19,8 +19,9 @@ signal depends on what the program is doing:
 One signal handler, set once, does all of this. With the loop's own signal handling, Python's
 default handler would be active just before and after the loop, and print a traceback. The handler
 wakes the loop through ``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. While the loop
-or a read waits in the system, it also waits for a socket to which the system writes each signal.
-Without that socket, if a signal came just before the wait, Python would notice it only afterwards.
+or a read waits in a system call, it also waits for a socket to which Python writes each signal as
+soon as it comes. Without that socket, if a signal came just before the wait, Python would notice it
+only afterwards.
 
 Windows has neither an alarm clock nor a way to wait for a file. On Windows, threads do both.
 """

@@ -40,10 +40,10 @@ def print_goals(path: Path, name: str | None, since: int, *, as_json: bool) -> i
 
     Args:
         path: The journal.
-        name: The action; all if None.
+        name: The action; None for all actions.
         since: Print only goals accepted at or after this time (ns since the epoch); 0 for all
             goals.
-        as_json: Whether to print one JSON object a line.
+        as_json: Whether to print one JSON object per line.
 
     Raises:
         JournalError: if the journal cannot be read.

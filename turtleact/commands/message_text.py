@@ -129,7 +129,7 @@ def python_text(message: Message) -> str:
 
 
 def yaml_lines(value: object) -> list[str]:
-    """A plain value as lines of block YAML. A scalar is printed as Python prints it, as in ros2."""
+    """A plain value as lines of block YAML. As in ros2, a scalar is printed as in Python."""
     if isinstance(value, dict) and value:
         return block(value)
     if isinstance(value, list | bytes) and value:

@@ -208,7 +208,7 @@ class Service(NamedTuple):
         node_name: The name of the node that serves the actions, if there is no world.
         keeping: The journal of the goals; None for no journal.
         overrides: The first values of parameters.
-        introspection: The introspection of all actions and services of the process.
+        introspection: What all actions and services of the process publish for introspection.
         watched: How other programs can watch the goals.
     """
 

@@ -1,8 +1,9 @@
 """Draws a live display on a terminal: its region, frames, log lines and keys.
 
 Only `Region` moves the cursor and changes the terminal's modes. While a region is held, the cursor
-is hidden and typed characters are not echoed. If keys are read, each key comes at once. All of this
-is undone whenever the process ends or stops. Only SIGKILL and SIGSTOP cannot be handled.
+is hidden and typed characters are not echoed. If keys are read, each key comes at once, without
+Enter. All of this is undone whenever the process ends or stops. Only SIGKILL and SIGSTOP cannot be
+handled.
 
 While a region is held, writing never waits for the terminal (`Outlet`). Frames are left out while
 the terminal takes no text, for example because the user pressed Ctrl-S or the connection hangs.
@@ -159,13 +160,12 @@ class Region:
 
     Between two frames the hidden cursor stands at the beginning of the first line. When a terminal
     is resized and wraps lines anew, the cursor stays with its line, so the next frame starts where
-    the last one did. Each line is erased before it is drawn: otherwise the terminal would treat the
-    parts of a line that it has wrapped as one line, and wrap that line again at the next resize.
+    the last one did. Each line is erased before it is drawn: otherwise the terminal would remember
+    rows as parts of a wrapped line, and would wrap their new text together at the next resize.
 
     Args:
         stream: The terminal.
-        keyboard: The stream from which keys are read, if they are read. Each key that is read then
-            comes at once.
+        keyboard: The stream from which keys are read, each at once; None if no keys are read.
     """
 
     def __init__(self, stream: TextIO, keyboard: TextIO | None = None) -> None:
@@ -379,8 +379,8 @@ async def animate(region: Region, compose: Compose) -> None:
 async def keep_drawing(region: Region, compose: Compose) -> None:
     """Draw frames on a held terminal until this is cancelled.
 
-    It draws at most 15 frames a second, and takes at most a fifth of the processor's time. The
-    first frame, which imports modules, does not count.
+    This function draws at most 15 frames a second, and takes at most a fifth of the processor's
+    time. The first frame, which imports modules, does not count.
     """
     draw(region, compose)
     await anyio.sleep(PERIOD)

@@ -528,7 +528,7 @@ def moment(text: str) -> int:
     """Parse a moment as nanoseconds since the epoch, above zero.
 
     Args:
-        text: Seconds since the epoch, or a date and time as in ISO 8601. Without a zone, it is
+        text: Seconds since the epoch, or a date and time as in ISO 8601. A time without a zone is
             local time.
 
     Raises:

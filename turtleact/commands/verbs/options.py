@@ -58,7 +58,7 @@ Look: TypeAlias = Callable[["Node"], Awaitable[int]]
 """A function that looks at the graph through a node and returns the exit status."""
 
 Plan: TypeAlias = Callable[[Interrupts], Look]
-"""A function that works before the graph is opened, such as reading stdin.
+"""A function that prepares the work before the graph is opened, and may read stdin.
 
 It returns the `Look`.
 """

@@ -147,7 +147,7 @@ def _driving(
         remaps: Other names for the turtle's topic and action.
         speeds: The linear and the angular speed, by the names of their options.
         where: The graph; None for an embedded world.
-        is_plain: Whether there is no live map.
+        is_plain: Whether to leave out the live map.
     """
     for name, value in speeds.items():
         if not math.isfinite(value):
