@@ -7,7 +7,7 @@ here knows what a goal is.
   it and waits for its end.
 - Firing a `Signal` wakes every task that waits for it. A signal does not remember earlier fires.
 - `asyncio.Task.cancel` breaks into anyio's shields, unlike a cancel scope of trio. Where shields
-matter, ask `Tasks.is_shielded` first.
+  matter, ask `Tasks.is_shielded` first.
 """
 
 from __future__ import annotations

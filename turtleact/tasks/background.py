@@ -1,4 +1,4 @@
-"""Runs coroutines beside their owner, and waits a limited time for an end."""
+"""Runs coroutines beside their owner, and waits a limited time for something to end."""
 
 from __future__ import annotations
 
@@ -101,13 +101,12 @@ async def run_in_daemon(call: Callable[[], T], name: str) -> T:
 
 
 async def wait_while(is_busy: Callable[[], object], changed: Signal, patience: float) -> None:
-    """Wait at most ``patience`` seconds (loop time) for an end, shielded from cancellation.
+    """Wait while ``is_busy()``, at most ``patience`` s (loop time), shielded from cancellation.
 
-    If the end has come already, this costs next to nothing, because thousands of objects may be
-    closed together.
+    If nothing is busy, this costs next to nothing: thousands of objects may be closed together.
 
     Args:
-        is_busy: A function that returns whether the end has yet to come.
+        is_busy: A function that returns whether to go on waiting.
         changed: Fires when ``is_busy`` may have changed.
         patience: The longest wait (s).
     """

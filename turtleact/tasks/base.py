@@ -96,9 +96,9 @@ def is_cancellation(error: BaseException, tasks: Tasks) -> bool:
 class Home:
     """The running event loop, the only one in which the owner of this home may be used.
 
-    Without a check, use from another thread or event loop fails much later, with an unhelpful text:
-    "aclose(): asynchronous generator is already running". Nodes, servers and clients create a
-    `Home` and check it first in every public method::
+    Without a check, using the owner in another thread or event loop fails much later, with an
+    unhelpful text: "aclose(): asynchronous generator is already running". Nodes, servers and
+    clients create a `Home` and check it first in every public method::
 
         def __init__(self, name: str) -> None:
             self._home = Home(f"node '{name}'")
@@ -122,7 +122,7 @@ class Home:
         self._thread = get_ident()
 
     def of(self, owner: str) -> Home:
-        """Return the same home for another object that was made there.
+        """Return the same home for another object that was created in it.
 
         No event loop need run now.
         """
@@ -133,8 +133,8 @@ class Home:
     def check(self) -> None:
         """Check that the home's event loop is running this call, or stands between two runs.
 
-        A notebook run as plain Python calls functions between ``runner.run(…)`` and
-        ``runner.run(…)``. The loop does not run then, so nothing can interfere.
+        A notebook that runs as plain Python calls functions between two calls of ``runner.run(…)``.
+        The loop does not run then, so nothing can interfere.
 
         Raises:
             TurtleactError: if another event loop runs this call, or another thread does.

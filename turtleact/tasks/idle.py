@@ -3,7 +3,7 @@
 The method depends on the loop:
 
 - A loop made by `new_event_loop` asks its selector to wait when it has nothing else to do. At that
-moment, the selector wakes every task that waits for idleness.
+  moment, the selector wakes every task that waits for idleness.
 - Other asyncio loops keep their callbacks in a private queue, which this module reads.
 - A loop without that queue (uvloop) needs `anyio.wait_all_tasks_blocked`, which polls every 0.1 s.
   That is slow, so a warning is logged once per run.
@@ -97,7 +97,7 @@ class IdleSelector(selectors.DefaultSelector):
         return self.wait_for_events(timeout)
 
     def wait_for_events(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Block until an event arrives, because the loop is idle and no task waits for that."""
+        """Block until an event arrives, because the loop is idle and no task waits for idleness."""
         return super().select(timeout)
 
     def _wake(self) -> None:
@@ -129,11 +129,11 @@ def ready_callbacks(loop: asyncio.AbstractEventLoop) -> Sized | None:
 
 
 class ThreadWork:
-    """Counts the work of a thread for the loop. Virtual time stands still during such work.
+    """Counts the work that threads do for the loop. Virtual time stands still meanwhile.
 
     Such work must be sure to end soon. A `turtleact.clock.VirtualClock` asks this object whether
-    there is any. The event loops of `turtleact.testing` stand still while a token of anyio's thread
-    limiter is borrowed, so this object borrows one.
+    there is any work. The event loops of `turtleact.testing` stand still while a token of anyio's
+    thread limiter is borrowed, so this object borrows one.
     """
 
     def __init__(self) -> None:
@@ -151,7 +151,7 @@ class ThreadWork:
                 self._is_borrowing = True
 
     def end(self, count: int = 1) -> None:
-        """Count ``count`` pieces of work fewer."""
+        """Count ``count`` fewer pieces of work."""
         self._count -= count
         if self._count:
             return

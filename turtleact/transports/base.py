@@ -6,11 +6,12 @@ transport guarantees:
 
 - Each subscription gets the messages of one publisher in the order in which they were published.
 - `Transport.subscribe` calls ``deliver`` in the event loop of the subscriber, or, if the subscriber
-asks for it, in the thread that brings the message. An exception that ``deliver`` raises is logged
+  asks for it, in the thread that brings the message. An exception that ``deliver`` raises is logged
   and never reaches the publisher.
 - A subscription gets the last messages of a transient-local publisher first, even if it was opened
   after they were published.
-- A closed endpoint neither sends nor receives. A publisher takes its latched messages with it.
+- A closed endpoint neither sends nor receives. When a publisher closes, its latched messages are
+  gone, too.
 - A mismatch of quality of service never keeps two endpoints apart.
 - A call ends, with a reply or with the reason why there is none.
 
@@ -145,7 +146,7 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
         type_name: The name of its interface, ``pkg/kind/Name``.
         node: The fully qualified name of its node.
         qos: Quality of service, for topics.
-        times: The QoS policies in time, as a ROS 2 peer declares them.
+        times: The QoS policies that are measured in time, as a ROS 2 peer declares them.
         type_hash: The hash of its type, if known.
         gid: The 16 bytes that identify the endpoint to other processes, if any.
         on_demand: Whether other processes see the endpoint only once one of them has an endpoint
@@ -262,7 +263,7 @@ class Owner(Protocol):
     def add_server(
         self, kind: ServerKind, server: Serving, close: Callable[[], object]
     ) -> Closeable:
-        """Track a server like `add`. ``close`` removes the server from the graph."""
+        """Track a server, as `add` does. ``close`` removes the server from the graph."""
 
 
 class Publication(Closeable, Protocol):
@@ -281,7 +282,7 @@ class Publication(Closeable, Protocol):
 
     @property
     def has_object_readers(self) -> bool:
-        """Whether one of these cannot use the bytes of a message; see `RawFormat`."""
+        """Whether a subscription in this process needs objects, not bytes; see `RawFormat`."""
 
     @property
     def is_congested(self) -> bool:
@@ -336,7 +337,7 @@ class LossAware(Protocol):
     """A source that is told when its topic loses messages."""
 
     def message_lost(self) -> None:
-        """Called when a message was dropped because messages are published faster than sent."""
+        """Called when a message was dropped because messages are sent too slowly."""
 
 
 class Reply(msgspec.Struct, frozen=True):
@@ -412,7 +413,7 @@ class CallObserver(Protocol):
         """Called when a request has been sent or received."""
 
     def responded(self, response: object, gid: bytes, sequence: int) -> None:
-        """Called when a response has been sent or received. Errors are no responses."""
+        """Called when a response has been sent or received. Errors do not count as responses."""
 
     def close(self) -> None:
         """Called when the client or server has been closed."""
@@ -434,14 +435,14 @@ class Caller(Closeable, Protocol):
     async def wait_for_route(self) -> None:
         """Wait at most a few seconds until a server that is on the graph can be reached.
 
-        A client that was opened a moment ago sees the server earlier than it can reach it. If no
+        A client that was opened a moment ago sees a server before it can reach that server. If no
         server is on the graph, this returns at once. Cancelling: safe.
         """
 
     async def call(self, request: object, note: str = "") -> Reply:
         """Send a request and wait for the reply.
 
-        Cancelling: safe. A server in the same process is told.
+        Cancelling: safe. A server in the same process is told of the cancellation.
 
         Args:
             request: The request.
@@ -467,9 +468,9 @@ class Caller(Closeable, Protocol):
         Args:
             request: The request.
             note: As for `call`.
-            on_end: Called once with the call when the call is over, in the thread that brings the
-                reply or in the event loop. If you pass it, you may call `ask` in any thread, but
-                not in two at the same time.
+            on_end: Called once, with the call, when the call is over, either in the thread that
+                brings the reply or in the event loop. If you pass it, you may call `ask` in any
+                thread, but not in two at the same time.
 
         Raises:
             InvalidMessage: if the request does not fit its type. Nothing was sent.
@@ -531,7 +532,7 @@ class Lazy(Protocol):
     """A transport that can open something only when another process looks for it."""
 
     def open_when_sought(self, name: str, open: Callable[[], Closeable]) -> Closeable:
-        """Call ``open`` as soon as another process has an endpoint with this name, or has one now.
+        """Call ``open`` once another process has an endpoint with this name; at once if one has.
 
         This is cheaper than an endpoint with ``on_demand``, which is visible in its own process at
         once.
@@ -604,17 +605,17 @@ class Transport(Protocol):
         """Show a node with this fully qualified name on the graph."""
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints on the graph, or those with a name, in the order they were opened."""
+        """All endpoints on the graph, or only those called ``name``, in the order of opening."""
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The endpoints opened in this process, or those with a name."""
+        """All endpoints opened in this process, or only those called ``name``."""
 
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes, in the order they appeared. A name may occur twice."""
 
     @property
     def changes(self) -> int:
-        """How often a node or endpoint has come or gone. Unchanged means an unchanged graph."""
+        """How often a node or endpoint has come or gone. If this is unchanged, so is the graph."""
 
     async def wait_for_change(self) -> None:
         """Wait until a node or endpoint comes or goes. Cancelling: safe.
@@ -657,7 +658,7 @@ async def find_server(transport: Transport, find: Callable[[], T | None]) -> T |
     """Return the server that ``find`` finds. Wait for it while the graph is being discovered.
 
     A transport that was opened a moment ago may not have seen an older server yet. This function
-    therefore waits until `Transport.discovery_ends`, but not after that.
+    therefore waits for it, at most until `Transport.discovery_ends`.
 
     Cancelling: safe.
     """

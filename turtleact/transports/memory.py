@@ -1,7 +1,7 @@
 """The transport inside one process. It delivers message objects within the publisher's call.
 
-Messages are shared, not copied, so a publisher must not change a message afterwards. It uses no
-formats, is never congested, and works in one event loop only.
+Messages are shared, not copied, so a publisher must not change a message afterwards. This transport
+uses no formats, is never congested, and works in one event loop only.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ class MemoryTransport:
         """Show an endpoint on the graph, and return the function that removes it.
 
         A graph may have thousands of endpoints. `partial` needs fewer objects than closures, which
-        would take ten each.
+        would take ten for each endpoint.
         """
         number = self._number()
         self._endpoints[number] = endpoint
@@ -264,7 +264,7 @@ class _Topic:
     """The publications and readers of one topic.
 
     Attributes:
-        readers: Replaced, never changed, since readers come and go during a delivery.
+        readers: This tuple is replaced, never changed, since readers come and go during a delivery.
     """
 
     def __init__(self, key: Key) -> None:
@@ -469,7 +469,8 @@ class _Offer:
     """A handler that is offered. No two offers are equal.
 
     Attributes:
-        leave: Removes the node's endpoint from the graph. One offer of each node has this function.
+        leave: Removes the node's endpoint from the graph. Only one offer of each node has this
+            function; the others have None.
     """
 
     __slots__ = ("handler", "leave", "node")

@@ -88,7 +88,8 @@ class Context:
         domain: The ROS domain.
         opened: The nodes and endpoints that are open.
         latched: The gids of this session's latched publishers. A new latched subscription also gets
-            their messages from Zenoh. It must ignore these, because they came as objects already.
+            their messages from Zenoh. The subscription must ignore these messages, because it has
+            got them as objects already.
         sought: How many endpoints other processes have, by name.
         waiting: Things to open as soon as another process has an endpoint of that name.
         asleep: Endpoints to declare as soon as another process has an endpoint of the same name.
@@ -212,7 +213,7 @@ class Counter:
 class Presence:
     """An endpoint or node as other processes see it: its declarations and its liveliness token.
 
-    The token is declared last and undeclared first. So nobody sees an endpoint that cannot be
+    The token is declared last and undeclared first, so nobody sees an endpoint that cannot be
     reached.
 
     Args:
@@ -360,7 +361,7 @@ class Outbox:
         name: The name of the thread.
 
     Attributes:
-        post: Adds a job. It never blocks.
+        post: Adds a job, and never blocks.
         thread: The thread.
     """
 

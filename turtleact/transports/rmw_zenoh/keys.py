@@ -121,7 +121,7 @@ class Graph:
         return token
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The endpoints with a name. Without a name, all endpoints."""
+        """All endpoints, or only those called ``name``."""
         if name:
             return tuple(self._by_name.get(name, {}).values())
         return tuple(token.endpoint for token in self.tokens.values() if token.endpoint is not None)
@@ -169,7 +169,7 @@ def node_token(domain: int, zid: str, node_id: int, node: str) -> str:
     Args:
         domain: The ROS domain.
         zid: The id of the session.
-        node_id: Its number, unique in the session.
+        node_id: The node's number, unique in the session.
         node: Its fully qualified name.
     """
     return f"{PREFIX}/{domain}/{zid}/{node_id}/{node_id}/{NODE}/{_node_chunks(node)}"
@@ -283,7 +283,7 @@ def _parse_qos(chunk: str) -> QoS:
 
 
 def _parse_times(chunk: str) -> TimePolicies:
-    """Parse the policies in time. Unknown or missing values are infinite, as in rmw_zenoh."""
+    """Parse the time policies. Unknown or missing values are infinite, as in rmw_zenoh."""
     parts = chunk.split(":")
     deadline, lifespan, liveliness = (*parts[3:6], "", "", "")[:3]
     kind, _, lease = liveliness.partition(",")

@@ -1,4 +1,4 @@
-"""Both ends of a service: passes objects inside the process, and Zenoh queries between processes.
+"""Both ends of a service, with objects inside the process and Zenoh queries between processes.
 
 A request carries its client's gid and a sequence number. It is handled in its own task, unless the
 handler can answer without one. Every request is answered, either with the response or with the
@@ -209,13 +209,13 @@ class _Request(msgspec.Struct, eq=False):
     key: tuple[bytes, int]  # its client's gid and its sequence number
 
     def handle(self, message: object) -> None:
-        """Have it answered: without a task, now or later, if the handler can do that."""
+        """Have the request answered: without a task, now or later, if the handler can do that."""
         if not self._answer_nowait(message):
             service = self.service
             service.context.crew.run(self._answer(message), f"a request to {service.name}")
 
     def respond(self, reply: Reply | TurtleactError) -> None:
-        """Answer it; never raises. Does nothing if it was answered, as when the transport closes.
+        """Answer the request, unless it was answered, as when the transport closes; never raises.
 
         A threaded handler may call this in any thread.
         """
@@ -242,7 +242,7 @@ class _Request(msgspec.Struct, eq=False):
             service.leave_if_idle()
 
     def refuse(self, error: TurtleactError) -> None:
-        """Answer it with an error, unless it was answered."""
+        """Answer the request with an error, unless it was answered."""
         service = self.service
         if service.under_way.pop(self.key, None) is not None:
             service.fail(self.query, error)
@@ -383,8 +383,8 @@ class WireCaller:
     def close(self) -> None:
         """Leave the graph when the calls under way are over. A second call does nothing.
 
-        The calls under way continue. Other processes are told when these are over, because a server
-        may cancel the requests of a client that has gone.
+        The calls under way continue. Other processes are told only when these are over, because a
+        server may cancel the requests of a client that has gone.
         """
         if self._is_open:
             self._is_open = False
@@ -527,7 +527,7 @@ class WireCall(msgspec.Struct, eq=False):
         payload: The encoded request.
         attachment: The request's attachment.
         caller: The client that makes the call.
-        is_cancelable: Whether dropping the call frees it at once, rather than with its client.
+        is_cancelable: Whether dropping the call frees it at once, or only closing its client does.
         on_end: Holds the function to call, in any thread, when the call is over. It is removed
             before it is called, because two threads may notice the end at the same moment. Most
             calls have none.
@@ -591,7 +591,7 @@ class WireCall(msgspec.Struct, eq=False):
             self.caller.forget(self)
 
     async def end_soon(self) -> None:
-        """End the call soon: Zenoh may have lost it with its server without saying so."""
+        """End the call soon: Zenoh may have lost it with its server and not reported that."""
         with anyio.move_on_after(LOST):
             await self._wait()
         self.end()

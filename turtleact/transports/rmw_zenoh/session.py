@@ -2,8 +2,8 @@
 
 Every method may block, so only an `Outbox` calls them. Zenoh calls back in its own threads.
 Undeclare everything explicitly, because the garbage collector would do it in any thread. Nothing
-that is declared here exchanges data with its own session, because messages inside a process are
-objects. Only this module turns Zenoh's exceptions into `TurtleactError`.
+that is declared here exchanges data with its own session, because messages inside a process travel
+as objects. Only this module turns Zenoh's exceptions into `TurtleactError`.
 
 Source: rmw_zenoh_cpp ``rmw_publisher_data.cpp``, ``rmw_subscription_data.cpp``,
 ``rmw_service_data.cpp`` and ``rmw_client_data.cpp``; eclipse-zenoh 1.10.
@@ -217,9 +217,9 @@ class Session:
 
         A router tells a peer where other peers are, but does not forward their tokens. The peer
         connects to each of them in the background, and Zenoh does not report when it has finished.
-        So this waits until no connection and no token has been added for some time. That time is a
-        multiple of the router's time to greet or to answer, so it suits a busy machine and a slow
-        network.
+        So this waits until no connection and no token has been added for some time. That time grows
+        with the time that the router took to greet or to answer, so it suits a busy machine and a
+        slow network.
         """
         quiet = SHORTEST_QUIET + QUIET_PER_TRIP * round_trip
         known, since = -1, monotonic()
@@ -348,7 +348,7 @@ class Publisher:
     def undeclare(self) -> None:
         """Undeclare the publisher, and drop the messages that it keeps. Call this once.
 
-        The object is dropped, which releases the GIL. An advanced publisher's ``undeclare`` would
+        This drops the object, which releases the GIL. An advanced publisher's ``undeclare`` would
         hold the GIL while it waits for a task in one of Zenoh's threads, which may itself be
         waiting for the GIL. In that case, no Python code runs for ten seconds (eclipse-zenoh 1.10).
         """

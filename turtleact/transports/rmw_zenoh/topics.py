@@ -1,8 +1,8 @@
-"""Both ends of a topic: passes objects inside the process, and bytes between processes.
+"""Both ends of a topic, with objects inside the process and bytes between processes.
 
 A publication encodes a message only if another process reads the topic or the topic is latched.
-Messages to send wait in a `Lane` for the sending thread. Messages received wait in another lane for
-the event loop. The lane of a best-effort topic holds as many messages as the topic's depth. The
+Outgoing messages wait in a `Lane` for the sending thread. Received messages wait in another lane
+for the event loop. The lane of a best-effort topic holds as many messages as the topic's depth. The
 lane of a reliable topic is limited only in bytes. A publisher that must not lose messages waits
 while its publication `is_congested`.
 """
@@ -168,7 +168,7 @@ class WirePublication:
 
     @property
     def has_object_readers(self) -> bool:
-        """Whether one of these cannot use the bytes of a message."""
+        """Whether a subscription in this process needs message objects, not bytes."""
         return self._near.has_object_readers
 
     @property
@@ -250,7 +250,7 @@ class WirePublication:
     # sending
 
     def send(self, data: bytes) -> None:
-        """Send encoded data to the subscriptions in other processes, and to raw ones here."""
+        """Send encoded data to other processes, and to subscriptions here with a `RawFormat`."""
         if self._near.has_readers:
             self._near.send(data)
         self._send_far(data)

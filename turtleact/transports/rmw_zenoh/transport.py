@@ -6,7 +6,7 @@ else travels over Zenoh, as bytes that ROS 2 can read.
 - Calls into Zenoh may block. One thread makes them all, in order.
 - Zenoh calls back in its own threads. The event loop handles what they bring.
 - A reader that stops reading delays its reliable topics once, by a second at most. Then Zenoh
-disconnects the reader. The reader reconnects by itself when it reads again.
+  disconnects the reader. The reader reconnects by itself when it reads again.
 
 Source: rmw_zenoh_cpp, ``docs/design.md``.
 """
@@ -173,11 +173,11 @@ class ZenohTransport:
         return Sought(self.context, name, open)
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints on the graph, or those with a name: our own first, then those of others."""
+        """All endpoints on the graph, or only those called ``name``: our own first, then others."""
         return (*self._near.endpoints(name), *self.graph.endpoints(name))
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The endpoints opened on this transport, or those with a name."""
+        """All endpoints opened on this transport, or only those called ``name``."""
         return self._near.endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
@@ -405,8 +405,8 @@ async def open_zenoh(
             ``tcp/localhost:7447``; a router connects to none.
         listen: The endpoints at which others can connect to this session. The default for a peer is
             a free port of this machine, for a router ``tcp/127.0.0.1:7447``, and for a client none.
-        mode: ``"peer"`` joins like a ROS 2 node. ``"client"`` talks only through its router. The
-            ROS 2 nodes of this machine look for a ``"router"``.
+        mode: ``"peer"`` joins like a ROS 2 node. ``"client"`` talks only through its router.
+            ``"router"`` is what the ROS 2 nodes of this machine look for.
         domain: The ROS domain, 0 to 232. The default is that of ``ROS_DOMAIN_ID``, or 0.
         config: More of Zenoh's configuration: a mapping from paths (``"transport/link/tx/lease"``)
             to values, or the text of a JSON5 file, such as those that configure ROS 2. The other
