@@ -34,7 +34,7 @@ class Client(Introspected, Subscriptable, Entity):
 
     Args:
         context: The context. Its shutdown ends every wait.
-        end: The transport's end.
+        end: The client end of the service.
         srv_type: The class of the service.
         srv_name: The name of the service, as it was given.
         full_name: Its full name.
@@ -82,7 +82,7 @@ class Client(Introspected, Subscriptable, Entity):
         return self.srv_name
 
     def call(self, request: Anything, timeout_sec: float | None = None) -> Anything:
-        """Send a request and wait for the response. Somebody else must spin the node meanwhile.
+        """Send a request and wait for the response. Another thread must spin the node meanwhile.
 
         Raises:
             TypeError: if the request is of another class, or a value does not fit its type.

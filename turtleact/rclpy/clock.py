@@ -45,7 +45,7 @@ class JumpThreshold:
         min_forward: The smallest forward jump to report. With None, no such jump is reported.
         min_backward: The smallest backward jump to report, negative. With None, no such jump is
             reported.
-        on_clock_change: Whether to report changes of the source.
+        on_clock_change: Whether to report changes of the source of the time.
 
     Raises:
         ValueError: if a jump has the wrong sign, or nothing would be reported.
@@ -156,7 +156,7 @@ class Clock:
     _changed: threading.Condition
 
     def __new__(cls, *, clock_type: ClockType = ClockType.SYSTEM_TIME) -> Self:
-        """Make a clock of the class for this kind of clock."""
+        """Make a clock; its class depends on the kind of clock."""
         if not isinstance(clock_type, ClockType):
             raise TypeError("Clock type must be a ClockType enum")
         made = ROSClock if clock_type is ClockType.ROS_TIME and cls is Clock else cls
@@ -219,11 +219,11 @@ class Clock:
         )
 
     def add_jump_handle(self, handle: JumpHandle) -> None:
-        """Tell a handle of jumps."""
+        """Tell a handle about jumps from now on."""
         self._jump_handles.append(handle)
 
     def remove_jump_handle(self, handle: JumpHandle) -> None:
-        """Stop telling a handle of jumps."""
+        """Stop telling a handle about jumps."""
         if handle in self._jump_handles:
             self._jump_handles.remove(handle)
 

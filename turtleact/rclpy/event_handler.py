@@ -1,9 +1,10 @@
 """Events of publishers and subscriptions: matched, incompatible, missed deadlines, liveliness.
 
 Events cost time only for endpoints with callbacks for them. The endpoints of the topic are read
-from the graph whenever the graph has changed. This module checks deadlines and the liveliness of
-its own publishers, because transports enforce no policy in time. A mismatch of quality of service
-is reported, but the messages still flow, as with rmw_zenoh. Lost messages are never noticed.
+from the graph whenever the graph has changed. This module checks deadlines, and the liveliness of
+publishers in this process, because transports enforce no time limits. A mismatch of quality of
+service is reported, but the messages still flow, as with rmw_zenoh. Lost messages are never
+noticed.
 
 Source: rmw ``events_statuses`` for the facts; `turtleact.graph.misfits` for what is incompatible.
 """
@@ -128,8 +129,8 @@ class QoSPublisherMatchedInfo(_Counted, frozen=True, kw_only=True):
     """Endpoints have come or gone.
 
     Attributes:
-        current_count: How many endpoints are there now.
-        current_count_change: How many more endpoints are there than at the last callback.
+        current_count: How many endpoints there are now.
+        current_count_change: How many more endpoints there are than at the last callback.
     """
 
     current_count: int = 0
@@ -170,10 +171,10 @@ class Event(Protocol):
 
 
 class _Late(Event):
-    """Notices that no message was noted for some time after the first one.
+    """Notices that no message has come for too long. The first message starts the wait.
 
     Args:
-        limit: The time (ns); None for no limit.
+        limit: How long messages may stay away (ns); None for no limit.
         info: The class of the facts.
         repeats: Whether each further period without a message counts, too. If false, a sign that
             the publisher is alive counts like a message.
@@ -385,13 +386,13 @@ class _EventCallbacks:
 
 
 class PublisherEventCallbacks(_EventCallbacks):
-    """The callbacks of the events of a publisher, each with a keyword argument of its name."""
+    """The callbacks of a publisher's events: keyword arguments with the names of the events."""
 
     NAMES = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
 
 
 class SubscriptionEventCallbacks(_EventCallbacks):
-    """The callbacks of the events of a subscription, each with a keyword argument of its name."""
+    """The callbacks of a subscription's events: keyword arguments with the names of the events."""
 
     NAMES = (*PublisherEventCallbacks.NAMES, "message_lost")
 

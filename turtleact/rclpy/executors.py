@@ -5,11 +5,11 @@ executor. An executor works in rounds. A round first runs all tasks that can go 
 ready entity once: the waitables of all nodes, then the timers, subscriptions, guard conditions,
 clients and services of each node.
 
-Threads: the thread that spins waits, takes the data from an entity and reserves its group; the
-callback itself may run in another thread. Several threads may spin at the same time, because a
-callback may spin its own executor. So queues are only popped, never looked at first, and each
-thread counts for itself which wakes it has seen. Nodes, tasks and groups have locks of their own;
-no callback runs, and no second lock is taken, while one of them is held.
+Threads: the spinning thread waits, reserves an entity's group and takes its data; the callback
+itself may run in another thread. Several threads may spin at the same time, because a callback may
+spin its own executor. Each thread therefore pops a queue without looking at it first, and counts
+for itself which wakes it has seen. Nodes, tasks and groups have locks of their own; no callback
+runs, and no second lock is taken, while one of them is held.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ class Executor(Block):
     # ending
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
-        """Stop, and wait for callbacks that run.
+        """Stop, and wait for the callbacks that are running.
 
         Args:
             timeout_sec: How long to wait (s). None or a negative number means for ever.
@@ -267,7 +267,7 @@ class Executor(Block):
         nodes: list[Spinnable] | None = None,
         condition: Callable[[], bool] = _never,
     ) -> Work:
-        """Wait for a task to run, and return the task, its entity and its node.
+        """Wait for the next task, and return it with its entity and its node.
 
         Call the task to run it.
 
@@ -381,9 +381,8 @@ class Executor(Block):
     def _sleep(self, seen: int, end: float | None, nodes: list[Spinnable] | None) -> None:
         """Wait until something is due, or until ``end`` (s, `time.monotonic`).
 
-        Returns at once if anything has woken the executor after the first ``seen`` wakes. A flag
-        would not do: another thread that spins would lower it, and what it looks for may not be
-        what this thread waits for.
+        Returns at once if the executor was woken again after the first ``seen`` wakes. A flag would
+        not do: another spinning thread would clear it, although it may wait for something else.
         """
         now = time.monotonic()
         left = None if end is None else end - now
@@ -425,8 +424,8 @@ class MultiThreadedExecutor(Executor):
     """Runs callbacks in a pool of threads.
 
     Args:
-        num_threads: The number of threads. None means the number of the machine's cores, at least
-            2.
+        num_threads: The number of threads. None means the number of cores that this process may
+            use, but at least 2.
         context: See `Executor`.
     """
 
@@ -444,11 +443,11 @@ class MultiThreadedExecutor(Executor):
         self._context.on_shutdown(self._let_threads_end)
 
     def shutdown(self, timeout_sec: float | None = None, *, wait_for_threads: bool = True) -> bool:
-        """Stop, and wait for callbacks that run.
+        """Stop, and wait for the callbacks that are running.
 
         Args:
             timeout_sec: How long to wait (s). None or a negative number means for ever.
-            wait_for_threads: Whether to wait for the threads too.
+            wait_for_threads: Whether to wait for the pool's threads, too.
         """
         if not super().shutdown(timeout_sec):
             return False
@@ -495,7 +494,7 @@ class MultiThreadedExecutor(Executor):
 
 
 class _WorkTracker:
-    """Counts callbacks that run."""
+    """Counts the callbacks that are running."""
 
     def __init__(self) -> None:
         self._count = 0
@@ -521,7 +520,7 @@ class _WorkTracker:
     def wait(self, timeout_sec: float | None) -> bool:
         """Wait until no callback runs except the caller's.
 
-        Return whether that is reached in time.
+        Return whether this happened in time.
         """
         own = getattr(self._own, "count", 0)
         timeout = None if timeout_sec is None or timeout_sec < 0 else timeout_sec

@@ -78,8 +78,8 @@ MISSING: Final = {
 class Finder(MetaPathFinder):
     """Finds the modules that turtleact serves.
 
-    The packages with interfaces are looked up once, before the finder is asked for anything: the
-    look-up itself imports modules.
+    The packages with interfaces are looked up once, before the finder is asked for anything,
+    because the look-up itself imports modules.
     """
 
     def __init__(self) -> None:
@@ -193,10 +193,10 @@ class _Interfaces(Loader):
 class _Missing(MetaPathFinder):
     """The finder that Python asks last.
 
-    For a package without interfaces, its error says where they were sought.
+    If a package's interfaces are unknown, its error names the places that were searched for them.
 
     Args:
-        places: The folders.
+        places: The places that were searched.
     """
 
     def __init__(self, places: Sequence[str]) -> None:
@@ -237,7 +237,7 @@ def install(places: Sequence[str] = ()) -> None:
     """Make this process find turtleact's modules before any others of the same names.
 
     Args:
-        places: The places where interfaces were sought, for errors.
+        places: The places that were searched for interfaces; errors name them.
     """
     uninstall()
     sys.meta_path.insert(0, Finder())

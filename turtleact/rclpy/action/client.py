@@ -1,8 +1,9 @@
 """Action clients.
 
-Whatever comes, from a server's answers to feedback, waits in one queue in the order of its arrival,
-and is handled in an executor, in the group of the client. Nothing is dropped. Feedback that
-overtakes the answer to its goal request waits for that answer.
+The server's answers, feedback and states wait in one queue in the order of their arrival. An
+executor handles them in the callback group of the client. No answer or feedback is dropped; of the
+states that wait, only the newest count. Feedback that overtakes the answer to its goal request
+waits for that answer.
 
 Source: rcl_action ``action_client.c``; rclpy ``action/client.py`` for names and texts.
 """
@@ -52,7 +53,7 @@ class ClientGoalHandle(Subscriptable):
 
     Args:
         action_client: The client.
-        goal_id: Its id.
+        goal_id: The goal's id.
         goal_response: The server's answer.
     """
 
@@ -103,7 +104,7 @@ class ClientGoalHandle(Subscriptable):
             self._status = status
 
     def cancel_goal(self) -> Anything:
-        """Ask the server to cancel the goal, and wait for the answer. Somebody else must spin."""
+        """Ask the server to cancel the goal, and wait for the answer. Another thread must spin."""
         return self._action_client.wait_for_future(self.cancel_goal_async(), "cancel_goal()")
 
     def cancel_goal_async(self) -> Future:
@@ -111,7 +112,7 @@ class ClientGoalHandle(Subscriptable):
         return self._action_client.cancel_goal_async(self)
 
     def get_result(self) -> Anything:
-        """Wait for the result. Somebody else must spin."""
+        """Wait for the result. Another thread must spin."""
         return self._action_client.wait_for_future(self.get_result_async(), "get_result()")
 
     def get_result_async(self) -> Future:
@@ -247,13 +248,13 @@ class ActionClient(Introspected, Waitable):
             return all(end.is_served for end in self._ends.values())
 
     def wait_for_server(self, timeout_sec: float | None = None) -> bool:
-        """Wait until the service has a server, without spinning. Return whether it has one."""
+        """Wait until the action has a server, without spinning. Return whether it has one."""
         return wait_until(self.server_is_ready, timeout_sec, self._node.context.ok)
 
     # what comes; any thread
 
     def _call(self, service: str, data: bytes, handle: Callable[[Anything], Anything]) -> Future:
-        """Send a request, and return the future of the value of ``handle(response)``."""
+        """Send a request, and return the future of what ``handle(response)`` returns."""
         future = Future()
         response_class = self._kind.service(service).Response
 
@@ -298,7 +299,7 @@ class ActionClient(Introspected, Waitable):
         return bool(self._events)
 
     def get_num_entities(self) -> NumberOfEntities:
-        """Return how many entities this one counts as."""
+        """Return how many entities of each kind this one counts as."""
         return NumberOfEntities(num_subs=2, num_clients=3)
 
     def take_data(self) -> Anything:

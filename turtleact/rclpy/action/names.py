@@ -74,7 +74,7 @@ class ActionKind:
         return self._info(goal_id, self._time(*divmod(now, 1_000_000_000)))
 
     def events(self, service: str) -> ServiceEvents:
-        """Return the server's events of one of the services; they are off."""
+        """Return the introspection events of the server's end of a service, switched off."""
         name = getattr(self.names, service)
         return ServiceEvents(self._node, name, self.service(service), is_client=False)
 

@@ -82,7 +82,7 @@ def default_goal_callback(goal_request: Anything) -> GoalResponse:  # noqa: ARG0
 
 
 def default_cancel_callback(cancel_request: Anything) -> CancelResponse:  # noqa: ARG001  # any
-    """Cancel no goal."""
+    """Reject every cancel request."""
     return CancelResponse.REJECT
 
 
@@ -286,11 +286,7 @@ class ActionServer(Introspected, Waitable):
     # callbacks
 
     def register_handle_accepted_callback(self, handle_accepted_callback: Anything) -> None:
-        """Replace the callback for accepted goals. None means the default callback.
-
-        Raises:
-            TypeError: if the callback is not callable.
-        """
+        """Replace the callback for accepted goals. None means the default callback."""
         if handle_accepted_callback is None:
             handle_accepted_callback = default_handle_accepted_callback
         self._handle_accepted_callback = handle_accepted_callback
@@ -338,7 +334,7 @@ class ActionServer(Introspected, Waitable):
         return max(0.0, (self._first_expiry() - time.monotonic_ns()) / 1e9)
 
     def get_num_entities(self) -> NumberOfEntities:
-        """Return how many entities this one counts as."""
+        """Return how many entities of each kind this one counts as."""
         return NumberOfEntities(num_timers=1, num_services=3)
 
     def take_data(self) -> Anything:
@@ -450,7 +446,10 @@ class ActionServer(Introspected, Waitable):
         self._end_goal(goal_handle, result)
 
     def _checked_result(self, result: Anything, goal_handle: ServerGoalHandle) -> Anything:
-        """Return a result that can be sent. With any other result, rclpy's server would crash."""
+        """Return the goal's result, or an empty one if the callback has given none that fits.
+
+        rclpy's server would crash then.
+        """
         if result is None:
             result = goal_handle.response
         if isinstance(result, self._action_type.Result):
@@ -548,14 +547,14 @@ class ActionServer(Introspected, Waitable):
         future.add_done_callback(answer)
 
     def _first_expiry(self) -> int:
-        """When the first goal expires (ns, monotonic). If no goal does, that is very late."""
+        """When the first goal expires (ns, monotonic). If none expires, the time is far off."""
         try:
             return self._expiries[0][0]
         except IndexError:
             return NEVER
 
     def _expire(self) -> None:
-        """Forget the goals with results that were kept long enough."""
+        """Forget the goals whose results were kept long enough."""
         now, before = time.monotonic_ns(), len(self._goal_handles)
         while self._expiries:
             try:

@@ -48,7 +48,7 @@ class StatusTopic(Source):
         self._sender = node.connection.advertise(end, hash_of(TYPE), self)
 
     def publish(self) -> None:
-        """Publish the states soon. May be called in any thread."""
+        """Publish the states soon. Any thread may call this."""
         with self._lock:
             if self._is_due:
                 return
