@@ -62,8 +62,8 @@ class Pose(NamedTuple):
 class World:
     """Turtles in a square. Each step moves all turtles.
 
-    ``turtle1`` starts in the middle and looks along x, as in turtlesim. The seed spreads
-    all others over the square, unless `placing` says otherwise.
+    ``turtle1`` starts in the middle and looks along x, as in turtlesim. The seed spreads all others
+    over the square, unless ``placing`` says otherwise.
 
     Up to 16 turtles are moved in plain floats, and equal turtlesim's to the last bit. More turtles
     are moved as arrays, and their places on a curve may differ by 1e-13 m (`turtleact.sim.fleet`).

@@ -8,7 +8,7 @@ two exceptions:
   ``anyio.to_thread.run_sync`` with its default limiter). Time then stands still until the thread is
   done, because it is sure to end.
 - A socket, a pipe or a child process may be open. Time then jumps only after ``patience`` real
-seconds without any news from it, because nobody can know whether news will come.
+  seconds without any news from it, because nobody can know whether news will come.
 
 Consequently, a thread that itself waits for virtual time waits for ever. A thread that the loop did
 not start does not hold time up.

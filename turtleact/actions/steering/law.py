@@ -12,8 +12,8 @@ calls, so if somebody else moves the turtle, it continues from its new place. Th
   circle. The shortest way to such a target begins with an arc in the other gear and keeps turning
   the same way (Souères, Fourquet and Laumond 1994). ``fastest`` drives that arc; the other styles
   turn on the spot.
-- **Look one target ahead.** Before a turn, the turtle swings wide: a turn by an angle a costs
-  a - sin(a) over the turn rate, and only a quarter of that if half of the turn is made before the
+- **Look one target ahead.** Before a turn, the turtle swings wide: a turn by an angle phi costs phi
+  - sin(phi) over the turn rate, and only a quarter of that if half of the turn is made before the
   target. The turtle also cuts the inner side of the target's disc. The turtle does neither if the
   target would then get into the turning circle. Styles that drive forwards turn to the next target
   as soon as the arc to that target leads through the current one. If the discs of two targets
@@ -24,9 +24,9 @@ calls, so if somebody else moves the turtle, it continues from its new place. Th
 - **Face last.** If a heading is wanted at the target, the turtle turns to that heading there, on
   the spot.
 - **Ease.** With limited accelerations, the turtle does not swing wide, and only stops at the last
-  target. It slows down early enough to stop before the target and the edge of the area,
-  and to finish its turn on the way. While it rolls the wrong way, it does not turn. A turtle that
-  comes fast into a corner may leave the area by centimetres.
+  target. It slows down early enough to stop before the target and the edge of the area, and to
+  finish its turn on the way. While it rolls the wrong way, it does not turn. A turtle that comes
+  fast into a corner may leave the area by centimetres.
 
 `Helm` holds a command as long as the law would repeat it. Most ticks are like the one before:
 straight on, or turning at full rate. So the helm asks the law twice: for this pose, and for the
