@@ -15,8 +15,8 @@ which say "generated" in a comment on their first line, are left out. The defini
 - All classes and functions without a leading underscore are public, wherever they are defined.
 - Tests to source is the ratio of all lines of ``tests`` beside the package to the package's.
 - A cycle is a largest group of modules that import each other, directly or not. "Run time" counts
-imports while modules are loaded. "With typing" counts every import statement, including those for
-the type checker and inside functions. A package's ``__init__.py`` counts as a module of its own.
+  imports while modules are loaded. "With typing" counts every import statement, including those for
+  the type checker and inside functions. A package's ``__init__.py`` counts as a module of its own.
 """
 
 from __future__ import annotations

@@ -63,19 +63,28 @@ class Graph:
         opened = turtleact.open_node(name, transport=await self.session())
         return await self._stack.enter_async_context(opened)
 
-    async def faults(self, *, endpoints: int = 0) -> list[Fault]:
-        """What the doctor finds within `SOON` seconds, once it sees so many endpoints."""
+    async def faults(self, *, endpoints: int = 0, is_faulty: bool = False) -> list[Fault]:
+        """What the doctor finds within `SOON` seconds, once it sees so many endpoints.
+
+        With ``is_faulty``, the doctor looks again after each change until it finds a fault.
+        """
         transport = await self.session()
         async with turtleact.open_node("_doctor", transport=transport) as node:
             await transport.explore()
             while len(transport.endpoints()) < endpoints:
                 await transport.wait_for_change()
             with anyio.fail_after(SOON):
-                return find_faults(await take_snapshot(node))
+                while True:
+                    seen = transport.changes
+                    found = find_faults(await take_snapshot(node))
+                    if found or not is_faulty:
+                        return found
+                    if transport.changes == seen:
+                        await transport.wait_for_change()
 
     async def only_fault(self, *, endpoints: int = 0) -> Fault:
         """The one fault."""
-        [fault] = await self.faults(endpoints=endpoints)
+        [fault] = await self.faults(endpoints=endpoints, is_faulty=True)
         return fault
 
 
