@@ -12,9 +12,9 @@ calls, so if somebody else moves the turtle, it continues from its new place. Th
   circle. The shortest way to such a target begins with an arc in the other gear and keeps turning
   the same way (Souères, Fourquet and Laumond 1994). ``fastest`` drives that arc; the other styles
   turn on the spot.
-- **Look one target ahead.** Before a turn, the turtle swings wide: a turn by an angle phi costs phi
-  - sin(phi) over the turn rate, and only a quarter of that if half of the turn is made before the
-  target. The turtle also cuts the inner side of the target's disc. The turtle does neither if the
+- **Look one target ahead.** Before a turn, the turtle swings wide: a turn by an angle phi costs
+  phi - sin(phi) over the turn rate, and only a quarter of that if half of the turn is made before
+  the target. The turtle also cuts the inner side of the target's disc. It does neither if the
   target would then get into the turning circle. Styles that drive forwards turn to the next target
   as soon as the arc to that target leads through the current one. If the discs of two targets
   overlap, the turtle may drive to a point between them. It drives to that point if an arc leads
