@@ -313,7 +313,7 @@ def read_goals(path: Path, since: int = 0) -> Iterator[GoalRecord]:
 def prune(path: Path, before: int) -> int:
     """Delete the goals that ended before ``before`` (ns since the epoch, wall clock).
 
-    You may call this while a server writes the journal; the server gets its turn again and again.
+    You may call this while a server writes the journal: the server can write in between.
     Goals with a result that is still available stay.
 
     Returns:
@@ -382,9 +382,8 @@ def _add(columns: dict[str, object], change: GoalChange) -> None:
 def _lock(path: Path) -> sqlite3.Connection:
     """Take the lock that lets only one process write the journal.
 
-    The lock is freed with the process.
-
-    The lock is a transaction in a second, empty SQLite file, which works alike on all systems.
+    The lock is a transaction in a second, empty SQLite file, which works alike on all systems. The
+    lock is freed when the process ends.
     """
     if not path.parent.is_dir():
         raise JournalError(path, f"there is no folder '{path.parent}'")

@@ -1,8 +1,8 @@
 """The journal that servers use: a thread writes the file, and the event loop gives it work.
 
-Everything to be written goes to one thread, in order. The thread writes everything that has
-gathered in one transaction. While it waits for the disk, more gathers. A hundred goals at once
-therefore take a few waits, not a hundred.
+Everything to be written goes to one thread, in order. In one transaction, the thread writes
+everything that has gathered. While it waits for the disk, more gathers. A hundred goals at once
+therefore wait for the disk a few times, not a hundred times.
 
 If the disk is full, new goals are rejected with that reason. Running goals go on: their changes
 stay in memory, and the thread tries again until it can write them.
@@ -59,7 +59,7 @@ class _Job(msgspec.Struct, eq=False):
             thread does not try again.
         is_durable: Whether the job must survive a power loss.
         is_told: Whether ``done`` was called although the write has failed.
-        is_awaited: Whether virtual time stands still until the job was tried.
+        is_awaited: Whether virtual time stands still until the thread has tried the job.
     """
 
     work: Accept | Change | Withdraw | None

@@ -177,7 +177,7 @@ class Catalogue:
 
     @staticmethod
     def _add(found: dict[str, Entry], entry: Entry, kind: str) -> None:
-        """Add a tool. If its name is taken, its kind is put behind the name."""
+        """Add a tool. If its name is taken, its kind is appended to the name."""
         name = entry.tool.name
         if name in found:
             name = f"{name}.{kind}"

@@ -1,4 +1,4 @@
-"""Asks the user before something moves, with the elicitation of old and new clients.
+"""Asks the user before something moves, through MCP's elicitation in its old or its new form.
 
 Up to version 2025-11-25 of the protocol, the server sends the question as a request of its own.
 From 2026-07-28 on, the server answers the call with the question, and the client repeats the call

@@ -1,11 +1,11 @@
 """The goals of models: sends them, and reads which goals the servers of the offered actions hold.
 
-One call of a tool sends one goal and answers at its end. A call that is cancelled cancels its goal
-and waits for the goal's end, because the block of `turtleact.client.action_client.SendGoal` does
-that. A client that goes away cancels its calls, too.
+One call of a tool sends one goal and answers when the goal has ended. A call that is cancelled
+cancels its goal and waits for the goal's end, because the block of
+`turtleact.client.action_client.SendGoal` does that. A client that goes away cancels its calls, too.
 
-`Board` reads the status topics, from the first question on. The last message of a status topic is
-latched, so a goal that was accepted earlier is known, too.
+`Board` reads the status topics, from the first time it is asked for goals. The last message of a
+status topic is latched, so a goal that was accepted earlier is known, too.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Goals:
 
     Args:
         node: Sends the goals.
-        limits: How many goals and calls there may be.
+        limits: How many goals and calls may be under way.
 
     Attributes:
         active: How many goals and calls are under way.
@@ -143,7 +143,7 @@ class Board:
 
     Args:
         node: The node that subscribes to the topics.
-        actions: A function that returns the names of the actions that count now.
+        actions: A function that returns the names of the offered actions that are served now.
     """
 
     def __init__(self, node: Node, actions: Callable[[], Collection[str]]) -> None:

@@ -58,7 +58,7 @@ def goal_schema(action_type: type[Action]) -> Schema:
 def data_of(goal_id: bytes, outcome: Outcome[Any], feedback: Message | None) -> CallToolResult:
     """The answer of an action's tool at the end of its goal.
 
-    A goal that did not succeed is an error of the tool. Its reason comes first, word for word.
+    If the goal did not succeed, this is a tool error; the goal's reason comes first, word for word.
     """
     data = {
         "goal_id": goal_id.hex(),
@@ -75,7 +75,7 @@ def data_of(goal_id: bytes, outcome: Outcome[Any], feedback: Message | None) -> 
 
 
 def answer(data: dict[str, Any], *, error: str = "") -> CallToolResult:
-    """A reply with data. It is an error if ``error`` has a text."""
+    """A reply with data. Unless ``error`` is empty, the reply is an error."""
     text = json.dumps(data, ensure_ascii=False)
     if len(text) > LONGEST_TEXT:
         text = f"{text[:LONGEST_TEXT]}… {len(text) - LONGEST_TEXT} more characters"

@@ -4,13 +4,14 @@ A model sees an interface only through its schema. The schema therefore holds al
 ranges of integers, lengths of lists and texts, defaults, constants, and the comments with their
 units.
 
-- A field of a goal is required if the interface gives it no default. In ROS, a default of zero
-  looks like no default. So if any field of the goal has another default, only lists and messages
-  are required; numbers, texts and bools then start at zero.
+- A field of a goal is required if the interface gives it no default. In ROS, fields without a
+  default start at zero, so authors need not write a default of zero. Therefore, if any field of the
+  goal has a default, only lists and messages are required; numbers, texts and bools then start at
+  zero.
 - A field of a nested message is never required, as in ROS.
 - Constants become an ``enum`` if their names begin with the field's: ``STATUS_OK`` for ``status``.
-  Constants that are single bits can be combined, so the description lists them instead.
-  In a result, the description also lists them, because a server may send another value.
+  Constants that are single bits can be combined, so the description lists them instead. In a
+  result, the description also lists the constants, because a server may send another value.
 
 Source: JSON Schema 2020-12; the ROS 2 article "Interface definition".
 """

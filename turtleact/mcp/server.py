@@ -244,7 +244,7 @@ class McpServer:
         return await self._listening(ctx, params)
 
     async def _note_session(self, ctx: Request, call_next: CallNext) -> HandlerResult:
-        """Remember the sessions of the older protocol, which are told of changes one by one.
+        """Remember each session of the older protocol, because each must be told of changes.
 
         Newer clients listen for changes (``subscriptions/listen``).
         """

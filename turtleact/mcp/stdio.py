@@ -40,7 +40,7 @@ LONGEST: Final = 2**24
 
 
 def import_sdk() -> None:
-    """Import what `serve_stdio` needs of the SDK. This takes long. You may call it in a thread."""
+    """Import what `serve_stdio` needs of the SDK. This is slow. You may call it in a thread."""
     import mcp.server.stdio  # noqa: F401  # needs modules of the system's own
 
 
@@ -53,7 +53,7 @@ class Wire:
     Attributes:
         greeting: The answer to the first line; None if the SDK has to answer it.
         greeted: Set when it is known whether there is a greeting.
-        is_taken: Whether the SDK has taken over. From then on, stdout belongs to it.
+        is_taken: Whether the SDK has taken over. From then on, stdout belongs to the SDK.
     """
 
     def __init__(self, reader: asyncio.StreamReader | None) -> None:

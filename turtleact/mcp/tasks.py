@@ -123,7 +123,7 @@ class _Task:
 
 
 class Tasks:
-    """The tasks that this server knows. It finds other tasks on the graph.
+    """The tasks of this server. Tasks that it does not know are looked up on the graph.
 
     Args:
         goals: Sends the goals.
@@ -261,7 +261,10 @@ class Tasks:
         return {}
 
     async def _cancel(self, ctx: Request, params: TaskParams) -> dict[str, Any]:
-        """Ask the server to cancel the goal. The task's status shows later whether it agreed."""
+        """Ask the server to cancel the goal.
+
+        The task's status shows later whether the server agreed.
+        """
         task = await self._find(ctx, params.task_id)
         if task.handle is not None and not task.handle.done:
             task.handle.cancel_nowait()

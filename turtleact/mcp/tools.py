@@ -1,4 +1,4 @@
-"""Runs the tools that are not actions: goals of others, services, topics, and pictures."""
+"""Runs the tools that are not actions: for goals of others, services, topics and pictures."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Reads a bag, which is a folder with ``metadata.yaml`` and files, or a single file.
 
 Files are opened when their messages are read. A killed recorder leaves a folder without
-``metadata.yaml``. Then the files themselves are read.
+``metadata.yaml``; then the files themselves are read.
 
 Source: rosbag2 ``docs/storage_plugin_development.md`` and ``sequential_reader.cpp``.
 """
@@ -211,7 +211,7 @@ class Reading:
         self._classes: dict[Channel, Callable[[bytes], Message | None]] = {}
 
     async def batches(self) -> AsyncGenerator[list[Recorded]]:
-        """Yield the messages in lists of several. Cancelling: safe."""
+        """Yield the messages in batches. Cancelling: safe."""
         import anyio.to_thread  # slow to import, and not needed to look at a bag
 
         while True:

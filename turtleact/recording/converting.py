@@ -51,7 +51,8 @@ def convert(
     Args:
         inputs: The bags to read.
         outputs: The bags to write.
-        goes_on: Called now and then. If it returns False, the bags are closed with what they have.
+        goes_on: Called now and then. If it returns False, the outputs are closed with what they
+            have so far.
 
     Returns:
         How many messages each output has.

@@ -325,7 +325,7 @@ class McapFile:
 
 
 def _is_complete(summary: _Summary) -> bool:
-    """Whether the index lists all messages. In a file without chunks, it lists none."""
+    """Whether the index lists all messages. In a file without chunks, the index lists none."""
     return bool(summary.chunks) or not summary.statistics.message_count
 
 

@@ -4,10 +4,10 @@ Messages gather in a chunk. Only whole chunks are written. A process that is kil
 chunks behind, and perhaps a last one that is cut off. If a write fails, the file is cut back to the
 end of its last complete record, and can still be closed.
 
-The records are those of the ``mcap`` package. Its ``Writer`` takes 25 us for a message. With that
-``Writer`` in the process of a server, a recorder would take more time than the goals. A message and
-its entry in the index are therefore packed here, which takes 2 us. Besides, ``Writer`` cannot be
-closed after a failed write.
+The classes of records are those of the ``mcap`` package. Its ``Writer`` takes 25 us for a message.
+With that ``Writer`` in the process of a server, a recorder would take more time than the goals. A
+message and its entry in the index are therefore packed here, which takes 2 us. Besides, ``Writer``
+cannot be closed after a failed write.
 
 Source: the MCAP specification; rosbag2 ``mcap_storage.cpp`` for the profile and the metadata.
 """

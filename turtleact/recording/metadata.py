@@ -1,7 +1,7 @@
 """Reads and writes the text of ``metadata.yaml``, which describes a bag. Pure functions.
 
-The files have a type hash for each channel, but ``metadata.yaml`` has none. rosbags would compare
-it with a hash of its own, which differs for the types of actions.
+The files have a type hash for each channel, but ``metadata.yaml`` has none, because rosbags would
+compare it with a hash of its own, which differs for the types of actions.
 
 Source: rosbag2 ``metadata_io.cpp``, ``yaml.hpp`` and ``qos.cpp``. Version 9 is written; older ones
 are read.
@@ -121,8 +121,8 @@ class BagInfo(msgspec.Struct, frozen=True, kw_only=True):
         size: The size of all files (bytes).
         distro: The distribution of ROS, or the program, that recorded it.
         custom: Texts that the recorder added.
-        compression: How files or messages are compressed by rosbag2: ``"file"``, ``"message"`` or
-            empty. Compression of chunks inside a file does not count.
+        compression: What rosbag2 has compressed: ``"file"`` (whole files), ``"message"`` (each
+            message) or empty. Compression of chunks inside a file does not count.
         is_closed: Whether every file was closed. A recorder that is killed leaves its file open.
     """
 
@@ -212,7 +212,7 @@ def read_offers(given: object) -> tuple[Offer, ...]:
 def read_qos_overrides(path: Path) -> dict[str, QoS]:
     """Read the file of ``--qos-profile-overrides-path``: the quality of service of topics by name.
 
-    It has the form that ``ros2 bag`` reads. The policies in time, such as ``deadline``, are
+    It has the form that ``ros2 bag`` reads. The policies about time, such as ``deadline``, are
     accepted and have no effect, because turtleact enforces none.
 
     Raises:
@@ -305,7 +305,7 @@ def _described(info: BagInfo) -> dict[str, object]:
 
 
 def _info(said: dict[str, Any]) -> BagInfo:
-    """Return what the values of a ``metadata.yaml`` say. Wrong values raise any exception."""
+    """Return what the values of a ``metadata.yaml`` say. Any exception means a wrong value."""
     start, duration = (
         int(said["starting_time"]["nanoseconds_since_epoch"]),
         int(said["duration"]["nanoseconds"]),

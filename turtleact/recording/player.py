@@ -5,9 +5,10 @@ network they are sent as the bytes in the bag. Instead of publishing the topics 
 client can send its goals again. Such goals get new ids, because a server that still holds the old
 goals would refuse their ids.
 
-In virtual time, many things happen at the same moment, and their order matters. A message that was
-recorded before others of its moment is played a little earlier, and any other message a little
-later. The same messages therefore drive a simulation to the same poses, to the last bit.
+In virtual time, many things happen at the same moment, and their order matters. Of the messages of
+one moment, those recorded before the first one that is not played come a little earlier, and all
+others a little later. The same messages therefore drive a simulation to the same poses, to the last
+bit.
 """
 
 from __future__ import annotations
@@ -78,8 +79,7 @@ class Played(msgspec.Struct):
 
     Attributes:
         messages: How many messages were published.
-        goals: How many of the goals that were sent ended in which way, by action and state or
-            reason.
+        goals: How many of the sent goals ended in each way, by action and by state or reason.
         skipped: Why messages or goals of a topic could not be played, by topic.
     """
 
@@ -91,7 +91,7 @@ class Played(msgspec.Struct):
 async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> Played:
     """Play a bag on a graph, to its end.
 
-    Cancelling: safe. Goals that were sent are canceled.
+    Cancelling: safe. Goals that were sent are then canceled.
 
     Args:
         node: A node on the graph.
@@ -243,7 +243,10 @@ class _Player:
                 await self._play(message)
 
     async def _tick(self, begun: float, rate: float | None) -> None:
-        """Publish the time in the bag, until cancelled. Without a rate, it is that of a message."""
+        """Publish the time in the bag, until cancelled.
+
+        Without a rate, this is the time of the newest message.
+        """
         clock = self._node.clock
         while self._clock is not None:
             stamp = self._reached
@@ -275,7 +278,7 @@ class _Player:
             yield pair
 
     def _ordered(self, moment: list[Recorded]) -> Iterable[tuple[Recorded, int]]:
-        """Yield the messages of one moment to play, each shifted before or after the others."""
+        """Yield the messages of one moment that are played, each with its shift (ns)."""
         others = [place for place, each in enumerate(moment) if not self._is_wanted(each.topic)]
         first = others[0] if others else -1
         for place, each in enumerate(moment):
@@ -450,7 +453,7 @@ class _GoalSender:
 
 
 async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncGenerator[list[Recorded]]:
-    """Yield the same batches. Virtual time stands still while a thread reads them."""
+    """Yield the batches. Virtual time stands still while a thread reads the next one."""
     while True:
         with thread_work().counted():
             batch = await anext(batches, None)

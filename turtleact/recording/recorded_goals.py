@@ -1,4 +1,4 @@
-"""Reads the goals in a bag: puts them together from the five topics of their actions.
+"""Reads the goals in a bag: puts them together from the topics of their actions.
 
 Requests and responses come from the service events of the server, of the client, or of both. A
 response names no goal: the client's gid and the sequence number lead to the request. A bag without

@@ -1,7 +1,7 @@
 """Records the topics of a graph: subscribes to them, and hands their messages to a spool.
 
 Over a network, messages are recorded as the bytes that arrive, without decoding them. An action is
-recorded through its two topics and the events of its services. A server publishes events only with
+recorded through its topics and the events of its services. A server publishes events only with
 introspection, so a recording may lack goals and results; `turtleact bag info` says so.
 """
 
@@ -198,7 +198,7 @@ class Recording:
             each.close()
 
     def _unlisted(self, endpoints: Iterable[Endpoint]) -> Iterable[_Key]:
-        """Yield the topics of the selected actions and services with events, and with reasons.
+        """Yield the topics for the events and reasons of the selected actions and services.
 
         Their publishers may show themselves only when somebody subscribes. The recorder therefore
         subscribes to these topics even if it sees no publisher.
@@ -266,7 +266,7 @@ async def record(
     """Record topics, services and actions for the length of a block.
 
     What appears on the graph during the block is recorded too. Messages are written in a thread.
-    If it cannot keep up, messages are dropped and counted; see `Recording.lost`.
+    If the thread cannot keep up, messages are dropped and counted; see `Recording.lost`.
 
     Args:
         node: A node on the graph.
@@ -356,7 +356,7 @@ def _message_class(type_name: str) -> type[Message] | None:
 def _request(publishers: list[Endpoint]) -> QoS:
     """The quality of service to ask for.
 
-    If a publisher keeps latched messages, they are included.
+    If a publisher keeps latched messages, ask for them, too.
     """
     is_latched = any(each.qos.durability == "transient_local" for each in publishers)
     is_lossy = any(each.qos.reliability == "best_effort" for each in publishers)

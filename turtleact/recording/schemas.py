@@ -4,9 +4,9 @@ Types are called ``pkg/Name`` in fields and in headings alike. Some readers refu
 spelling. The root comes first, without a heading. Each other type follows once, below a line of 80
 equals signs and ``MSG: pkg/Name``.
 
-A message is read with the known class of its name, if that class has the layout of the schema.
-Otherwise a class is made from the schema. The new class is not registered, so a file never changes
-what a program knows.
+A message is read with the known class of the schema's name, if that class has the layout of the
+schema. Otherwise a class is made from the schema. The new class is not registered, so a file never
+changes what a program knows.
 
 Source: rosbag2 ``docs/message_definition_encoding.md``; tests with rosbags, @foxglove/rosmsg and
 mcap-ros2-support for what readers accept.
@@ -78,7 +78,8 @@ def class_of(schema: Schema, known_hash: str = "") -> type[Message] | None:
 
     Args:
         schema: The schema.
-        known_hash: The type hash in the file. If no text can be read, this hash decides.
+        known_hash: The type hash in the file, or empty. If the schema has no text to read, the
+            known class must have this hash.
     """
     known = _known(schema.name)
     if schema.encoding == "ros2msg" and schema.text:

@@ -1,7 +1,8 @@
 """Selects the topics, services and actions to record or play. Pure functions.
 
-An action is recorded as two topics and the events of three services, and a service as its events.
-Users choose them by the name of the action or service.
+A service is recorded as its events. An action is recorded as its feedback and status, the events of
+its three services, and the reasons that turtleact's servers publish. Users choose these topics by
+the name of the action or service.
 
 Source: rosbag2 ``record.py``, ``play.py`` and ``action_utils.cpp``.
 """
@@ -36,8 +37,8 @@ class Part(NamedTuple):
     Attributes:
         owner: The kind of the owner: "action", "service" or "topic".
         name: The name of the action, service or topic.
-        part: If the owner is an action, the part that the topic is: ``"feedback"``, ``"send_goal"``
-            and so on.
+        part: If the owner is an action, which part of the action the topic is: ``"feedback"``,
+            ``"send_goal"`` and so on.
     """
 
     owner: Owner
@@ -46,7 +47,7 @@ class Part(NamedTuple):
 
 
 def part_of(topic: str) -> Part:
-    """Return the action or service that a topic belongs to, and which part it is.
+    """Return what a topic belongs to, and which part of it the topic is.
 
     >>> part_of("/patrol/_action/feedback")
     Part(owner='action', name='/patrol', part='feedback')
@@ -93,7 +94,7 @@ class Selection(msgspec.Struct, frozen=True, kw_only=True):
         all_topics: Whether to take all topics, except hidden ones.
         all_services: Whether to take all services.
         all_actions: Whether to take all actions.
-        hidden: Whether "all topics" includes hidden ones.
+        hidden: Whether ``all_topics`` includes hidden topics.
         exclude: Names of topics, services and actions to leave out.
         exclude_types: Types of topics to leave out.
         exclude_regex: Leave out the names that this expression matches somewhere.
