@@ -1,6 +1,7 @@
 """``bag``: recorded, inspected, and what is said about what is missing."""
 
 import json
+import os
 import signal
 import sys
 import time
@@ -11,7 +12,7 @@ import pytest
 
 from turtleact import open_node, recording
 from turtleact.clock import VirtualClock
-from turtleact.commands import bag_sessions
+from turtleact.commands import bag_converting, bag_sessions
 from turtleact.interfaces import encode, get_message
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard.std_msgs.msg import String
@@ -116,6 +117,32 @@ def test_info_says_that_a_file_was_not_closed(turtleact, bag):
     file.write_bytes(file.read_bytes()[:-100])
     said = turtleact("bag", "info", str(bag)).out
     assert "\nThe file was not closed: the recorder was killed" in said
+
+
+class Left(BaseException):
+    """In place of the end of the process."""
+
+
+@pytest.fixture
+def ends(monkeypatch, interrupts):
+    """Makes the end of the process an exception, and a signal come when a bag is read."""
+
+    def left(status):
+        raise Left(status)
+
+    def read(*_):
+        signal.raise_signal(signal.SIGTERM)
+        return iter(())
+
+    interrupts.install()
+    monkeypatch.setattr(os, "_exit", left)
+    monkeypatch.setattr(Bag, "messages", read)
+
+
+@pytest.mark.parametrize("verb", [["info", "-v"], ["goals"]])
+def test_a_signal_ends_the_reading_of_a_bag(turtleact, bag, ends, verb):
+    with pytest.raises(Left, match="143"):
+        turtleact("bag", *verb, str(bag))
 
 
 def test_info_of_nothing(turtleact, tmp_path):
@@ -365,8 +392,14 @@ def test_options_of_a_file_that_make_no_sense_are_refused(turtleact, bag, tmp_pa
     assert problem in ran.err
 
 
-def test_a_signal_ends_a_conversion(turtleact, bag, tmp_path, interrupts):
-    interrupts.received.append(signal.SIGINT)
+def test_a_signal_ends_a_conversion(turtleact, bag, tmp_path, interrupts, monkeypatch):
+    real = bag_converting.cut
+
+    def cut(*options):
+        interrupts.received.append(signal.SIGINT)
+        return real(*options)
+
+    monkeypatch.setattr(bag_converting, "cut", cut)
     ran = turtleact("bag", "convert", "-i", str(bag), "-o", str(tmp_path / "x"))
     assert ran.status == 130
     assert Bag(tmp_path / "x").info.count == 0

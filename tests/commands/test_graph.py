@@ -15,7 +15,8 @@ import anyio
 import pytest
 
 from turtleact import Node, open_node
-from turtleact.commands import graph, held_goals, listing, topic_reading, user_messages
+from turtleact.commands import event_echo, graph, held_goals, listing, topic_reading, user_messages
+from turtleact.commands import interrupts as interrupts_module
 from turtleact.commands.message_text import GoalText, Style
 from turtleact.commands.settings import Policies
 from turtleact.commands.transcript import PlainTranscript
@@ -184,6 +185,37 @@ def test_ctrl_c_ends_a_program_that_echoes(start):
     program.send(signal.SIGINT)
     ran = program.end()
     assert (ran.status, ran.err) == (130, "")
+
+
+class Left(BaseException):
+    """In place of the end of the process."""
+
+
+@pytest.mark.parametrize(
+    ("verb", "module"),
+    [
+        (["topic", "echo", "/turtle1/pose"], topic_reading),
+        (["action", "echo", "/hold"], event_echo),
+    ],
+)
+def test_one_signal_ends_a_verb_that_is_stuck_in_its_output(
+    on_graph, graphs, monkeypatch, verb, module
+):
+    def leave(status):
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        raise Left(status)
+
+    def stick(_):
+        signal.raise_signal(signal.SIGTERM)
+        while True:  # as a write to a full pipe, which goes on after a signal
+            pass
+
+    monkeypatch.setattr(os, "_exit", leave)
+    monkeypatch.setattr(interrupts_module, "GRACE", 0.02)
+    monkeypatch.setattr(graph, "PATIENCE", 0.02)
+    monkeypatch.setattr(module, "say_message", stick)
+    with pytest.raises(Left, match="143"):
+        on_graph(graphs.in_turn(graphs.turtlesim, graphs.goals), *verb)
 
 
 def test_a_program_that_echoes_may_lose_its_reader():

@@ -51,6 +51,24 @@ def test_a_second_signal_before_the_loop_ends_the_process(installed):
         signal.raise_signal(SIGTERM)
 
 
+def test_a_signal_ends_a_process_that_leaves_nothing_behind_at_once(installed):
+    with installed.ending_at_once(), pytest.raises(Left, match="143"):
+        signal.raise_signal(SIGTERM)
+
+
+def test_an_earlier_signal_ends_such_a_process_too(installed):
+    signal.raise_signal(SIGINT)
+    with pytest.raises(Left, match="130"), installed.ending_at_once():
+        pytest.fail("it went on")
+
+
+def test_behind_such_a_block_a_signal_is_noted_again(installed):
+    with installed.ending_at_once():
+        pass
+    signal.raise_signal(SIGINT)
+    assert installed.received == [SIGINT]
+
+
 @pytest.fixture
 def pipe():
     file, other = os.pipe()

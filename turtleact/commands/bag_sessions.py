@@ -27,7 +27,7 @@ MOST_NAMED = 5
 """A note about lost messages names at most this many topics."""
 
 PATIENCE = 10.0
-"""After a signal, closing the bag may take this long (s)."""
+"""After a signal, closing the bag or canceling its goals may take this long (s)."""
 
 FAILED = 1
 """The exit status if nothing could be played, or a topic could not be recorded."""
@@ -127,8 +127,10 @@ def play_bag(reach: Reach, order: PlayOrder, interrupts: Interrupts) -> int:
         BagError: if there is no bag, or a place in it is damaged.
         TurtleactError: if no graph is in reach.
     """
-    bag = Bag(order.path)
-    bag.close()
+    interrupts.patience = PATIENCE
+    with interrupts.ending_at_once():  # a bag that was not closed takes long to open
+        bag = Bag(order.path)
+        bag.close()
     qos = {} if order.overrides is None else read_qos_overrides(order.overrides)
 
     async def play_on(node: Node) -> int:

@@ -14,6 +14,7 @@ import asyncio
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
+from math import inf
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import anyio
@@ -70,6 +71,9 @@ Look: TypeAlias = Callable[[Node], Awaitable[int]]
 
 ROUTER = "tcp/localhost:7447"
 """Where a command looks for a router unless ``--connect`` says otherwise."""
+
+PATIENCE = 2.0
+"""After a signal, a verb has this long to end unless it sets `Interrupts.patience` itself (s)."""
 
 MOST_SHOWN = 10
 """How many names an error lists if none of them resembles the unknown name."""
@@ -139,7 +143,8 @@ async def enter_if_there(
 def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
     """Run a verb on a graph until it ends or a signal cancels it, and return the exit status.
 
-    If the domain has no nodes, a note says so first, because then most verbs print nothing.
+    If the domain has no nodes, a note says so first, because then most verbs print nothing. A verb
+    may be stuck in its output when the signal comes. The process then ends after `PATIENCE`.
 
     Raises:
         TurtleactError: if no graph is in reach. Errors of the verb are raised, too.
@@ -149,6 +154,8 @@ def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
         await note_empty(node.transport, reach)
         return await look(node)
 
+    if interrupts.patience == inf:
+        interrupts.patience = PATIENCE
     return runner.run(until_interrupted(open_graph(reach), tell_and_look, interrupts), interrupts)
 
 

@@ -6,6 +6,8 @@ signal depends on what the program is doing:
 - Before the event loop runs, a first signal is only recorded: the program looks at
   `Interrupts.received` before it starts the loop. A second signal ends the process at once.
 - While the program reads input (`Interrupts.read`), a signal ends the reading.
+- While the program has nothing to put in order (`Interrupts.ending_at_once`), a signal ends the
+  process at once.
 - In a start that may take long (`Interrupts.beginning`), a signal sets the system's alarm clock.
   The alarm ends the process unless the start is over within `GRACE`.
 - In the event loop (`Interrupts.listening`), a signal wakes the task that waits in
@@ -201,6 +203,22 @@ class Interrupts:
                 self._tell = None
                 self._due = inf
                 self._endured = sys.maxsize
+
+    @contextmanager
+    def ending_at_once(self) -> Iterator[None]:
+        """Let a signal end the process during a block that leaves nothing behind.
+
+        A signal that has come before ends the process, too.
+        """
+        endured, self._endured = self._endured, 0
+        try:
+            # A signal that comes before the line above is in `received`. A later one ends the
+            # process in its handler.
+            if self.received:
+                self._end(self.status)
+            yield
+        finally:
+            self._endured = endured
 
     @contextmanager
     def beginning(self, status: int | None = None) -> Iterator[None]:

@@ -427,10 +427,12 @@ def info(
 ) -> Job:
     """Print what is in a bag, and what is missing from it."""
 
-    def job(_: Interrupts) -> int:
-        status: int = _work("bag_contents").print_info(
-            bag, verbose=verbose, names_only=names_only and not verbose
-        )
+    def job(interrupts: Interrupts) -> int:
+        contents = _work("bag_contents")
+        with interrupts.ending_at_once():
+            status: int = contents.print_info(
+                bag, verbose=verbose, names_only=names_only and not verbose
+            )
         return status
 
     return job
@@ -509,12 +511,13 @@ def goals(
 ) -> Job:
     """List the goals in a bag."""
 
-    def job(_: Interrupts) -> int:
+    def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
 
         contents = _work("bag_contents")
         make_known(folder(interfaces))
-        status: int = contents.print_goals(bag, action, as_json=as_json)
+        with interrupts.ending_at_once():
+            status: int = contents.print_goals(bag, action, as_json=as_json)
         return status
 
     return job
@@ -554,7 +557,8 @@ def convert(
         if output.suffix in (".yaml", ".yml"):
             outputs = converting.outputs_in(output)
         else:
-            start, end = converting.cut(inputs[0], offset, duration)
+            with interrupts.ending_at_once():  # a bag that was not closed takes long to open
+                start, end = converting.cut(inputs[0], offset, duration)
             split = converting.Split(
                 max_size=max_size,
                 max_duration=round(max_duration * 1e9),
