@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import anyio
@@ -153,7 +152,7 @@ class LostFeedback:
 
 @asynccontextmanager
 async def watching_disk(
-    transport: Transport, node: str, path: Path, what: str
+    transport: Transport, node: str, path: Path, what: str, check: Callable[[], str] = str
 ) -> AsyncIterator[None]:
     """Watch the disk of a file during a block; report a fault while the disk is nearly full.
 
@@ -162,9 +161,11 @@ async def watching_disk(
         node: The fully qualified name of the node that uses the file.
         path: The file or folder.
         what: What the file is for, such as "journal".
+        check: A function that returns another problem of the file, or an empty text. A thread calls
+            it.
     """
     reports = FaultReports(transport, node)
-    watch = Background(_watch_disk(reports, path, what), f"the disk of {path}")
+    watch = Background(_watch_disk(reports, path, what, check), f"the disk of {path}")
     try:
         yield
     finally:
@@ -172,8 +173,13 @@ async def watching_disk(
         reports.close()
 
 
-async def _watch_disk(reports: FaultReports, path: Path, what: str) -> None:
+async def _watch_disk(
+    reports: FaultReports, path: Path, what: str, check: Callable[[], str]
+) -> None:
     name = f"disk {path}"
+
+    def look() -> tuple[str, str]:
+        return disk_fault(path, what), check()
 
     async def report_silence() -> None:
         await anyio.sleep(SILENT_AFTER)
@@ -186,12 +192,17 @@ async def _watch_disk(reports: FaultReports, path: Path, what: str) -> None:
         async with anyio.create_task_group() as group:
             group.start_soon(report_silence)
             # A thread asks, because a network drive that has gone may keep it waiting for ever.
-            problem = await run_in_daemon(partial(disk_fault, path, what), name)
+            problem, unusable = await run_in_daemon(look, name)
             group.cancel_scope.cancel()
         if problem:
             reports.report(name, problem, "free some space, or move it to another disk")
         else:
             reports.clear(name)
+        if unusable:
+            problem = f"the {what} {path} cannot be written: {unusable}"
+            reports.report(f"{what} {path}", problem, "restore the file, or restart the process")
+        else:
+            reports.clear(f"{what} {path}")
         await anyio.sleep(LOOK_EVERY)
 
 

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from turtleact.body import BackgroundDeclaration
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.targets import Found, Modules
-    from turtleact.goal_journal import GoalJournal, OnRestart
+    from turtleact.goal_journal import OnRestart
+    from turtleact.journal import Journal
     from turtleact.node import ActionServer, Node
     from turtleact.node.parameters import Parameter
 
@@ -53,7 +54,7 @@ Stamps: TypeAlias = dict[Path, tuple[int, int, int] | None]
 class Kept(TypedDict, total=False):
     """The options of servers that keep their goals. They are empty without a journal."""
 
-    journal: GoalJournal
+    journal: Journal
     on_restart: OnRestart
 
 

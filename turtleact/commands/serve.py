@@ -166,16 +166,24 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
                 from turtleact.fault_reports import watching_disk
 
                 at, file = node.fully_qualified_name, Path(service.keeping.path)
-                watching = watching_disk(transport, at, file, "journal")
+                check = options["journal"].problem
+                watching = watching_disk(transport, at, file, "journal", check)
                 await stack.enter_async_context(watching)
             await transport.flush()
             actions = listed(list(types_by_name(transport.local_endpoints(), "action")))
             log.say(f"ready at {where}, domain {service.reach.domain}: {actions}")
             await interrupts.wait(1)
-            goes_on = service.keeping is not None and service.keeping.resumes
-            rest = "go on when the server is back" if goes_on else "are ended"
-            log.note(f"no more goals are accepted; running goals {rest}")
+            log.note(f"no more goals are accepted; running goals {_fate(service, options)}")
     return 0
+
+
+def _fate(service: Service, options: Kept) -> str:
+    """What becomes of running goals when the server ends."""
+    if service.keeping is None or not service.keeping.resumes:
+        return "are ended"
+    if problem := options["journal"].problem():
+        return f"are lost, unless the journal can be written in time: {problem}"
+    return "go on when the server is back"
 
 
 @asynccontextmanager

@@ -31,6 +31,7 @@ __all__ = [
     "Database",
     "JournalError",
     "JournalHeld",
+    "MovedError",
     "Withdraw",
     "explain",
     "find_goals",
@@ -110,6 +111,13 @@ class JournalHeld(JournalError):
     """The journal cannot be opened because another process writes it."""
 
 
+class MovedError(sqlite3.OperationalError):
+    """The open file no longer has its name. Nothing that is written to it would be found again."""
+
+    def __init__(self) -> None:
+        super().__init__("the file was deleted, renamed or replaced")
+
+
 class Accept(msgspec.Struct):
     """A goal to write.
 
@@ -168,6 +176,7 @@ class Database:
         except BaseException:
             self._lock.close()
             raise
+        self._opened = _files(path)
 
     def close(self) -> None:
         """Close the file, so that another process may write it."""
@@ -202,11 +211,20 @@ class Database:
                     _add(changes.setdefault(job.goal_id, {}), job.change)
             for goal_id, columns in changes.items():
                 self._update(goal_id, columns)
+            if self.is_moved():
+                raise MovedError
             execute("COMMIT")
         except BaseException:
             with suppress(sqlite3.Error):  # SQLite has rolled back by itself after some errors
                 execute("ROLLBACK")
             raise
+
+    def is_moved(self) -> bool:
+        """Whether the files were deleted, renamed, replaced or emptied. Any thread may ask.
+
+        SQLite does not notice this in WAL mode: it would go on writing to a file without a name.
+        """
+        return _files(self.path) != self._opened
 
     def _insert(self, job: Accept) -> None:
         record = job.record
@@ -402,6 +420,22 @@ def _lock(path: Path) -> sqlite3.Connection:
             raise JournalHeld(path, problem) from None
         raise JournalError(path, explain(error)) from error
     return connection
+
+
+def _files(path: Path) -> list[tuple[int, int] | None]:
+    """Identify the journal's file and its log. None stands for a missing file, or an empty journal.
+
+    The log may be empty, because other programs may move everything in it to the journal.
+    """
+    return [_identity(path, least=1), _identity(Path(f"{path}-wal"), least=0)]
+
+
+def _identity(path: Path, least: int) -> tuple[int, int] | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return (status.st_dev, status.st_ino) if status.st_size >= least else None
 
 
 def _holder(path: Path) -> str:

@@ -4,8 +4,9 @@ Everything to be written goes to one thread, in order. In one transaction, the t
 everything that has gathered. While it waits for the disk, more gathers. A hundred goals at once
 therefore wait for the disk a few times, not a hundred times.
 
-If the disk is full, new goals are rejected with that reason. Running goals go on: their changes
-stay in memory, and the thread tries again until it can write them.
+If the disk is full, or the file was deleted, renamed or replaced, new goals are rejected with that
+reason. Running goals go on: their changes stay in memory, and the thread tries again until it can
+write them.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from turtleact.journal.database import (
     Change,
     Database,
     JournalError,
+    MovedError,
     Withdraw,
     explain,
 )
@@ -98,6 +100,8 @@ class Journal:
         self._is_closing = False
         self._deadline = 0.0
         self._is_failing = False
+        self._failure = ""
+        self._database: Database | None = None
         self._opened = anyio.Event()
         self._ended = anyio.Event()
         self._error: BaseException | None = None
@@ -153,6 +157,12 @@ class Journal:
         reached = anyio.Event()
         self._put(_Job(None, reached.set))
         await reached.wait()
+
+    def problem(self) -> str:
+        """Return why the journal cannot be written now; empty if it can. Any thread may ask."""
+        if self._database is not None and self._database.is_moved():
+            return explain(MovedError())
+        return self._failure
 
     # the event loop's side
 
@@ -263,11 +273,13 @@ class Journal:
         if database.moved_to is not None:
             problem = "%s is damaged; it is now %s, and a new journal was begun"
             logger.error(problem, self.path, database.moved_to)
+        self._database = database
         self._tasks.from_anywhere(self._opened.set)
         try:
             while jobs := self._next():
                 self._serve(database, jobs)
         finally:
+            self._database = None
             database.close()
             self._tasks.from_anywhere(self._ended.set)
 
@@ -284,7 +296,8 @@ class Journal:
             jobs = list(self._jobs)
             self._jobs.clear()
         if jobs and self._is_closing and self._is_failing:
-            if time.monotonic() > self._deadline:
+            is_moved = self._database is not None and self._database.is_moved()
+            if is_moved or time.monotonic() > self._deadline:
                 logger.error("%s: %d changes of goals are lost", self.path, len(jobs))
                 return []
             time.sleep(RETRY / 10)
@@ -301,6 +314,7 @@ class Journal:
             return
         if self._is_failing:
             self._is_failing = False
+            self._failure = ""
             logger.warning("%s can be written again", self.path)
         self._report(jobs, [job.done for job in jobs if job.done is not None and not job.is_told])
 
@@ -308,8 +322,9 @@ class Journal:
         """Report the failure of jobs with a ``failed`` callback; keep the others to try again."""
         if not self._is_failing:
             self._is_failing = True
+            self._failure = explain(error)
             problem = "%s cannot be written: %s; goals go on, and writing is tried again"
-            logger.error(problem, self.path, explain(error))
+            logger.error(problem, self.path, self._failure)
         calls = list[Callable[[], object]]()
         kept = list[_Job]()
         for job in jobs:
