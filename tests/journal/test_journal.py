@@ -194,15 +194,44 @@ def test_the_file_of_another_program_is_left_alone(path):
         Database(path)
 
 
-@pytest.mark.parametrize(
-    "damage", [b"not a database at all, but long enough to be read", b"SQLite"]
-)
-async def test_a_damaged_file_is_renamed_and_kept(path, caplog, damage):
-    path.write_bytes(damage * 20)
+@pytest.mark.parametrize("content", [b"import turtleact\n", b"\0", b"SQLite" * 500])
+@pytest.mark.parametrize("count", [1, 500])
+def test_a_file_that_is_no_database_is_left_alone(path, content, count):
+    path.write_bytes(content * count)
+    with pytest.raises(JournalError, match="the file of another program; choose another name"):
+        Database(path)
+    assert path.read_bytes() == content * count
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_an_empty_file_becomes_a_journal(path):
+    path.touch()
+    Database(path).close()
+    assert list(read_goals(path)) == []
+
+
+def spoil_the_contents(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:100] + b"spoilt" * 5000)
+
+
+def spoil_the_beginning(path: Path) -> None:
+    path.write_bytes(b"spoilt" + path.read_bytes()[6:])
+
+
+def spoil_what_has_a_log(path: Path) -> None:
+    path.write_bytes(b"spoilt" * 500)
+    Path(f"{path}-wal").touch()
+
+
+@pytest.mark.parametrize("spoil", [spoil_the_contents, spoil_the_beginning, spoil_what_has_a_log])
+async def test_a_damaged_file_is_renamed_and_kept(path, caplog, spoil):
+    Database(path).close()
+    spoil(path)
+    damaged = path.read_bytes()
     async with open_journal(path) as journal:
         assert await journal.accept(record(1)) is None
-    (kept,) = path.parent.glob("goals.db.damaged-*")
-    assert kept.read_bytes() == damage * 20
+    kept, *_ = sorted(path.parent.glob("goals.db.damaged-*"))  # then its log, if it had one
+    assert kept.read_bytes() == damaged
     assert f"is damaged; it is now {kept}" in caplog.text
 
 

@@ -6,7 +6,7 @@ the file at the same time, because it is in WAL mode.
 A commit with ``synchronous=FULL`` waits for the disk and survives a power loss. A commit with
 ``NORMAL`` survives only a killed process, and takes a fiftieth of the time.
 
-Source: sqlite.org, "Write-Ahead Logging" and "PRAGMA Statements".
+Source: sqlite.org, "Write-Ahead Logging", "PRAGMA Statements" and "Database File Format".
 """
 
 from __future__ import annotations
@@ -44,6 +44,14 @@ APPLICATION = 0x7475_7274
 
 VERSION = 1
 """The layout of the file; SQLite keeps it as ``user_version``."""
+
+MAGIC = b"SQLite format 3\0"
+"""The first bytes of every SQLite file."""
+
+MARK = slice(68, 72)
+"""The bytes of a SQLite file that hold its ``application_id``."""
+
+FOREIGN = "it is the file of another program; choose another name"
 
 BUSY = 5.0
 """How long a reader or a prune waits for the writer (s)."""
@@ -170,6 +178,8 @@ class Database:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.moved_to: Path | None = None
+        if _is_foreign(path):
+            raise JournalError(path, FOREIGN)
         self._lock = _lock(path)
         try:
             self._open()
@@ -438,6 +448,20 @@ def _identity(path: Path, least: int) -> tuple[int, int] | None:
     return (status.st_dev, status.st_ino) if status.st_size >= least else None
 
 
+def _is_foreign(path: Path) -> bool:
+    """Whether a file has contents, and not those of a journal, not even of a damaged one."""
+    if not path.is_file():
+        return False
+    try:
+        with path.open("rb") as file:
+            head = file.read(MARK.stop)
+    except OSError:  # SQLite reports it
+        return False
+    is_marked = head[MARK] == APPLICATION.to_bytes(4, "big")
+    has_log = Path(f"{path}-wal").exists()
+    return bool(head) and not (head.startswith(MAGIC) or is_marked or has_log)
+
+
 def _holder(path: Path) -> str:
     """Describe the process that holds a journal."""
     with suppress(JournalError), _reading(path) as connection:
@@ -451,7 +475,7 @@ def _check_version(path: Path, connection: sqlite3.Connection) -> None:
     (application,) = connection.execute("PRAGMA application_id").fetchone()
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     if application not in (0, APPLICATION) or (not application and _has_any(connection)):
-        raise JournalError(path, "it is the file of another program; choose another name")
+        raise JournalError(path, FOREIGN)
     if version > VERSION:
         problem = (
             f"its layout is {version}, from a newer turtleact; this one knows {VERSION}: update"
