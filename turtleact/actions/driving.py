@@ -135,7 +135,8 @@ class Drive:
 
         The time advances with each pose. A pause therefore takes out exactly the ticks that it
         lasts, no matter when between two ticks it begins and ends. The time is rounded to
-        nanoseconds, so that adding up pauses cannot move a moment beyond its tick.
+        nanoseconds, because the rounding errors of added pauses could otherwise put a moment after
+        its tick.
         """
         return round(self._clock.time() - self._passed_over, 9)
 

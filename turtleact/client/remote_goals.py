@@ -618,7 +618,8 @@ class _Patience:
         """Wait until the client can send the request again.
 
         Raises:
-            ServerUnavailable: if the server stays away. This is the first error of the absence.
+            ServerUnavailable: if the server stays away. The error is the first one that was raised
+                while the server was away.
         """
         now, lost, reattach = anyio.current_time(), self._lost, self._remote.reattach
         if reattach and self._was_back(now):

@@ -57,7 +57,10 @@ class Console(Protocol):
         """Whether the terminal obeys control sequences."""
 
     def is_in_foreground(self, stream: TextIO) -> bool:
-        """Whether the process is in the foreground. True if the terminal controls no process."""
+        """Whether the process is in the foreground.
+
+        True if the stream is not the controlling terminal of this process.
+        """
 
     def reopen(self, stream: TextIO) -> int | None:
         """Open the terminal a second time, so that writing never waits. None if impossible."""

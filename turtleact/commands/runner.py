@@ -1,4 +1,4 @@
-"""Runs a command in an event loop of its own, and lets the program end in every case.
+"""Runs a command in an event loop of its own, and makes sure that the program can always end.
 
 `asyncio.run` is not enough here. At its end it waits for every task that is left, and the
 interpreter waits for every thread. A body that ignores its cancellation or blocks a thread would

@@ -85,7 +85,8 @@ class Order(NamedTuple):
         feedback: Whether to print each feedback message.
         timeout: When to cancel the goal, or to give up if no server has accepted it (s, wall
             clock). With 0, leave once it is accepted.
-        view: How it is shown; ``auto`` is live on a terminal.
+        view: How the goal is shown: ``auto`` is a live display on a terminal and plain lines
+            elsewhere.
         reattach: How long to wait for a server that has gone, or that has not started yet (s).
     """
 

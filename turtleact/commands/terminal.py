@@ -240,8 +240,9 @@ class Region:
     def held(self) -> Iterator[None]:
         """Let frames be drawn during a block. After it, the terminal is as it was before.
 
-        SIGTSTP (Ctrl-Z) and SIGQUIT have their default effect after the terminal has been given
-        back. After SIGCONT the next frame is drawn where the cursor stands.
+        On SIGTSTP (Ctrl-Z) or SIGQUIT during the block, the terminal is given back first. Then the
+        signal has its default effect. After SIGCONT the next frame is drawn where the cursor
+        stands.
         """
         handlers: dict[signal.Signals, Callable[[int, FrameType | None], None]] = {
             **dict.fromkeys(STOPPING, self._follow),

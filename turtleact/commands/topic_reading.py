@@ -266,7 +266,7 @@ class Rate:
 
 
 class Bandwidth:
-    """Measures how many bytes of messages, as CDR, come per second.
+    """Measures how many bytes per second arrive in messages, counted as CDR.
 
     Args:
         window: How many messages to keep.

@@ -128,7 +128,7 @@ class Comments(msgspec.Struct, frozen=True):
         about: The lines at the top that a blank line separates from the first member.
         first: The lines directly above the first member, if nothing is above them. In a .msg with
             one field, they describe the message.
-        members: The lines above and after each field and constant.
+        members: The comments above and behind each field and constant.
     """
 
     about: tuple[str, ...] = ()

@@ -330,7 +330,7 @@ def _is_complete(summary: _Summary) -> bool:
 
 
 def _piece(content: bytes) -> _Piece:
-    """Read the record with the place of a chunk."""
+    """Read the index record of a chunk, which says where the chunk is."""
     index = ChunkIndex.read(_stream(content))
     offsets = index.message_index_offsets
     return _Piece(

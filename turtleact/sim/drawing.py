@@ -465,7 +465,7 @@ class _Stroke:
         return start == self.tip and pen == self.pen and len(self.corners) < LONGEST
 
     def add(self, point: complex) -> bool:
-        """Continue to a point; return whether this made a new corner."""
+        """Continue the line to a point. Return whether that made the old tip a corner."""
         is_bent = not self._sees(point)
         if is_bent:
             self.corners.append(self.tip)

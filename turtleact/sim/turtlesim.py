@@ -178,7 +178,10 @@ class Turtlesim:
             self._turtles[name].tell_colour(colour)
 
     def _look_around(self) -> None:
-        """Update which turtles have readers; only changed topics are checked."""
+        """Update the lists of turtles that have readers.
+
+        Only turtles whose readers have changed are checked.
+        """
         index, told = self._world.index, self._told
         if self._is_roster_new:
             self._is_roster_new = False

@@ -10,8 +10,8 @@
   would take longer than a tick, and ``geometry_msgs/msg/PoseArray`` has no names.
 - `Pictures` serves ``~/snapshot``; `pictures` makes the picture, in a thread.
 
-Source: simulation_interfaces 2.1.0; Gazebo for the names, which begin with the node's name there,
-too.
+Source: simulation_interfaces 2.1.0; Gazebo for the names of the services, which begin with the
+node's name in Gazebo, too.
 """
 
 from __future__ import annotations

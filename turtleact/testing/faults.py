@@ -1,8 +1,9 @@
 """A bad link: a transport that delays, loses and repeats messages, and can be cut.
 
 The faulty transport wraps any other transport and affects only topics. Inside one process, clients
-call an action or service as an object. Such calls do not pass through a transport, so they are
-never late or lost. Messages that a body publishes or reads on topics may be late or lost.
+call the object that serves an action or service directly. Such calls do not pass through a
+transport, so they are never late or lost. Messages that a body publishes or reads on topics may be
+late or lost.
 
 The faults are random and depend on a seed. Each subscription has its own random numbers, made from
 the seed and the names of its node and topic. A new subscription therefore changes nothing for the

@@ -149,8 +149,9 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
         times: The QoS policies that are measured in time, as a ROS 2 peer declares them.
         type_hash: The hash of its type, if known.
         gid: The 16 bytes that identify the endpoint to other processes, if any.
-        on_demand: Whether other processes see the endpoint only once one of them has an endpoint
-            with this name. This saves work if few of thousands of endpoints are ever used.
+        on_demand: Whether the endpoint stays hidden from other processes until one of them has an
+            endpoint with the same name. This saves work if few of thousands of endpoints are ever
+            used.
         is_unlisted: Whether lists of all endpoints leave the endpoint out, even in its own process.
     """
 

@@ -499,7 +499,10 @@ def _corner(leg: Leg, following: Leg, turning: Turning) -> list[Cell]:
 
 
 def _views(leg: Leg) -> Sequence[View]:
-    """The view in the leg's own direction, unless the leg is left out, and the others."""
+    """Return all views of a leg, its own direction first.
+
+    If the leg is left out, only the views in other directions remain.
+    """
     if leg.is_left_out:
         return leg.views
     return [View(phase(leg.unit), leg.least, leg.most), *leg.views]

@@ -212,7 +212,7 @@ class Writer:
         self.content(content, size_of(code))
 
     def elements(self, field_type: FieldType, value: str) -> None:
-        """Add code that refuses anything but a list, and elements of another type."""
+        """Add code that refuses all but a list whose elements have the field's type."""
         if field_type.name in BYTE_TYPES:
             self.source.add(f"if type({value}) is not bytes:")
             self.source.depth += 1

@@ -166,7 +166,7 @@ def phases(order: str, items: Sequence[Item]) -> list[struct.Struct]:
 
 
 def common_run(order: str, items: Sequence[Item], places: Places) -> struct.Struct | None:
-    """Return the struct that fits all these places, or None if their padding differs."""
+    """Return the struct that fits all these places, or None if the padding differs between them."""
     runs = [run(order, items, place) for place in places]
     return runs[0] if len({each.format for each in runs}) == 1 else None
 
