@@ -3,6 +3,7 @@
 import errno
 import functools
 import os
+import re
 import shutil
 import sqlite3
 import struct
@@ -258,13 +259,66 @@ def test_a_file_is_read_up_to_where_it_is_cut_off(tmp_path):
     assert counts == set(range(0, 101, 10))
 
 
+def test_what_is_missing_from_a_file_that_is_cut_off_is_logged_once(tmp_path, caplog):
+    path = write_bag(tmp_path / "run", 100)
+    assert len(stamps(path)) == 100
+    assert not caplog.records
+    file = path / "run_0.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    bag = Bag(path)  # its metadata.yaml does not show that the file is cut off
+    for _ in range(2):
+        assert not list(bag.messages(Range()))
+    bag.close()
+    [said] = [each.getMessage() for each in caplog.records]
+    pattern = (
+        rf"bag '{file}': the record at byte \d+ is cut off; this record and everything after it "
+        "are left out"
+    )
+    assert re.fullmatch(pattern, said)
+
+
+@pytest.mark.parametrize(
+    ("put", "cut", "said"),
+    [
+        (b"\x06" + struct.pack("<Q", 2**63), 0, "the record at byte 8 is cut off; "),
+        (b"\x03\x01" + bytes(7) + b"x", 0, "1 damaged record is left out"),
+        (b"", 100, "it was not closed, so messages may be missing at its end"),
+    ],
+)
+def test_it_is_logged_how_a_file_is_damaged(tmp_path, caplog, put, cut, said):
+    path = write_bag(tmp_path / "run.mcap", 100)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:8] + put + (b"" if cut else whole[8:]))
+    stamps(path)
+    [logged] = caplog.messages
+    assert logged.startswith(f"bag '{path}': {said}")
+
+
 def test_a_damaged_chunk_is_named(tmp_path):
     path = write_bag(tmp_path / "run.mcap", 100)
     content = bytearray(path.read_bytes())
     place = content.index(message(50))
     content[place + 6] ^= 0xFF
     path.write_bytes(content)
-    with pytest.raises(BagError, match=r"the chunk at byte \d+ is damaged \(crc"):
+    with pytest.raises(BagError, match=r"the chunk at byte \d+ is damaged \(crc") as raised:
+        stamps(path)
+    assert str(raised.value).endswith(
+        "use 'turtleact bag convert' with --playback-duration or --start-offset"
+    )
+
+
+def test_a_chunk_with_an_unknown_channel_is_described(tmp_path):
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as stream:
+        theirs = WriterOfMcap(stream, compression=CompressionType.NONE, enable_crcs=False)
+        theirs.start("ros2")
+        schema = theirs.register_schema(POSE.type_name, "ros2msg", b"float32 x")
+        theirs.add_message(theirs.register_channel("/pose", "cdr", schema), 1, b"data", 1)
+        theirs.finish()
+    record = struct.pack("<BQH", 5, 26, 1)  # the message, of channel 1
+    assert record in path.read_bytes()
+    path.write_bytes(path.read_bytes().replace(record, struct.pack("<BQH", 5, 26, 10)))
+    with pytest.raises(BagError, match=r"damaged \(the file does not declare channel 10\)"):
         stamps(path)
 
 

@@ -19,7 +19,7 @@ from turtleact.interfaces.standard import TurtlePose, Twist, Vector3
 from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
 from turtleact.interfaces.standard.std_msgs.msg import String
 from turtleact.interfaces.types import REGISTRY
-from turtleact.recording import BagError, Selection
+from turtleact.recording import Bag, BagError, Selection
 from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.converting import Output, convert
 from turtleact.recording.schemas import Schema
@@ -28,7 +28,7 @@ from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import STATUS_QOS
 
-from .bags import POSE, START, STEP, by_rosbags, channel, write_bag
+from .bags import POSE, START, STEP, by_rosbags, channel, fill, message, opened, write_bag
 
 
 @pytest.fixture
@@ -363,8 +363,43 @@ def test_a_disk_that_is_full_ends_a_conversion(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(BagWriter, "write", write)
+    outputs = [Output(path=tmp_path / "part"), Output(path=tmp_path / "part.mcap")]
     with pytest.raises(TurtleactError, match="it cannot be written: No space left on device"):
-        convert([first], [Output(path=tmp_path / "part")])
+        convert([first], outputs)
+    assert [each.name for each in tmp_path.iterdir()] == ["first"]
+
+
+def test_an_output_that_exists_is_left_alone_and_no_other_output_is_left(tmp_path):
+    first = write_bag(tmp_path / "first", 100)
+    there = write_bag(tmp_path / "there", 100)
+    with pytest.raises(TurtleactError, match="it exists already"):
+        convert([first], [Output(path=tmp_path / "new"), Output(path=there)])
+    assert not (tmp_path / "new").exists()
+    assert Bag(there).info.count == 100
+
+
+def with_a_damaged_chunk(path):
+    """Write a bag of ten chunks with ten messages each, and damage the sixth."""
+    writer = opened(path)
+    for first in range(0, 100, 10):
+        fill(writer, 10, first)
+        writer.flush()
+    writer.close({})
+    content = bytearray(path.read_bytes())
+    content[content.index(message(55)) + 6] ^= 0xFF
+    path.write_bytes(content)
+    return path
+
+
+def test_the_messages_around_a_damaged_chunk_can_be_copied(tmp_path):
+    path = with_a_damaged_chunk(tmp_path / "run.mcap")
+    before = Output(path=tmp_path / "before", end=START + 49 * STEP)
+    assert convert([path], [before]) == [50]
+    behind = Output(path=tmp_path / "behind", start=START + 60 * STEP)
+    assert convert([path], [behind]) == [40]
+    with pytest.raises(BagError, match="is damaged"):
+        convert([path], [Output(path=tmp_path / "whole")])
+    assert not (tmp_path / "whole").exists()
 
 
 async def test_goals_of_a_type_that_is_not_known_are_said(node, tmp_path):

@@ -8,6 +8,7 @@ Source: rosbag2 ``docs/storage_plugin_development.md`` and ``sequential_reader.c
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import AsyncGenerator, Callable, Collection, Iterator
 from contextlib import aclosing
@@ -35,6 +36,8 @@ from turtleact.recording.sqlite_reading import SqliteFile
 from turtleact.recording.storage import BagStorage, Channel, Range, Raw
 
 __all__ = ["Bag", "Reading", "Recorded", "read", "reader_of"]
+
+logger = logging.getLogger("turtleact.recording")
 
 SUFFIXES: Final = {".mcap": "mcap", ".db3": "sqlite3"}
 
@@ -82,6 +85,7 @@ class Bag:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._open: dict[Path, BagStorage] = {}
+        self._told: set[Path] = set()
         try:
             self.info = self._look()
         except BaseException:
@@ -96,6 +100,8 @@ class Bag:
     def messages(self, wanted: Range) -> Iterator[Raw]:
         """Yield the messages of a range, ordered by stamp within each file.
 
+        If a file is cut off or damaged so that messages are missing, a warning is logged.
+
         Raises:
             BagError: if a place in the bag is damaged.
         """
@@ -105,7 +111,10 @@ class Bag:
                 or (wanted.end is not None and file.start > wanted.end)
             )
             if not is_outside:
-                yield from self.storage(file.path).messages(wanted)
+                storage = self.storage(file.path)
+                self._tell(storage)
+                yield from storage.messages(wanted)
+                self._tell(storage)  # the index may turn out to be damaged when it is used
 
     def storage(self, name: str) -> BagStorage:
         """Open one of the bag's files for reading."""
@@ -121,6 +130,12 @@ class Bag:
             for channel in self.storage(file.path).channels.values():
                 found.setdefault((channel.topic, channel.schema.name), channel)
         return list(found.values())
+
+    def _tell(self, storage: BagStorage) -> None:
+        """Log what is missing from a file, once."""
+        if storage.flaw and storage.path not in self._told:
+            self._told.add(storage.path)
+            logger.warning("bag '%s': %s", storage.path, storage.flaw)
 
     def _look(self) -> BagInfo:
         if not self.path.exists():
@@ -259,7 +274,8 @@ async def read(
     """Read the messages of a bag, ordered by stamp.
 
     The bag may have been recorded by turtleact, rosbag2 or rosbags, as MCAP or SQLite. Only the
-    parts of a large file that are needed are read.
+    parts of a large file that are needed are read. If messages are missing because a file is cut
+    off, a warning is logged.
 
     Args:
         path: The folder of the bag, or a single file.

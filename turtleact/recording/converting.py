@@ -6,8 +6,9 @@ Source: rosbag2 ``bag_rewrite.cpp``.
 from __future__ import annotations
 
 import heapq
+import shutil
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from operator import attrgetter
 from pathlib import Path
 
@@ -48,6 +49,8 @@ def convert(
 ) -> list[int]:
     """Read bags and write their messages to others, in the order of their stamps. Blocks.
 
+    If an error is raised, no output is left.
+
     Args:
         inputs: The bags to read.
         outputs: The bags to write.
@@ -62,14 +65,30 @@ def convert(
     """
     with ExitStack() as stack:
         bags = [stack.enter_context(closing(Bag(path))) for path in inputs]
-        writers = [stack.enter_context(closing(_Writing(each))) for each in outputs]
-        merged = heapq.merge(*(bag.messages(Range()) for bag in bags), key=attrgetter("stamp"))
-        for count, raw in enumerate(merged):
-            if not count % CHECK and not goes_on():
-                break
+        wanted = _range(outputs)
+        merged = heapq.merge(*(bag.messages(wanted) for bag in bags), key=attrgetter("stamp"))
+        writers: list[_Writing] = []
+        try:
+            writers.extend(map(_Writing, outputs))  # if one raises, those before it are in the list
+            for count, raw in enumerate(merged):
+                if not count % CHECK and not goes_on():
+                    break
+                for writer in writers:
+                    writer.take(raw)
             for writer in writers:
-                writer.take(raw)
+                writer.close()
+        except BaseException:
+            for writer in writers:
+                writer.discard()
+            raise
     return [writer.count for writer in writers]
+
+
+def _range(outputs: Sequence[Output]) -> Range:
+    """The range with the messages of all outputs."""
+    ends = [each.end for each in outputs if each.end is not None]
+    start = min((each.start for each in outputs), default=0)
+    return Range(start, max(ends) if ends and len(ends) == len(outputs) else None)
 
 
 class _Writing:
@@ -100,6 +119,16 @@ class _Writing:
             self._writer.close({})
         except OSError as error:
             raise self._error(error) from error
+
+    def discard(self) -> None:
+        """Remove the bag, because it would look complete."""
+        with suppress(OSError):
+            self._writer.close({})
+        path = self._output.path
+        if path.is_dir():  # the writer has made it, so nothing else is in it
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
     def _number(self, channel: Channel) -> int | None:
         if channel not in self._numbers:

@@ -45,6 +45,14 @@ _DAMAGED: Final = (
 )
 """The exceptions that reading a damaged record may raise."""
 
+_REST: Final = (
+    "to copy the messages before or behind it, use 'turtleact bag convert' with "
+    "--playback-duration or --start-offset"
+)
+"""The advice for a damaged chunk."""
+
+_AFTER: Final = "this record and everything after it are left out"
+
 
 class _Piece(NamedTuple):
     """A part of the file that is read at once: a chunk, or a single message outside of chunks.
@@ -96,6 +104,7 @@ class McapFile:
         self.start = self.end = 0
         self.is_closed = True
         self.about = ""
+        self.flaw = ""
         self._pieces: list[_Piece] = []
         self._unread: list[bytes] = []  # the records of chunks that are not among the pieces yet
         self._schemas: dict[int, Schema] = {}
@@ -223,20 +232,29 @@ class McapFile:
     def _scan(self) -> None:
         """Read the whole file, up to a record that is cut off. Leave out damaged records."""
         size = self._file.seek(0, 2)
-        place = len(MAGIC)
+        place, damaged = len(MAGIC), 0
+        self.flaw = "it was not closed, so messages may be missing at its end"
         while place + _HEAD.size <= size:
             self._file.seek(place)
             opcode, length = _HEAD.unpack(self._file.read(_HEAD.size))
             behind = place + _HEAD.size + length
-            if behind > size or opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                self.is_closed &= behind <= size
-                return
+            if behind > size:
+                self.flaw = f"the record at byte {place} is cut off; {_AFTER}"
+                break
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                self.flaw = ""
+                break
             try:
                 self._see(opcode, place, self._file.read(length))
             except _DAMAGED:
-                self.is_closed = False  # the next record begins where it should
+                damaged += 1  # the next record begins where it should
             place = behind
-        self.is_closed = False
+        if damaged:
+            left_out = (
+                f"{damaged} damaged {'record is' if damaged == 1 else 'records are'} left out"
+            )
+            self.flaw = f"{self.flaw}; {left_out}" if self.flaw else left_out
+        self.is_closed &= not self.flaw
 
     def _see(self, opcode: int, place: int, content: bytes) -> None:
         """Remember what a record outside of chunks says."""
@@ -280,8 +298,8 @@ class McapFile:
             for channel, stamp, sent, data in found:
                 yield Raw(stamp, sent, self.channels[channel], data)
         except _DAMAGED as error:
-            problem = f"the chunk at byte {piece.offset} is damaged ({error})"
-            raise BagError(self.path, f"{problem}; choose other times to read the rest") from error
+            problem = f"the chunk at byte {piece.offset} is damaged ({_reason(error)})"
+            raise BagError(self.path, f"{problem}; {_REST}") from error
 
     def _records(self, chunk: Chunk) -> list[tuple[int, int, int, bytes]]:
         """The messages of a chunk: channel, log time, publish time and data."""
@@ -339,6 +357,15 @@ def _piece(content: bytes) -> _Piece:
         index.message_end_time,
         frozenset(offsets) if offsets else None,
     )
+
+
+def _reason(error: Exception) -> str:
+    """What is wrong with a damaged chunk."""
+    if isinstance(error, KeyError):
+        return f"the file does not declare channel {error}"
+    if isinstance(error, struct.error | EOFError):
+        return "a record in it is cut off"
+    return str(error) or type(error).__name__
 
 
 def _split(data: bytes) -> Iterator[tuple[int, bytes]]:

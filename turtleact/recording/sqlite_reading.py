@@ -32,7 +32,7 @@ class SqliteFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.is_closed = True
-        self.about = ""
+        self.about = self.flaw = ""
         self.channels: dict[int, Channel] = {}
         self.counts: dict[int, int] = {}
         self.start = self.end = 0

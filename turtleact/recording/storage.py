@@ -75,6 +75,7 @@ class BagStorage(Protocol):
         end: The time of the latest message (ns).
         is_closed: Whether the recorder closed the file.
         about: The text in the file that describes the bag; empty if there is none.
+        flaw: What is missing because the file is cut off or damaged; empty if nothing is.
     """
 
     path: Path
@@ -82,6 +83,7 @@ class BagStorage(Protocol):
     end: int
     is_closed: bool
     about: str
+    flaw: str
 
     @property
     def channels(self) -> Mapping[int, Channel]:
