@@ -6,6 +6,7 @@ import ast
 import importlib.util
 import inspect
 import re
+import uuid
 from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
@@ -155,6 +156,17 @@ def test_a_mistake_in_a_goal_is_answered_with_its_path(app, backend):
     (problem,) = answer.json()["detail"]
     assert problem["loc"] == ["body", "targets", 0]
     assert problem["msg"] == "unknown field 'yy', did you mean 'y'?"
+
+
+@pytest.mark.parametrize(
+    ("goal_id", "code"), [("abc", 422), ("abcd", 422), (str(uuid.UUID(int=1)), 404)]
+)
+def test_a_wrong_goal_id_is_the_callers_mistake(app, goal_id, code):
+    async def visit():
+        async with browser(app) as http:
+            return (await http.get(f"/goals/{goal_id}")).status_code
+
+    assert testing.run(visit) == code
 
 
 @BACKENDS

@@ -150,7 +150,7 @@ async def test_only_who_knows_the_password_comes_in(tmp_path: Path, address):
         async with open_zenoh([address], mode="client", config=right):
             pass
         for config in (wrong, {}):
-            with pytest.raises(TurtleactError, match="lets us in"):
+            with pytest.raises(TurtleactError, match=r"no router at .* accepts the connection"):
                 async with open_zenoh([address], mode="client", config=config):
                     pass
 

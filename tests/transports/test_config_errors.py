@@ -59,20 +59,32 @@ def test_what_keeps_it_from_listening_is_told_though_it_connects_too():
 def test_what_keeps_it_from_connecting_is_told():
     said = words(REFUSED).replace("Connection refused", "No route to host")
     assert why_not_open(config([AT], []), said) == (
-        f"no ROS 2 graph in reach: nobody at {AT} lets us in (Can not create a new TCP link bound "
-        f"to {AT}: [127.0.0.1:7447: No route to host (os error 111)]); is a router running there?"
+        f"no ROS 2 graph in reach: no router answers at {AT} (Can not create a new TCP link bound "
+        f"to {AT}: [127.0.0.1:7447: No route to host (os error 111)]); 'turtleact serve' starts one"
     )
 
 
-@pytest.mark.parametrize("text", ["Unable to connect to any of the given peers", REFUSED])
-def test_that_nobody_lets_it_in_is_not_said_twice(text):
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (REFUSED, f"no router answers at {AT}"),
+        ("Unable to connect to any of [peers]", f"no router at {AT} accepts the connection"),
+    ],
+)
+def test_a_missing_router_is_reported_once_with_its_remedy(text, problem):
     said = why_not_open(config([AT], []), words(text))
-    assert said == (
-        f"no ROS 2 graph in reach: nobody at {AT} lets us in; is a router running there?"
+    assert said == f"no ROS 2 graph in reach: {problem}; 'turtleact serve' starts one"
+
+
+def test_a_router_that_rejects_the_connection_is_no_missing_router():
+    text = "Received a close message (reason 0) in response to an InitSyn"
+    assert why_not_open(config([AT], []), text) == (
+        f"no ROS 2 graph in reach: the router at {AT} rejects the connection ({text}); "
+        "is a password needed?"
     )
 
 
 def test_a_file_may_say_where_it_connects_or_listens():
     at_file = session_config(None, None, "peer", 0, "{}")
     assert why_not_open(at_file, words(TAKEN)).startswith("cannot listen at the configured endpoi")
-    assert "nobody at the configured endpoints" in why_not_open(at_file, words(REFUSED))
+    assert "no router answers at the configured endpoints" in why_not_open(at_file, words(REFUSED))

@@ -69,5 +69,5 @@ async def test_a_graph_of_hundreds_of_endpoints_is_told(address):
 
 
 def test_a_graph_that_is_not_there_is_told(address):
-    with pytest.raises(TurtleactError, match="no ROS 2 graph in reach: nobody at unixsock"):
+    with pytest.raises(TurtleactError, match="reach: no router answers at unixsock"):
         census([address], 0)

@@ -96,12 +96,7 @@ async def open_transport(reach: Reach, mode: Mode | None = None) -> AsyncIterato
     mode, config = mode or mode_of(reach.connect, locks), locks.settings()
     opened = open_zenoh(reach.connect or None, mode=mode, domain=reach.domain, config=config)
     async with AsyncExitStack() as stack:
-        try:
-            transport = await stack.enter_async_context(opened)
-        except TurtleactError as error:
-            if reach.connect:
-                raise
-            raise TurtleactError(f"{error} 'turtleact serve' starts one") from None
+        transport = await stack.enter_async_context(opened)
         await transport.explore()
         yield transport
 

@@ -193,6 +193,10 @@ def why_not_open(config: SessionConfig, said: str) -> str:
         inner = INNER.fullmatch(said)
         return f"cannot listen at {at}: {inner[1] if inner else said}{hint}"
     to = ", ".join(config.connect) or "the configured endpoints"
-    says_nothing_more = said.startswith("Unable to connect") or "Connection refused" in said
-    more = "" if says_nothing_more else f" ({said})"
-    return f"no ROS 2 graph in reach: nobody at {to} lets us in{more}; is a router running there?"
+    begins, starts = "no ROS 2 graph in reach:", "'turtleact serve' starts one"
+    if said.startswith("Received a close message"):
+        return f"{begins} the router at {to} rejects the connection ({said}); is a password needed?"
+    if said.startswith("Unable to connect"):  # Zenoh does not say if there is a router
+        return f"{begins} no router at {to} accepts the connection; {starts}"
+    more = "" if "Connection refused" in said else f" ({said})"
+    return f"{begins} no router answers at {to}{more}; {starts}"
