@@ -217,6 +217,15 @@ async def test_a_missing_package_for_traces_is_named(monkeypatch):
             pytest.fail("it was not missed")
 
 
+async def test_a_variable_that_the_sdk_reads_at_its_import_is_named(monkeypatch):
+    monkeypatch.setenv("OTEL_SPAN_ATTRIBUTE_COUNT_LIMIT", "many")
+    monkeypatch.delitem(sys.modules, "turtleact.telemetry.exporting", raising=False)
+    monkeypatch.delitem(sys.modules, "opentelemetry.sdk.trace", raising=False)
+    with pytest.raises(TurtleactError, match="cannot be set up: OTEL_SPAN_ATTRIBUTE_COUNT_LIMIT"):
+        async with observing(Watched(otel=True), print):
+            pytest.fail("it was not read")
+
+
 async def test_a_port_that_cannot_be_bound_is_told_with_its_option():
     said: list[str] = []
     async with observing(Watched(metrics=("127.0.0.1", 0)), said.append):

@@ -75,6 +75,11 @@ async def test_either_exporter_can_be_left_out(monkeypatch, providers):
     [
         ("OTEL_TRACES_EXPORTER", "zipkin", "OTEL_TRACES_EXPORTER is 'zipkin': turtleact knows"),
         ("OTEL_BSP_SCHEDULE_DELAY", "-4", "OpenTelemetry cannot be set up: schedule_delay"),
+        (
+            "OTEL_PYTHON_EXPORTER_OTLP_HTTP_TRACES_CREDENTIAL_PROVIDER",
+            "none",
+            "OpenTelemetry cannot be set up: Requested component 'none' not found",
+        ),
     ],
 )
 async def test_a_value_that_is_not_supported_is_named(
@@ -84,6 +89,33 @@ async def test_a_value_that_is_not_supported_is_named(
     with pytest.raises(TurtleactError, match=problem):
         async with exporting("lab"):
             pytest.fail("it was supported")
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "told"),
+    [
+        (
+            "OTEL_BSP_SCHEDULE_DELAY",
+            "soon",
+            "Unable to parse value for OTEL_BSP_SCHEDULE_DELAY as integer. Defaulting to 5000. "
+            "(ValueError: invalid literal for int() with base 10: 'soon')",
+        ),
+        (
+            "OTEL_EXPERIMENTAL_RESOURCE_DETECTORS",
+            "none",
+            "Failed to load resource detector 'none', skipping (StopIteration)",
+        ),
+    ],
+)
+async def test_a_value_that_cannot_be_read_is_one_line(
+    monkeypatch, providers, caplog, variable, value, told
+):
+    monkeypatch.setenv(variable, value)
+    monkeypatch.setenv("OTEL_METRICS_EXPORTER", "none")
+    async with exporting("lab"):
+        pass
+    (record,) = caplog.records
+    assert (record.getMessage(), record.exc_info) == (told, None)
 
 
 @pytest.fixture

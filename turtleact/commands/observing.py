@@ -115,6 +115,8 @@ async def _export(stack: AsyncExitStack, starts: list[Callable[[Node], None]]) -
             "--otel needs the extra otel-export: "
             "pip install 'opentelemetry-exporter-otlp-proto-http>=1.30,<2'"
         ) from None
+    except ValueError as error:  # the SDK reads some variables when it is imported
+        raise TurtleactError(f"OpenTelemetry cannot be set up: {error}") from error
     problems = _ExporterProblems()
     for kind in ("trace", "metric"):
         logging.getLogger(f"{EXPORTER}.{kind}_exporter").addFilter(problems)

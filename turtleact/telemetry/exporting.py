@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from typing import Final
 
 import anyio
@@ -31,6 +31,7 @@ from opentelemetry.sdk.trace import TracerProvider
 from opentelemetry.sdk.trace.export import BatchSpanProcessor
 
 from turtleact.errors import TurtleactError
+from turtleact.summaries import summary
 from turtleact.tasks import run_in_daemon
 
 __all__ = ["FLUSH_WITHIN", "exporting"]
@@ -41,6 +42,9 @@ FLUSH_WITHIN: Final = 3.0
 """How long sending the last spans and measurements may take at the end (s, event loop time)."""
 
 EXPORTERS: Final = ("otlp", "none")
+
+READERS: Final = "opentelemetry.sdk.trace.export", "opentelemetry.sdk.resources"
+"""The loggers that report environment variables with a traceback."""
 
 
 @asynccontextmanager
@@ -57,31 +61,60 @@ async def exporting(service: str) -> AsyncIterator[None]:
     Raises:
         TurtleactError: if an environment variable has a value that is not supported.
     """
-    resource = Resource.create()
-    if str(resource.attributes[SERVICE_NAME]).startswith("unknown_service"):
-        resource = resource.merge(Resource({SERVICE_NAME: service}))
-    ends: list[Callable[[], object]] = []
     try:
-        if _is_wanted("OTEL_TRACES_EXPORTER"):
-            spans = TracerProvider(resource=resource, shutdown_on_exit=False)
-            spans.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
-            trace.set_tracer_provider(spans)
-            ends.append(spans.shutdown)
-        else:
-            trace.set_tracer_provider(trace.NoOpTracerProvider())
-        if _is_wanted("OTEL_METRICS_EXPORTER"):
-            reader = PeriodicExportingMetricReader(OTLPMetricExporter())
-            numbers = MeterProvider([reader], resource, shutdown_on_exit=False)
-            metrics.set_meter_provider(numbers)
-            ends.append(numbers.shutdown)
-        else:
-            metrics.set_meter_provider(metrics.NoOpMeterProvider())
-    except ValueError as error:
+        with _without_tracebacks():
+            ends = _set_up(service)
+    except (ValueError, RuntimeError) as error:
         raise TurtleactError(f"OpenTelemetry cannot be set up: {error}") from error
     try:
         yield
     finally:
         await _run_all(ends)
+
+
+def _set_up(service: str) -> list[Callable[[], object]]:
+    """Set the global providers. Return the functions that end them."""
+    resource = Resource.create()
+    if str(resource.attributes[SERVICE_NAME]).startswith("unknown_service"):
+        resource = resource.merge(Resource({SERVICE_NAME: service}))
+    ends: list[Callable[[], object]] = []
+    if _is_wanted("OTEL_TRACES_EXPORTER"):
+        spans = TracerProvider(resource=resource, shutdown_on_exit=False)
+        spans.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
+        trace.set_tracer_provider(spans)
+        ends.append(spans.shutdown)
+    else:
+        trace.set_tracer_provider(trace.NoOpTracerProvider())
+    if _is_wanted("OTEL_METRICS_EXPORTER"):
+        reader = PeriodicExportingMetricReader(OTLPMetricExporter())
+        numbers = MeterProvider([reader], resource, shutdown_on_exit=False)
+        metrics.set_meter_provider(numbers)
+        ends.append(numbers.shutdown)
+    else:
+        metrics.set_meter_provider(metrics.NoOpMeterProvider())
+    return ends
+
+
+@contextmanager
+def _without_tracebacks() -> Iterator[None]:
+    """Let the SDK report values that it cannot read in one line each."""
+    loggers = [logging.getLogger(name) for name in READERS]
+    for each in loggers:
+        each.addFilter(_shorten)
+    try:
+        yield
+    finally:
+        for each in loggers:
+            each.removeFilter(_shorten)
+
+
+def _shorten(record: logging.LogRecord) -> bool:
+    """Replace a record's traceback by a summary of the exception."""
+    error = record.exc_info and record.exc_info[1]
+    if error:
+        record.msg, record.args = f"{record.getMessage()} ({summary(error)})", ()
+        record.exc_info = record.exc_text = None
+    return True
 
 
 def _is_wanted(variable: str) -> bool:
