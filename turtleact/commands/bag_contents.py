@@ -227,7 +227,7 @@ def _row(name: str, value: str) -> str:
 
 
 def _under(name: str, values: list[str], indent: int = INDENT) -> list[str]:
-    """Lines with a value each. The name is before the first value."""
+    """Lines with one value each; the name stands before the first value."""
     first, *others = values or [""]
     return [f"{name:<{indent - 1}} {first}", *(" " * indent + each for each in others)]
 

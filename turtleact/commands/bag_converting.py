@@ -1,4 +1,4 @@
-"""Implements ``bag convert``, which rewrites bags, cut by time or topic.
+"""Implements ``bag convert``, which writes new bags from old ones, whole or cut by time or topic.
 
 Source: rosbag2 ``README.md``, the format of the options of output bags.
 """

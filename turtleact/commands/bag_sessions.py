@@ -95,7 +95,10 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
 
 
 async def tell(recording: Recording) -> None:
-    """Print a note for each topic when its recording begins, until the recording ends early."""
+    """Print a note for each topic when its recording begins.
+
+    Return only if the recording ends early.
+    """
     told = 0
     while not recording.is_over:
         for topic in recording.topics[told:]:

@@ -2,9 +2,9 @@
 
 Each function takes Typer's context, which holds the arguments typed so far, and the word that the
 user has begun. The function returns the possible values. Typer drops the values that do not begin
-with that word, and talks to the shell. Each Tab looks everything up again and starts nothing. If
-anything goes wrong, nothing is offered, because an error would disturb the line that is being
-typed.
+with that word, and talks to the shell. Each Tab looks everything up again, but starts no server or
+world. If anything goes wrong, nothing is offered, because an error would disturb the line that is
+being typed.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ VIRTUAL_TERMINAL: Final = 0x0004
 class Console(Protocol):
     """The operations that differ between systems.
 
-    Streams are terminals unless a method says otherwise.
+    Every ``stream`` must be a terminal, unless the method says otherwise.
     """
 
     def can_move(self) -> bool:
@@ -66,7 +66,7 @@ class Console(Protocol):
         """Open the terminal a second time, so that writing never waits. None if impossible."""
 
     def takes_text(self, stream: TextIO) -> bool:
-        """Whether writing to the terminal would not wait."""
+        """Whether a write to the terminal would return at once."""
 
     def silence(self, stream: TextIO, *, by_key: bool) -> object | None:
         """Turn echo off, because typed characters would tear a frame apart.
@@ -119,7 +119,7 @@ class PosixConsole:
         return descriptor
 
     def takes_text(self, stream: TextIO) -> bool:
-        """Whether writing to the terminal would not wait, as the system reports."""
+        """Whether a write to the terminal would return at once, as the system reports."""
         return bool(select.select([], [stream], [], 0)[1])
 
     def silence(self, stream: TextIO, *, by_key: bool) -> object | None:

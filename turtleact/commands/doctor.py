@@ -103,7 +103,7 @@ def _as_dict(fault: Fault) -> dict[str, object]:
 
 
 def _facts(snapshot: Snapshot) -> dict[str, object]:
-    """The facts about a graph in a snapshot, faulty or not."""
+    """The facts about a graph in a snapshot, whether or not it has faults."""
     return {
         "domain": snapshot.domain,
         "domains in use": list(snapshot.domains),

@@ -3,9 +3,9 @@
 A verb is a coroutine function that takes a `Node` and returns the exit status. The node is hidden
 and opens nothing by itself.
 
-A command may find no router, an empty domain, or an action that nobody serves. From here, a server
-that is off looks the same as a server in another domain. Messages about such a server therefore
-name the things that are in reach.
+A command may find no router, an empty domain, or an action that nobody serves. To the command, a
+server that is off looks the same as a server in another domain. Messages about such a server
+therefore name the things that are in reach.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ async def until_interrupted(
 
     Args:
         opened: A context manager. A signal also cancels its opening and closing. If the opening
-            ignores that, the process ends.
+            ignores the cancellation, the process ends.
         act: Called with the opened object. It returns the exit status.
         interrupts: The signals.
 
@@ -245,9 +245,9 @@ def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str
     """Print a note on nodes that do not hear each other because their definitions of a type differ.
 
     Args:
-        node: The node that looks. Its own definitions are not compared.
+        node: The node that looks. Its own endpoints are left out.
         endpoints: The endpoints to compare.
-        known: Type hashes of this process that are compared too, by type name.
+        known: The type hashes of this process, by type name. They are compared, too.
     """
     from turtleact.doctor.checks import differing_definitions
     from turtleact.doctor.snapshot import EndpointSeen, Snapshot
