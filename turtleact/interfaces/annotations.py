@@ -1,8 +1,8 @@
 """Python annotations for ROS types, and functions that read an annotation.
 
 ``int32`` is ``Annotated[int, …]``: a type checker sees ``int``, and a message class sees the range.
-For a type checker, ``bounded[list[int32], 5]`` and ``array[list[float64], 9]`` are lists. This
-module knows nothing of a message class but its name.
+For a type checker, ``bounded[list[int32], 5]`` and ``array[list[float64], 9]`` are lists. Of a
+message class, this module knows only the name.
 """
 
 from __future__ import annotations
@@ -184,8 +184,8 @@ def annotation_of(field_type: FieldType, nested: type | None) -> object:
 def scope_of(frame: FrameType, namespace: Mapping[str, object]) -> Scope:
     """Return the names that a class statement can use in annotations written as strings.
 
-    These are the names of the enclosing class bodies and of the function around them. Names of
-    functions further out are included only if they are global. The class's own body comes last, so
+    These are the names of the enclosing class bodies and of the function around them. Local names
+    of functions further out are not included; global names are. The class's own body comes last, so
     that in ``byte: byte = 0`` the second word means the type.
     """
     maps = [dict(frame.f_locals)]

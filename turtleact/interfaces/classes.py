@@ -1,8 +1,8 @@
 """Makes classes from definitions, and the further types that ROS 2 derives from them.
 
-``make_message`` and its siblings do the same as a class statement. These functions know neither
-files nor known interfaces. The caller passes ``find``, which returns the class of an interface or
-raises ``UnknownInterface``.
+``make_message`` and its siblings do the same as a class statement. These functions read no files
+and look up no interfaces. Instead, the caller passes ``find``, which returns the class of an
+interface or raises ``UnknownInterface``.
 
 ROS 2 never sends a goal, result or feedback alone: each travels in a message or service generated
 for its action. A service's introspection sends ``NAME_Event``. ``implied`` and ``event_message``

@@ -1,7 +1,7 @@
 """Finds the comments on the fields of an interface, where its author wrote them.
 
-In a .msg, .srv or .action file, that is beside a field or on the lines directly above it. In a
-class, it is under ``Attributes:`` in the docstring.
+In a .msg, .srv or .action file, the comment on a field stands beside the field or on the lines
+directly above it. In a class, the comment stands under ``Attributes:`` in the docstring.
 
 Source: the ROS 2 article "Interface definition" for comments; Google's style of docstrings.
 """
@@ -25,7 +25,9 @@ attribute_pattern = re.compile(r" {4}(\w+): (.*)")
 
 
 def comments(cls: type[Message]) -> dict[str, str]:
-    """The comments on a message's fields, by field. A file is used before a docstring.
+    """The comments on a message's fields, by field.
+
+    A comment in a file takes precedence over one in a docstring.
 
     >>> class Move(Message, type_name="example_msgs/msg/Move"):
     ...     '''A move.

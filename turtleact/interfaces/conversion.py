@@ -227,13 +227,13 @@ def sequence(field_type: FieldType, index: int, slow: str) -> list[str]:
 def guarded(fast: str, slow: str) -> list[str]:
     """Return code that tries the fast way first.
 
-    If that fails, the slow way finds the wrong value.
+    If that fails, the slow way finds the value that does not fit.
     """
     return ["try:", f" {fast}", f"except InvalidMessage: {slow}"]
 
 
 def misses(field_type: FieldType, value: str) -> str:
-    """Return the condition that a value is not exactly of its Python type and in range."""
+    """Return the condition that a value is not exactly of its Python type, or is out of range."""
     name = field_type.name
     if name == "bool":
         return f"{value} is not True and {value} is not False"
@@ -309,7 +309,7 @@ def filled(cls: type[M], value: object) -> M:
 
 @functools.cache
 def slots(cls: type[Message]) -> dict[str, Slot]:
-    """Return how to fill each field of a class, by its ROS name."""
+    """Return a `Slot` for each field of a class, by the field's ROS name."""
     return {
         field.name: Slot(
             field.attribute,

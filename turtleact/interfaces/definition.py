@@ -129,7 +129,7 @@ class FieldType(msgspec.Struct, frozen=True):
 
     @property
     def element(self) -> FieldType:
-        """The type of one element. If the field holds a single element, that is the type itself."""
+        """The type of one element. If the field holds a single element, it is the field's type."""
         return FieldType(self.name, self.string_bound)
 
 

@@ -323,10 +323,10 @@ def wrapped(head: str, items: list[str], tail: str, *, is_tight: bool = False) -
     """Wrap items in brackets as ruff does: on one line, together on the next, or one per line.
 
     Args:
-        head: The text before them, including the bracket.
+        head: The text before the items, with the opening bracket.
         items: The items.
-        tail: The bracket, and the text after it.
-        is_tight: Whether all items may share a line without the brackets, as arguments may.
+        tail: The closing bracket, and the text after it.
+        is_tight: Whether the items may stand together on a line of their own, as arguments may.
     """
     one = f"{head}{', '.join(items)}{tail}"
     if len(one) <= WIDTH:

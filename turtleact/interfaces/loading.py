@@ -220,7 +220,7 @@ def load_workspace(*prefixes: str | Path) -> None:
 def offer_interfaces(
     files: Mapping[str, Path], on_use: Callable[[str, str], object] | None = None
 ) -> None:
-    """Make known interface files that nobody has chosen; `turtleact.workspace` finds such files.
+    """Make interface files known that the user has not chosen; `turtleact.workspace` finds them.
 
     A file is read when its interface is first used, so a malformed file does no harm before. A file
     takes precedence over a built-in interface with another definition.
@@ -277,7 +277,7 @@ def interface_source(type_name: str) -> str:
 def package_texts(*packages: str) -> dict[str, str]:
     """Return the interface texts of these packages and of the packages that they use, by type name.
 
-    A package that the given ones use is left out if it is built in with the same definitions.
+    A package that is used but not given is left out if its definitions are the built-in ones.
 
     Raises:
         UnknownInterface: if a package is not known; the error suggests the nearest name.
@@ -307,7 +307,7 @@ def used_packages(type_name: str) -> set[str]:
 
 
 def ships(package: str, known: tuple[str, ...]) -> bool:
-    """Whether a package is built in with the same definitions as the known ones."""
+    """Whether all known interfaces of a package are built in with the same definitions."""
     for name in (name for name in known if name.startswith(f"{package}/")):
         file = shipped(name)
         if file is None or parse(read(file), name) != definition(get_interface(name)):
@@ -348,7 +348,7 @@ def build(definition: Definition, making: tuple[str, ...]) -> Interface:
 
 
 def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
-    """Return the class with that full name, or None. The class may be read from its file."""
+    """Return the class with that full name, or None. If necessary, make the class from its file."""
     if type_name in making:
         circle = " in ".join([type_name, *reversed(making[making.index(type_name) :])])
         raise InvalidInterface(f"a message contains itself: {circle}", source=making[0])
@@ -365,7 +365,7 @@ def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
 
 
 def may_be_replaced(found: Interface, type_name: str) -> bool:
-    """Whether a file may replace a class: one that is built in and not yet compared."""
+    """Whether a file may replace a class: it is built in, and not yet compared with a file."""
     if not (REGISTRY.prefixes or REGISTRY.nearby) or type_name in REGISTRY.settled:
         return False
     return found.__module__.startswith(SHIPPED)
@@ -475,8 +475,8 @@ def needed(found: Interface | None, type_name: str) -> Interface:
 def suggestion(type_name: str) -> str:
     """Return the known interface that was most likely meant, or an empty string.
 
-    Two packages often have similar names, such as ``arm_interfaces`` and ``leg_interfaces``. So an
-    interface of another package is suggested only if its own name is similar.
+    Names of packages are often similar, such as ``arm_interfaces`` and ``leg_interfaces``. An
+    interface of another package is therefore suggested only if the interface's own name is similar.
     """
     known = known_interfaces()
     package, _, name = type_name.rpartition("/")

@@ -384,7 +384,7 @@ NUMBERS: dict[str, tuple[Callable[[str], object], ...]] = {
 
 
 def unquoted(text: str) -> str:
-    """Remove the quotes around a text. In the text, a backslash only escapes the quote."""
+    """Remove the quotes around a text. Inside them, a backslash escapes only the quote."""
     if not re.fullmatch(quoted, text):
         return text
     quote = text[0]

@@ -217,7 +217,7 @@ def json_tree(document: Document) -> object:
 
 
 def refuse_json(document: Document, error: ValueError | RecursionError) -> NoReturn:
-    """Raise the error for a JSON text that is too long to be read as YAML."""
+    """Raise the error for malformed JSON that is too long to be read as YAML."""
     if isinstance(error, json.JSONDecodeError):
         place = error.lineno - 1, error.colno - 1
         document.refuse(f"{error.msg}; it is too long to be YAML", place)
@@ -233,7 +233,7 @@ def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def sounded(document: Document, value: object, depth: int) -> object:
-    """Check how deep a JSON value is nested, and return the value. null becomes a special value."""
+    """Check how deeply a JSON value is nested, and return the value. null becomes a `Spelled`."""
     if depth > DEEPEST:
         document.refuse(TOO_DEEP)
     if isinstance(value, dict):
@@ -244,7 +244,7 @@ def sounded(document: Document, value: object, depth: int) -> object:
 
 
 def with_spelled_bools(value: object) -> object:
-    """Return a plain value with bools that errors show as YAML and JSON write them."""
+    """Replace the bools in a plain value, so that errors show them as YAML and JSON write them."""
     if isinstance(value, dict):
         return {key: with_spelled_bools(item) for key, item in value.items()}
     if isinstance(value, list):

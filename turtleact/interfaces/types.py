@@ -187,9 +187,9 @@ class Registry:
         return {name: copy(value) for name, value in vars(self).items()}
 
     def restore(self, state: Mapping[str, object]) -> None:
-        """Restore the classes that were registered when `state` was called.
+        """Restore what was registered when `state` was called.
 
-        Forget all later ones.
+        Everything registered later is forgotten.
         """
         vars(self).update({name: copy(value) for name, value in state.items()})
 
@@ -400,10 +400,10 @@ def check_strays(cls: type, parts: tuple[str, ...]) -> None:
 
 
 def read_body(namespace: dict[str, object], frame: FrameType, type_name: str) -> Shape:
-    """Return the declaration in a class body. In the body, give each field a default.
+    """Return the declaration in a class body.
 
     Args:
-        namespace: The body; this adds a default for every field.
+        namespace: The body. This function adds a default for every field to it.
         frame: The frame that runs the class statement.
         type_name: The full name of the class, or an empty string.
 

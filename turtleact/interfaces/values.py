@@ -64,14 +64,14 @@ def describe(value: object) -> str:
 
 
 class ShortRepr(reprlib.Repr):
-    """Python's short repr, which also handles numbers too long to write."""
+    """Python's short repr, which also handles numbers with too many digits for Python to write."""
 
     def __init__(self) -> None:
         super().__init__()
         self.maxstring = self.maxother = 60
 
     def repr_int(self, x: int, level: int) -> str:  # noqa: ARG002  the base class's signature
-        """Write a number. If no ROS type can hold it, only tell its size."""
+        """Write a number, or only its size if no ROS type can hold the number."""
         return repr(x) if x.bit_length() <= 128 else f"a number of {x.bit_length()} bits"
 
 
@@ -133,7 +133,7 @@ def whole_number(field_type: FieldType, value: object) -> int:
 
 
 def number(field_type: FieldType, value: object) -> float:
-    """Convert a value, which may be an int or a number of numpy, to a float without rounding."""
+    """Convert a real number, of Python or numpy, to a float, without rounding it to float32."""
     limit, edge = FLOAT_LIMITS[field_type.name]
     if is_too_large(field_type, value):
         raise out_of_range(field_type, value, f"-{edge}", edge)
@@ -151,7 +151,7 @@ def number(field_type: FieldType, value: object) -> float:
 
 
 def truth(field_type: FieldType, value: object) -> bool:
-    """Convert a bool, perhaps of numpy, to a bool."""
+    """Convert a bool, Python's or numpy's, to Python's."""
     if isinstance(value, Spelled) and value.truth is not None:
         return value.truth
     if not is_bool(value):
@@ -221,7 +221,7 @@ def check_length(field_type: FieldType, length: int) -> None:
 
 
 def is_too_large(field_type: FieldType, value: object) -> bool:
-    """Whether a text contains a number too large even for Python."""
+    """Whether a value stands for a number that is too large even for Python."""
     return isinstance(value, Spelled) and field_type.name in value.fits
 
 

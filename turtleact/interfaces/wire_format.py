@@ -82,7 +82,7 @@ class WireFormat:
         """Decode a message.
 
         Raises:
-            InvalidMessage: if the bytes are no such message. The error names the place.
+            InvalidMessage: if the bytes are not such a message. The error names the place.
         """
         if data[:2] == self._order and len(data) >= len(self._header):
             try:
@@ -170,7 +170,7 @@ class FeedbackFormat(WireFormat):
             return self.encode(message(UUID(goal_id), feedback))
 
     def write_unchecked(self, goal_id: bytes, feedback: object) -> bytes | None:
-        """Encode an object that may not be valid feedback.
+        """Encode an object without knowing whether it is valid feedback.
 
         Returns None if ``snapshot`` would convert or refuse the object. Then call `write` instead.
         """
@@ -183,7 +183,7 @@ class FeedbackFormat(WireFormat):
         """Decode only the feedback. The goal id is at `GOAL_ID` in the data.
 
         Raises:
-            InvalidMessage: if the bytes are no such message. The error names the place.
+            InvalidMessage: if the bytes are not such a message. The error names the place.
         """
         if data[:2] == self._order:
             try:
@@ -217,7 +217,8 @@ class EventFormat(WireFormat):
     """The format of a service's event topic.
 
     An event consists of some facts about a call and, at most, its request or response. This class
-    can also write it from the bytes of the request or response, in a fifth of the time.
+    can also build an event directly from the encoded request or response, which takes a fifth of
+    the time.
 
     Args:
         find_service: Returns the class of the service.

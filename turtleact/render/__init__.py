@@ -1,4 +1,4 @@
-"""Draws goals, feedback and turtles for a terminal: makes rich renderables of plain values.
+"""Draws goals, feedback and turtles for a terminal: makes rich renderables from plain values.
 
 This package has no logic and no time: `turtleact.commands` decides what to show, and how often.
 Only this package imports rich.

@@ -56,12 +56,12 @@ class GoalView(NamedTuple):
         goal: The goal message; None if it is unknown.
         goal_id: The id of the goal, in hexadecimal.
         status: Its state.
-        age: How long ago it was accepted (s).
+        age: How long ago the goal was accepted (s).
         feedback: The last feedback, if there is one.
         fraction: The progress, 0 to 1, if it is known.
         progress: The progress in words.
-        motion: How its turtle moves, if that is unusual, such as ``reversing``.
-        is_paused: Whether it is paused.
+        motion: The turtle's motion if it is unusual, such as ``reversing``; otherwise empty.
+        is_paused: Whether the goal is paused.
     """
 
     name: str
@@ -197,7 +197,8 @@ class GoalRow(NamedTuple):
         turtle: The turtle that the goal drives; empty if it drives none.
         colour: The colour of that turtle.
         targets: Its targets, in order.
-        motion: How its turtle moves, as in `GoalView`, and whether it is paused or resumed.
+        motion: Whether the goal was resumed, and whether it is paused; if not paused, also the
+            turtle's motion, as in `GoalView`.
     """
 
     name: str

@@ -49,7 +49,7 @@ class Faults(msgspec.Struct, frozen=True):
 
     Attributes:
         delivered: How many messages arrived.
-        repeated: How many of the arrived messages came twice.
+        repeated: How many of the delivered messages arrived twice.
         dropped: How many messages were lost by chance.
         cut: How many messages were lost because the link was cut.
         on_their_way: How many messages have yet to arrive.
@@ -78,9 +78,8 @@ class FaultyTransport:
         delay: How late messages are (s of the transport's clock): one number for all messages, or a
             pair of limits between which each delay is drawn.
         drop: The share of messages that are lost, from 0 to 1.
-        repeat: The share of the messages not lost that arrive twice, from 0 to 1.
+        repeat: The share of messages that arrive twice, from 0 to 1. Lost messages do not count.
 
-    Attributes:
     Attributes:
         clock: The time of the wrapped transport.
         round_trip: The round-trip time of the wrapped transport.
@@ -123,7 +122,7 @@ class FaultyTransport:
         self._names: Counter[str] = Counter()
 
     def cut(self) -> None:
-        """Deliver nothing from now on. Messages on their way are lost when they would arrive."""
+        """Deliver nothing from now on. A message on its way is lost if it is due before `mend`."""
         self.is_cut = True
 
     def mend(self) -> None:
@@ -179,7 +178,7 @@ class FaultyTransport:
         return self._transport.all_local(name, type_name)
 
     def local(self, name: str, type_name: str) -> object | None:
-        """The handler that has served a service for longest, whether the link is cut or not."""
+        """The handler that has served a service the longest, whether the link is cut or not."""
         return self._transport.local(name, type_name)
 
     def enter(self, node: str) -> Closeable:
@@ -213,7 +212,7 @@ class FaultyTransport:
             self._links.remove(link)
 
     async def aclose(self) -> None:
-        """Lose the messages on their way, and deliver nothing more."""
+        """Drop the messages on their way, and deliver nothing more."""
         self.cut()
         for link in tuple(self._links):
             await link.aclose()

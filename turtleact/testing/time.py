@@ -10,8 +10,8 @@ two exceptions:
 - A socket, a pipe or a child process may be open. Time then jumps only after ``patience`` real
   seconds without any news from it, because nobody can know whether news will come.
 
-Consequently, a thread that itself waits for virtual time waits for ever. A thread that the loop did
-not start does not hold time up.
+Consequently, a thread that itself waits for virtual time waits forever. Time does not wait for a
+thread that the loop did not start.
 
 Source: trio's ``MockClock`` for the idea; asyncio's ``BaseEventLoop._run_once``, which asks its
 selector to wait until the next timer.
@@ -210,8 +210,8 @@ class _Selector(IdleSelector):
 class _Hold:
     """Keeps trio's clock from jumping while something real is under way.
 
-    This is an instrument of trio. After each step of a task, it sets how long all tasks must have
-    waited, in real time, before the clock jumps.
+    It is a trio instrument: after each step of a task, it sets how long all tasks must have waited,
+    in real time, before the clock jumps.
     """
 
     def __init__(self, clock: trio.testing.MockClock, patience: float) -> None:

@@ -181,7 +181,7 @@ class Format(Protocol):
         """Encode a message. Raises `InvalidMessage` if the message does not fit its type."""
 
     def decode(self, data: bytes) -> object:
-        """Decode a message. Raises `InvalidMessage` if the bytes are no such message."""
+        """Decode a message. Raises `InvalidMessage` if the bytes are not such a message."""
 
 
 class RawFormat:

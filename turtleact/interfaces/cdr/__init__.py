@@ -75,7 +75,8 @@ def decode(
         cls: The class.
         data: The bytes, header included.
         arrays: The type for sequences of numbers: ``"list"``, ``"array"`` for ``array.array``
-            (bools stay a list), or ``"numpy"``. ``bytes`` stay ``bytes``.
+            (bools stay a list), or ``"numpy"``. A field declared as ``bytes`` is ``bytes`` in any
+            case.
 
     Raises:
         InvalidMessage: with the path and place of the first value that is cut off, has an

@@ -98,7 +98,7 @@ class Reader:
     """Writes the source code of a decoder.
 
     Each method adds code that reads a value, and returns an expression for it. The expression is
-    valid only behind the code that `flush` adds. That code reads the pending run: values that are
+    valid only after the code that `flush` adds. That code reads the pending run: values that are
     read in one call.
 
     Attributes:
@@ -201,7 +201,7 @@ class Reader:
         return value
 
     def rows(self, cls: type[Message], value: str, count: str, size: int) -> None:
-        """Add code that reads messages that are one run each, at equal distances."""
+        """Add code that reads a sequence of messages, each a single run, at equal distances."""
         self.align(size, count)
         expression = self.message(cls)
         items, self.pending = self.pending, []
@@ -211,7 +211,7 @@ class Reader:
         self.source.add(f"{value} = [{expression} {each}]")
 
     def count(self, field_type: FieldType) -> str:
-        """Add code that reads the length of a sequence, unless fixed, and moves ``p`` behind it."""
+        """Add code that reads the length of a sequence, unless fixed, and moves ``p`` past it."""
         if field_type.form is ArrayForm.FIXED:
             self.flush()
             self.settle()

@@ -59,8 +59,8 @@ def encoder(
 ) -> Callable[..., bytes]:
     """Return a function that encodes messages of this class.
 
-    If the bytes before the message are more than the header, they are the function's second
-    argument.
+    If more than the header comes before the message, the function takes all the bytes before the
+    message as its second argument.
 
     Args:
         cls: The class.
@@ -212,7 +212,10 @@ class Writer:
         self.content(content, size_of(code))
 
     def elements(self, field_type: FieldType, value: str) -> None:
-        """Add code that refuses all but a list whose elements have the field's type."""
+        """Add code that refuses all but a list whose elements have the field's type.
+
+        ``bytes`` are accepted, too, if the elements are bytes.
+        """
         if field_type.name in BYTE_TYPES:
             self.source.add(f"if type({value}) is not bytes:")
             self.source.depth += 1
@@ -244,7 +247,7 @@ class Writer:
         return all(common_run("<", each, self.places) for each in (items, items[:-1]))
 
     def rows(self, cls: type[Message], value: str, size: int) -> None:
-        """Add code that writes messages that are one run each, at equal distances."""
+        """Add code that writes a sequence of messages, each a single run, at equal distances."""
         self.align(size, value)
         self.source.add(f"for x in {value}:")
         self.source.depth += 1
@@ -331,9 +334,10 @@ def text_encoder(
 
 
 def is_other(field_type: FieldType, value: str) -> str:
-    """Return the condition that a value is not of its Python type; ``struct`` checks the range.
+    """Return the condition that a value is not of the expected Python type.
 
-    A text that is not ASCII is refused here, since it may contain half a surrogate pair.
+    ``struct`` checks the range. Text that is not ASCII is refused here, since it may contain half a
+    surrogate pair.
     """
     if field_type.is_string:
         return f"type({value}) is not str or not {value}.isascii()"
@@ -372,7 +376,7 @@ KINDS = {
 
 
 def behind(runs: Runs, *values: object) -> bytes:
-    """Pack a run followed by the content of an array, which is the last value."""
+    """Pack a run, then the content of an array, which is the last of ``values``."""
     *others, value = values
     content = copied(runs.code, value)
     first: bytes = runs[0](*others)
