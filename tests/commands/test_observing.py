@@ -169,6 +169,7 @@ BUSY = (
 )
 GIVEN_UP = "Failed to export spans batch due to timeout, max retries or shutdown."
 MISSING = "Failed to export metrics batch code: 404, reason: Not Found"
+MOVED = "Failed to export spans batch code: 307, reason: Temporary Redirect to https://a"
 AT = "spans and measurements do not reach the collector at http://localhost:4318"
 SET = "start it, or set OTEL_EXPORTER_OTLP_ENDPOINT"
 
@@ -178,6 +179,14 @@ SET = "start it, or set OTEL_EXPORTER_OTLP_ENDPOINT"
     [
         ([REFUSED, GIVEN_UP], [f"{AT}: Connection refused; {SET}"]),
         ([BUSY, GIVEN_UP], [f"{AT}: Service Unavailable; {SET}"]),
+        (
+            [MOVED],
+            [
+                f"the collector takes no {what}: 307 Temporary Redirect to https://a; "
+                "set OTEL_EXPORTER_OTLP_ENDPOINT to the address that it redirects to"
+                for what in ("measurements", "spans")
+            ],
+        ),
         ([GIVEN_UP], [f"{AT}: no answer; {SET}"]),
         (
             [MISSING],

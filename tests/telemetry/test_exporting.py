@@ -118,6 +118,21 @@ async def test_a_value_that_cannot_be_read_is_one_line(
     assert (record.getMessage(), record.exc_info) == (told, None)
 
 
+async def test_a_collector_that_redirects_is_reported(monkeypatch, providers, caplog):
+    with collecting() as collector:
+        collector.moved_to = "/elsewhere"
+        monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", collector.url)
+        async with exporting("lab"):
+            await run_goals(providers)
+    assert sorted((each.name.rpartition(".")[2], each.getMessage()) for each in caplog.records) == [
+        (
+            f"{name}_exporter",
+            f"Failed to export {kind} batch code: 307, reason: Temporary Redirect to /elsewhere",
+        )
+        for name, kind in (("metric", "metrics"), ("trace", "spans"))
+    ]
+
+
 @pytest.fixture
 def silent() -> Iterator[str]:
     """A collector that takes connections and never answers."""

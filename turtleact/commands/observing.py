@@ -159,10 +159,10 @@ def _problem(record: logging.LogRecord) -> str:
     if answer := ANSWER.search(text):
         is_metrics = record.name.endswith("metric_exporter")
         what, kind = ("measurements", "METRICS") if is_metrics else ("spans", "TRACES")
-        return (
-            f"the collector takes no {what}: {answer['code']} {answer['reason']}; "
-            f"OTEL_{kind}_EXPORTER=none sends none"
-        )
+        advice = f"OTEL_{kind}_EXPORTER=none sends none"
+        if answer["code"].startswith("3"):
+            advice = "set OTEL_EXPORTER_OTLP_ENDPOINT to the address that it redirects to"
+        return f"the collector takes no {what}: {answer['code']} {answer['reason']}; {advice}"
     if attempt := NO_ANSWER.search(text):
         return _unreachable(attempt["reason"])
     return ""

@@ -18,9 +18,10 @@ import logging
 import os
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from typing import Final
+from typing import Any, Final
 
 import anyio
+import requests
 from opentelemetry import metrics, trace
 from opentelemetry.exporter.otlp.proto.http.metric_exporter import OTLPMetricExporter
 from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
@@ -42,6 +43,12 @@ FLUSH_WITHIN: Final = 3.0
 """How long sending the last spans and measurements may take at the end (s, event loop time)."""
 
 EXPORTERS: Final = ("otlp", "none")
+
+LOGGERS: Final = {
+    kind: logging.getLogger(f"opentelemetry.exporter.otlp.proto.http.{exporter}_exporter")
+    for kind, exporter in (("spans", "trace"), ("metrics", "metric"))
+}
+"""The loggers of the exporters."""
 
 READERS: Final = "opentelemetry.sdk.trace.export", "opentelemetry.sdk.resources"
 """The loggers that report environment variables with a traceback."""
@@ -80,19 +87,51 @@ def _set_up(service: str) -> list[Callable[[], object]]:
     ends: list[Callable[[], object]] = []
     if _is_wanted("OTEL_TRACES_EXPORTER"):
         spans = TracerProvider(resource=resource, shutdown_on_exit=False)
-        spans.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
+        spans.add_span_processor(BatchSpanProcessor(OTLPSpanExporter(session=_session("spans"))))
         trace.set_tracer_provider(spans)
         ends.append(spans.shutdown)
     else:
         trace.set_tracer_provider(trace.NoOpTracerProvider())
     if _is_wanted("OTEL_METRICS_EXPORTER"):
-        reader = PeriodicExportingMetricReader(OTLPMetricExporter())
+        reader = PeriodicExportingMetricReader(OTLPMetricExporter(session=_session("metrics")))
         numbers = MeterProvider([reader], resource, shutdown_on_exit=False)
         metrics.set_meter_provider(numbers)
         ends.append(numbers.shutdown)
     else:
         metrics.set_meter_provider(metrics.NoOpMeterProvider())
     return ends
+
+
+class _Session(requests.Session):
+    """Sends the requests of an exporter, and reports redirects.
+
+    The SDK does not follow a redirect, and takes it for a success. A redirect is therefore logged
+    here, in the words of the exporters.
+
+    Args:
+        kind: What is sent, as the exporters call it.
+    """
+
+    def __init__(self, kind: str) -> None:
+        super().__init__()
+        self._kind = kind
+
+    def send(self, request: requests.PreparedRequest, **settings: Any) -> requests.Response:  # noqa: ANN401  # as requests has them
+        """Send a request."""
+        response = super().send(request, **settings)
+        if 300 <= response.status_code < 400:
+            place = response.headers.get("Location", "another address")[:200]
+            reason = f"{response.reason} to {place}"
+            problem = "Failed to export %s batch code: %d, reason: %s"
+            LOGGERS[self._kind].error(problem, self._kind, response.status_code, reason)
+        return response
+
+
+def _session(kind: str) -> requests.Session | None:
+    """A session for an exporter; None if the user's environment names a provider of sessions."""
+    if any(name.endswith("_CREDENTIAL_PROVIDER") for name in os.environ):
+        return None
+    return _Session(kind)
 
 
 @contextmanager
