@@ -143,6 +143,20 @@ async def test_a_scaled_clock_waits_for_a_sleeper_that_is_late(wall, monkeypatch
     assert clock.time() == pytest.approx(1 + LEEWAY + 20)
 
 
+async def test_a_scaled_clock_waits_for_a_sleeper_that_catches_up(wall, monkeypatch):
+    clock, sleeps = ScaledClock(10), HandSleep(monkeypatch)
+    wall.seconds += 1
+    async with running(lambda: clock.sleep_until(9.99)), running(lambda: clock.sleep_until(1)):
+        for _ in range(2):
+            wall.seconds += 5
+            assert clock.time() == pytest.approx(10)
+        sleeps.ends[1].set()
+        await settle()
+        wall.seconds += 5
+        assert clock.time() == pytest.approx(9.99 + LEEWAY)
+        sleeps.ends[0].set()
+
+
 async def test_what_a_late_sleeper_took_nobody_else_has_slept(wall, monkeypatch):
     clock, sleeps = ScaledClock(10), HandSleep(monkeypatch)
     async with running(lambda: clock.sleep(1)), running(lambda: clock.sleep(3)):

@@ -141,7 +141,10 @@ class ScaledClock:
     async def sleep_until(self, deadline: float) -> None:
         """Wait until `time` has reached ``deadline``."""
         now = self.time()
-        await self._sleep(max(deadline, now), max(deadline - now, 0.0))
+        # A past deadline counts as it is, so a task that catches up, such as the ticks of a world,
+        # holds the clock up until it has caught up. It does not count as older than `LEEWAY`,
+        # because time would go backwards.
+        await self._sleep(max(deadline, now - LEEWAY), max(deadline - now, 0.0))
 
     def stop_at(self, moment: float) -> None:
         """Stop at ``moment``, or now if ``moment`` has passed.

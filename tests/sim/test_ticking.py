@@ -54,6 +54,25 @@ async def ticks(clock=None, *, is_paused=False):
             yield made
 
 
+class Ahead(WallClock):
+    """A clock that can leap ahead."""
+
+    lead = 0.0
+
+    def time(self):
+        return super().time() + self.lead
+
+
+@LEAPING
+async def test_ticks_begin_from_wherever_the_clock_has_run_to_by_then():
+    clock = Ahead()
+    made = Ticks(clock)
+    clock.lead = 0.7  # before the task of the ticks has had its first turn
+    async with aclosing(made.ticking):
+        await clock.sleep(2.5 * TICK)
+    assert made.log == pytest.approx([0.7, 0.7 + TICK, 0.7 + 2 * TICK])
+
+
 @LEAPING
 @SPEEDS
 async def test_in_a_pause_there_are_no_ticks_and_the_clock_stands(speed):

@@ -190,6 +190,9 @@ class Ticking:
 
     async def _run(self) -> None:
         clock = self._clock
+        # Until here nothing held the clock up, and it may have run ahead while a program started.
+        # The first ticks would then be late, and come at once.
+        self._start = max(self._start, clock.time() - self._count * DT)
         while True:
             # A machine that is a little late catches up tick by tick, so the schedule does not
             # drift. If it was suspended, or is too slow for the requested speed, catching up would
