@@ -327,7 +327,7 @@ async def test_a_reader_that_never_reads_is_cut_off_and_slows_nobody(caplog, mon
 @ON_ASYNCIO
 @pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost: loc"])
 async def test_a_client_that_asks_for_nothing_is_let_go(said, monkeypatch):
-    monkeypatch.setattr("turtleact.web.server.REQUEST_WITHIN", 0.05)
+    monkeypatch.setattr("turtleact.web.server.Config.request_within", 0.05)
     async with (
         turtleact.open_node("lab") as node,
         open_web(node, port=0) as web,

@@ -32,8 +32,14 @@ FORBIDDEN: Final = (
     "only programs on this machine may read this; --metrics 0.0.0.0:PORT lets all in\n"
 )
 
-MOST_CONNECTIONS: Final = 32
-"""The maximum number of connections at a time."""
+MOST_CONNECTIONS: Final = 256
+"""So many connections may be open. Most programs may open 1,024 files."""
+
+SPARE: Final = 64
+"""So many more connections may be open, whose requests are answered with 503."""
+
+REQUEST_WITHIN: Final = 2.0
+"""How long a client may take to send its request, which is short (s)."""
 
 
 @asynccontextmanager
@@ -64,5 +70,6 @@ async def open_metrics(text: Callable[[], str], host: str, port: int) -> AsyncIt
     app = Starlette(routes=[Route("/metrics", answer)])
     with bound(host, port, read_ahead=READ_AHEAD) as listener:
         config = Config(app, Refusals(), limit_concurrency=MOST_CONNECTIONS)
+        config.request_within, config.spare = REQUEST_WITHIN, SPARE
         async with serving(config, listener):
             yield f"{address_of(host, listener.getsockname()[1])}metrics"

@@ -175,9 +175,14 @@ class Config(http_server.Config):
     Attributes:
         refusals: The argument ``refusals``.
         budget: The budget for the memory of all WebSockets. An app without WebSockets needs none.
+        request_within: How long a client may take to send its request (s).
+        spare: How many more connections may be open, whose requests are answered with 503. Any
+            further connection is reset.
     """
 
     budget: Budget
+    request_within: float = REQUEST_WITHIN
+    spare: int = 0
 
     def __init__(
         self,
@@ -221,18 +226,21 @@ class _Log(logging.Logger):
 class Http(H11Protocol):
     """An HTTP connection, for one request.
 
-    At most ``limit_concurrency`` connections are open, including those that have become a `Socket`.
+    At most ``limit_concurrency`` and ``spare`` connections are open, including those that have
+    become a `Socket`.
     """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
         """Take a connection, unless there are too many."""
-        self.logger = _Log(cast("Config", self.config).refusals)
+        config = cast("Config", self.config)
+        self.logger = _Log(config.refusals)
         super().connection_made(transport)
-        if self.limit_concurrency is not None and len(self.connections) > self.limit_concurrency:
-            self.logger.warning("%d connections are open", self.limit_concurrency)
+        most = (self.limit_concurrency or 0) + config.spare
+        if len(self.connections) > most:
+            self.logger.warning("%d connections are open", most)
             transport.abort()
         else:
-            self.loop.call_later(REQUEST_WITHIN, self._give_up)
+            self.loop.call_later(config.request_within, self._give_up)
 
     def _give_up(self) -> None:
         is_asked: bool = self.cycle is not None or self.transport.get_protocol() is not self
