@@ -343,6 +343,18 @@ def test_what_cannot_be_played_is_said(on_graph, tmp_path):
         (["--rate", "fast"], "--rate takes a factor above zero or max, not 'fast'"),
         (["--rate", "0"], "--rate takes a factor above zero or max, not '0'"),
         (["--clock", "0"], "Invalid value for '--clock': '0' is not a rate in Hz above zero"),
+        (
+            ["--start-offset", "1e300"],
+            "Invalid value for '--start-offset': '1e300' is more than 1,000,000,000 seconds",
+        ),
+        (
+            ["--playback-duration", "1e10"],
+            "Invalid value for '--playback-duration': '1e10' is more than 1,000,000,000 seconds",
+        ),
+        (
+            ["--delay", "1e300"],
+            "Invalid value for '--delay' / '-d': '1e300' is more than 1,000,000,000 seconds",
+        ),
         (["--remap", "/a"], "--remap takes rules such as /old:=/new, not '/a'"),
     ],
 )
@@ -381,6 +393,7 @@ def test_a_bag_is_converted_as_a_file_for_ros2_bag_says(turtleact, bag, tmp_path
         ("output_bags: [{uri: a, compression_mode: file}]", "no option compression_mode"),
         ("output_bags: [{uri: a, storage_id: sqlite3}]", "needs a 'uri', and the storage_id mcap"),
         ("output_bags: [{uri: a, max_bagfile_size: x}]", "cannot be understood: invalid literal"),
+        ("output_bags: [{uri: a, end_time_ns: .inf}]", "cannot be understood: cannot convert"),
         ("output_bags: [{}]", "needs a 'uri', and the storage_id mcap"),
     ],
 )

@@ -191,6 +191,14 @@ async def test_bags_of_rosbags_are_read(tmp_path, plugin, version):
     assert info_of(path).storage == plugin.name.lower()
 
 
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_range_may_reach_beyond_all_stamps(tmp_path, plugin):
+    path = tmp_path / "theirs"
+    write_by_rosbags(path, plugin, 9)
+    assert len(stamps(path, Range(-(10**30), 10**30))) == 5
+    assert stamps(path, Range(10**30)) == []
+
+
 def test_an_old_sqlite_file_has_no_definitions(tmp_path):
     path = tmp_path / "old.db3"
     database = sqlite3.connect(path)
@@ -456,6 +464,13 @@ def test_offers_that_cannot_be_read_are_left_out():
     [offer] = read_offers([{"depth": 0, "deadline": {"sec": 2147483647, "nsec": 4294967295}}])
     assert offer.qos == QoS()
     assert offer.times.deadline is None
+
+
+def test_a_description_with_a_negative_count_is_refused(tmp_path):
+    path = write_bag(tmp_path / "run") / "metadata.yaml"
+    path.write_text(path.read_text().replace("message_count: 10", "message_count: -10"))
+    with pytest.raises(BagError, match="not readable as metadata.yaml .*message_count is -10"):
+        Bag(path.parent)
 
 
 def test_a_folder_can_be_moved_and_renamed(tmp_path):

@@ -310,6 +310,22 @@ async def test_a_reader_that_leaves_early_leaves_nothing_to_the_garbage_collecto
     await anyio.lowlevel.checkpoint()
 
 
+@pytest.mark.parametrize("option", ["start_offset", "duration"])
+@pytest.mark.parametrize("seconds", [1e300, -1.0, float("nan")])
+async def test_times_that_make_no_sense_are_refused(node, tmp_path, option, seconds):
+    path = write(tmp_path / "run", 0.0)
+    options: Any = {option: seconds}
+    with pytest.raises(InvalidOption, match=rf"'{option}': expected 0 to 1,000,000,000 seconds"):
+        await recording.play(node, path, **options)
+
+
+async def test_a_file_of_no_sensible_duration_is_not_begun(node, tmp_path):
+    with pytest.raises(InvalidOption, match="'max_duration': expected 0 to 1,000,000,000 seconds"):
+        async with recording.record(node, tmp_path / "run", max_duration=1e300):
+            pytest.fail("it began")
+    assert not (tmp_path / "run").exists()
+
+
 async def test_damage_is_raised_as_it_is(node, tmp_path):
     path = write(tmp_path / "run.mcap", *range(100))
     content = bytearray(path.read_bytes())

@@ -71,7 +71,7 @@ def outputs_in(path: Path) -> list[Output]:
         raise UsageError(f"'{path}' needs a list 'output_bags', as for ros2 bag convert")
     try:
         return [_output(path, each) for each in wanted]
-    except (TypeError, ValueError) as error:  # a value of another type
+    except (TypeError, ValueError, OverflowError) as error:  # another type, or infinite
         raise UsageError(f"'{path}' cannot be understood: {error}") from None
 
 

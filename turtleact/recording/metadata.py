@@ -310,7 +310,7 @@ def _info(said: dict[str, Any]) -> BagInfo:
         int(said["starting_time"]["nanoseconds_since_epoch"]),
         int(said["duration"]["nanoseconds"]),
     )
-    count = int(said["message_count"])
+    count = _count(said)
     paths = [str(each) for each in said["relative_file_paths"]]
     files = {str(each["path"]): _file(each) for each in said.get("files") or ()}
     alone = BagFile(path="", start=start, duration=duration, count=count)
@@ -327,6 +327,13 @@ def _info(said: dict[str, Any]) -> BagInfo:
     )
 
 
+def _count(said: dict[str, Any]) -> int:
+    count = int(said["message_count"])
+    if count < 0:
+        raise ValueError(f"message_count is {count}")
+    return count
+
+
 def _compression(said: dict[str, Any]) -> str:
     mode = str(said.get("compression_mode") or "").lower()
     return "" if mode == "none" else mode
@@ -337,7 +344,7 @@ def _file(said: dict[str, Any]) -> BagFile:
         path=str(said["path"]),
         start=int(said["starting_time"]["nanoseconds_since_epoch"]),
         duration=int(said["duration"]["nanoseconds"]),
-        count=int(said["message_count"]),
+        count=_count(said),
     )
 
 
@@ -346,7 +353,7 @@ def _topic(said: dict[str, Any]) -> BagTopic:
     return BagTopic(
         name=str(about["name"]),
         type_name=str(about["type"]),
-        count=int(said["message_count"]),
+        count=_count(said),
         offers=read_offers(about.get("offered_qos_profiles") or ()),
         type_hash=str(about.get("type_description_hash") or ""),
         format=str(about["serialization_format"]),

@@ -38,7 +38,7 @@ from turtleact.recording.bag import Bag, Reading, Recorded, reader_of
 from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import EVERYTHING, REQUESTS, Selection, owner_of, part_of
-from turtleact.recording.storage import Channel, Range
+from turtleact.recording.storage import Channel, Range, in_nanoseconds
 from turtleact.tasks import Background, current_tasks, thread_work
 from turtleact.transports.base import Endpoint, Publication, QoS, RawFormat
 
@@ -109,7 +109,8 @@ async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> 
 
     Raises:
         BagError: if there is no bag, or a place in it is damaged.
-        InvalidOption: if the rate is neither a number above zero nor "max".
+        InvalidOption: if the rate is neither a number above zero nor "max", or ``start_offset`` or
+            ``duration`` is negative or above 1,000,000,000.
         TypeError: if an option does not exist.
     """
     for unknown in options.keys() - PlayOptions.__annotations__.keys():
@@ -117,8 +118,9 @@ async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> 
     rate = options.get("rate", 1.0)
     if rate != "max" and not (isinstance(rate, int | float) and rate > 0):
         raise InvalidOption("rate", f"expected a number above zero or 'max', not {rate!r}")
+    times = _times(options)
     bag = Bag(path)
-    player = _Player(node, bag, options)
+    player = _Player(node, bag, options, times)
     failure: TurtleactError | None = None
     try:
         async with anyio.create_task_group() as goals:
@@ -148,18 +150,21 @@ class _Player:
         node: A node on the graph.
         bag: The bag.
         options: See `play`.
+        times: Where to begin and how much to play (ns); None for the rest of the bag.
     """
 
-    def __init__(self, node: Node, bag: Bag, options: PlayOptions) -> None:
+    def __init__(
+        self, node: Node, bag: Bag, options: PlayOptions, times: tuple[int, int | None]
+    ) -> None:
         self.played = Played()
         self._node = node
         self._bag = bag
         self._remap = options.get("remap", {})
         self._selection = _selection(node, options)
         self._sends_goals = options.get("send_goals", False)
-        self._start = bag.info.start + round(options.get("start_offset", 0.0) * 1e9)
-        duration = options.get("duration")
-        self._end = None if duration is None else self._start + round(duration * 1e9)
+        offset, duration = times
+        self._start = bag.info.start + offset
+        self._end = None if duration is None else self._start + duration
         self._outlets: dict[str, Callable[[bytes], None]] = {}
         self._publications: dict[str, Publication] = {}
         self._goals: _GoalSender | None = None
@@ -460,6 +465,13 @@ async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncGenerator[list[
         if batch is None:
             return
         yield batch
+
+
+def _times(options: PlayOptions) -> tuple[int, int | None]:
+    """The offset and the duration in the options (ns)."""
+    offset = in_nanoseconds("start_offset", options.get("start_offset", 0.0))
+    duration = options.get("duration")
+    return offset, None if duration is None else in_nanoseconds("duration", duration)
 
 
 def _selection(node: Node, options: PlayOptions) -> Selection:

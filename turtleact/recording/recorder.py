@@ -32,7 +32,7 @@ from turtleact.recording.metadata import BagError, Offer
 from turtleact.recording.schemas import Schema, schema_of
 from turtleact.recording.selection import EVENT, EVERYTHING, Selection
 from turtleact.recording.spool import CAPACITY, Spool
-from turtleact.recording.storage import Channel
+from turtleact.recording.storage import Channel, in_nanoseconds
 from turtleact.tasks import Background, current_tasks, thread_work
 from turtleact.transports.base import Closeable, Endpoint, QoS, RawFormat
 
@@ -282,13 +282,14 @@ async def record(
         BagError: if the folder or file exists or cannot be created. If the disk was full, the error
             is raised at the end of the block; everything recorded before that can be read.
         InvalidName: if a name breaks ROS 2's rules.
+        InvalidOption: if ``max_duration`` is negative or above 1,000,000,000.
         TypeError: if an option does not exist.
     """
     for unknown in options.keys() - RecordOptions.__annotations__.keys():
         raise TypeError(f"record has no option '{unknown}'")
     split = Split(
         max_size=options.get("max_size", 0),
-        max_duration=round(options.get("max_duration", 0.0) * 1e9),
+        max_duration=in_nanoseconds("max_duration", options.get("max_duration", 0.0)),
         compression=options.get("compression", "none"),
     )
     selection = _selection(node, options)

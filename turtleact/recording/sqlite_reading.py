@@ -63,13 +63,17 @@ class SqliteFile:
         """
         chosen = [number for number, each in self.channels.items() if wanted.has(each.topic)]
         marks = ", ".join("?" * len(chosen))
-        end = 2**63 - 1 if wanted.end is None else wanted.end
+        # SQLite's numbers have 64 bits.
+        start, end = (
+            max(-(2**63), min(each, 2**63 - 1))
+            for each in (wanted.start, 2**63 - 1 if wanted.end is None else wanted.end)
+        )
         query = (
             f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) "  # noqa: S608  # marks only
             "AND timestamp BETWEEN ? AND ? ORDER BY timestamp, id"
         )
         try:
-            for number, stamp, data in self._rows(query, *chosen, wanted.start, end):
+            for number, stamp, data in self._rows(query, *chosen, start, end):
                 yield Raw(stamp, stamp, self.channels[number], data)
         except sqlite3.Error as error:
             raise BagError(self.path, f"it is damaged: {error}") from error

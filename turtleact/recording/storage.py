@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import msgspec
 
+from turtleact.errors import InvalidOption
 from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import Schema
 
-__all__ = ["BagStorage", "Channel", "Range", "Raw"]
+__all__ = ["LONGEST", "BagStorage", "Channel", "Range", "Raw", "in_nanoseconds"]
+
+LONGEST: Final = 1_000_000_000
+"""The longest time that an option may give (s): 31 years, which fit in the stamps of all files."""
 
 
 class Channel(msgspec.Struct, frozen=True, kw_only=True):
@@ -64,6 +68,17 @@ class Range(msgspec.Struct, frozen=True):
     def has(self, topic: str) -> bool:
         """Whether a topic is read."""
         return self.wants is None or self.wants(topic)
+
+
+def in_nanoseconds(option: str, seconds: float) -> int:
+    """Return a length of time in nanoseconds.
+
+    Raises:
+        InvalidOption: if it is negative or above `LONGEST`, or is no number.
+    """
+    if not 0 <= seconds <= LONGEST:
+        raise InvalidOption(option, f"expected 0 to {LONGEST:,} seconds, not {seconds!r}")
+    return round(seconds * 1e9)
 
 
 class BagStorage(Protocol):

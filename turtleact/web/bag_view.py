@@ -53,6 +53,9 @@ PAGE: Final = {
 LONGEST: Final = 60.0
 """The longest part of a bag that is sent at once (s)."""
 
+FURTHEST: Final = 1_000_000_000
+"""The poses may begin at most this far from the start of the bag (s)."""
+
 CLOSEST: Final = 25_000_000
 """A pose of a turtle is left out if it comes within this time of the one before (ns)."""
 
@@ -134,6 +137,8 @@ class BagView:
         start, end = (float(asked.query_params.get(name, "nan")) for name in ("start", "end"))
         if not 0 <= end - start <= LONGEST:
             raise ValueError(f"ask for {LONGEST:g} s at most")
+        if not abs(start) <= FURTHEST:
+            raise ValueError(f"ask for a start of {FURTHEST:,} s at most")
         first, last = (origin + round(moment * 1e9) for moment in (start, end))
         wanted = Range(first, last, channels.__contains__)
         readers = {topic: reader_of(each) for topic, each in channels.items()}

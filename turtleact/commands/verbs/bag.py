@@ -203,6 +203,7 @@ MaxDuration: TypeAlias = Annotated[
         "-d",
         text="Begin another file after this time; 0 for never.",
         panel=FILES,
+        is_of_bag=True,
     ),
 ]
 CacheSize: TypeAlias = Annotated[
@@ -272,15 +273,23 @@ Loop: TypeAlias = Annotated[
 StartOffset: TypeAlias = Annotated[
     float,
     in_seconds(
-        "--start-offset", text="Begin this many seconds after the start of the bag.", panel=PLAYING
+        "--start-offset",
+        text="Begin this many seconds after the start of the bag.",
+        panel=PLAYING,
+        is_of_bag=True,
     ),
 ]
 PlayDuration: TypeAlias = Annotated[
     float | None,
-    in_seconds("--playback-duration", text="Leave out what was recorded later.", panel=PLAYING),
+    in_seconds(
+        "--playback-duration",
+        text="Leave out what was recorded later.",
+        panel=PLAYING,
+        is_of_bag=True,
+    ),
 ]
 Delay: TypeAlias = Annotated[
-    float, in_seconds("--delay", "-d", text="Wait before playing.", panel=PLAYING)
+    float, in_seconds("--delay", "-d", text="Wait before playing.", panel=PLAYING, is_of_bag=True)
 ]
 Remap: TypeAlias = Annotated[
     list[str] | None,

@@ -305,9 +305,17 @@ def count_of(name: str) -> Any:  # noqa: ANN401  # likewise
     return typer.Option(name, "-c", help="Print only how many there are.")
 
 
-def in_seconds(*names: str, text: str, panel: str | None = None) -> Any:  # noqa: ANN401  # likewise
-    """Declare an option that takes a number of seconds, 0 or more."""
-    return typer.Option(*names, metavar="SECONDS", parser=seconds, help=text, rich_help_panel=panel)
+def in_seconds(*names: str, text: str, panel: str | None = None, is_of_bag: bool = False) -> Any:  # noqa: ANN401  # likewise
+    """Declare an option that takes a number of seconds, 0 or more.
+
+    Args:
+        *names: The names of the option.
+        text: Its help.
+        panel: Its place in the help.
+        is_of_bag: Whether it is a time in a bag, which has a limit.
+    """
+    parser = bag_seconds if is_of_bag else seconds
+    return typer.Option(*names, metavar="SECONDS", parser=parser, help=text, rich_help_panel=panel)
 
 
 def type_and_text(
@@ -354,6 +362,16 @@ def seconds(given: str | float) -> float:
     value = _finite(given)
     if not value >= 0:
         raise typer.BadParameter(f"{quoted(str(given))} is not a number of seconds, 0 or more")
+    return value
+
+
+def bag_seconds(given: str | float) -> float:
+    """Parse a time in a bag: a number of seconds, at most that of `recording.storage.LONGEST`."""
+    from turtleact.recording.storage import LONGEST
+
+    value = seconds(given)
+    if value > LONGEST:
+        raise typer.BadParameter(f"{quoted(str(given))} is more than {LONGEST:,} seconds")
     return value
 
 
