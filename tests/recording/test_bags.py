@@ -469,7 +469,7 @@ def test_offers_that_cannot_be_read_are_left_out():
 def test_a_description_with_a_negative_count_is_refused(tmp_path):
     path = write_bag(tmp_path / "run") / "metadata.yaml"
     path.write_text(path.read_text().replace("message_count: 10", "message_count: -10"))
-    with pytest.raises(BagError, match="not readable as metadata.yaml .*message_count is -10"):
+    with pytest.raises(BagError, match=r"not readable as metadata\.yaml .*message_count is -10"):
         Bag(path.parent)
 
 
