@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import signal
 import urllib.error
 import urllib.request
@@ -21,7 +22,7 @@ from turtleact.app import open_world
 from turtleact.commands import bag_sessions
 from turtleact.commands.interrupts import Interrupts
 from turtleact.interfaces import encode
-from turtleact.interfaces.standard import Point, TurtlePose
+from turtleact.interfaces.standard import Point, TurtlePose, Twist
 from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.schemas import schema_of
 from turtleact.recording.storage import Channel
@@ -126,7 +127,37 @@ async def test_a_pose_that_is_no_number_is_left_out(tmp_path):
     writer.close({})
     async with open_bag_view(tmp_path / "odd.mcap") as shown:
         poses = await values(f"{shown.url}poses?start=0&end=3")
+        assert (await values(f"{shown.url}bag"))["first"] == {"/turtle1/pose": [0.0, 1.0, 0.0, 0.0]}
     assert [x for _, x, _, _ in poses["/turtle1/pose"]] == [1.0, 3.0]
+
+
+@pytest.fixture
+def late(tmp_path: Path) -> Path:
+    """A bag with a long topic name and a turtle whose first pose comes after 20 s."""
+    writer = BagWriter(tmp_path / "late.mcap", Split())
+    writer.add(0, Channel(topic="/turtle1/pose", schema=schema_of(TurtlePose)))
+    writer.add(1, Channel(topic=f"/{'robot_' * 9}status", schema=schema_of(Twist)))
+    writer.add(2, Channel(topic="/turtle2/pose", schema=schema_of(TurtlePose)))
+    writer.write(1, START, START, encode(Twist()))
+    for second, x in ((19, math.nan), (20, 3.0), (21, 4.0)):
+        stamp = START + second * 10**9
+        writer.write(0, stamp, stamp, encode(TurtlePose(x=x)))
+    writer.close({})
+    return tmp_path / "late.mcap"
+
+
+async def test_the_first_pose_of_each_turtle_is_known_from_the_start(late):
+    async with open_bag_view(late) as shown:
+        about = await values(f"{shown.url}bag")
+    assert about["first"] == {"/turtle1/pose": [20.0, 3.0, 0.0, 0.0]}
+
+
+async def test_a_deleted_bag_is_reported(patrol, tmp_path):
+    shutil.copytree(patrol, tmp_path / "gone")
+    async with open_bag_view(tmp_path / "gone") as shown:
+        shutil.rmtree(tmp_path / "gone")
+        status, text = await get(f"{shown.url}bag")
+    assert (status, b"gone': it cannot be opened" in text) == (400, True)
 
 
 async def test_only_what_is_shown_is_read(tmp_path, monkeypatch):
@@ -187,6 +218,38 @@ async def test_a_bag_is_scrubbed_and_played(url, tmp_path):
             late = await page.run(place)
             assert 5 < early < late
             assert page.complaints == []
+
+
+@in_a_browser
+@on_asyncio
+async def test_a_phone_shows_the_time_and_a_turtle_that_comes_later(late, tmp_path):
+    async with open_bag_view(late) as shown:
+        with running_browser(tmp_path / "browser") as devtools:
+            async with open_tab(devtools, shown.url) as page:
+                await page.do(
+                    "Emulation.setDeviceMetricsOverride",
+                    width=390,
+                    height=844,
+                    deviceScaleFactor=1,
+                    mobile=True,
+                )
+                x = "import('./bag.js').then(({bag}) => bag.world.turtles.get('turtle1').pose.x)"
+                assert await page.run(x) == 3
+                await page.until("innerWidth === 390")
+                assert await page.run("document.documentElement.scrollWidth") == 390
+                assert await page.run("$('time').getBoundingClientRect().right") < 390
+
+
+@in_a_browser
+@on_asyncio
+async def test_the_page_says_why_a_bag_cannot_be_opened(patrol, tmp_path):
+    shutil.copytree(patrol, tmp_path / "gone")
+    async with open_bag_view(tmp_path / "gone") as shown:
+        shutil.rmtree(tmp_path / "gone")
+        with running_browser(tmp_path / "browser") as devtools:
+            async with open_tab(devtools, shown.url) as page:
+                await page.until("$('about').textContent !== 'opening …'")
+                assert "gone': it cannot be opened" in await page.text("#about")
 
 
 def test_the_command_prints_the_address_and_ends_at_a_signal(tmp_path, capsys, monkeypatch):

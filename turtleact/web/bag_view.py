@@ -16,6 +16,7 @@ import secrets
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -33,7 +34,7 @@ from turtleact.recording.metadata import BagError
 from turtleact.recording.recorded_goals import ENDED, RecordedGoal, goals
 from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import part_of
-from turtleact.recording.storage import Channel, Range
+from turtleact.recording.storage import Channel, Range, Raw
 from turtleact.web.access import Access, Refusals
 from turtleact.web.bridge import FILES, HEADERS, page_file, plain_text
 from turtleact.web.server import READ_AHEAD, Config
@@ -62,6 +63,8 @@ CLOSEST: Final = 25_000_000
 MOST_TURTLES: Final = 64
 MOST_CONNECTIONS: Final = 64
 MOST_REACHED: Final = 1000
+MOST_SKIPPED: Final = 100
+"""The first pose is looked for in this many messages of its topic."""
 
 COORDINATES: Final = frozenset({"x", "y", "theta"})
 """The fields of a pose that can be drawn."""
@@ -128,8 +131,30 @@ class BagView:
             "messages": info.count,
             "is_closed": info.is_closed,
             "poses": {topic: each.schema.name for topic, each in self._channels().items()},
+            "first": self._first_poses(),
             "topics": [[each.name, each.type_name, each.count] for each in info.topics],
         }
+
+    def _first_poses(self) -> dict[str, list[float]]:
+        """The first pose of each topic that has one: time since the start (s), x, y and theta."""
+        found: dict[str, list[float]] = {}
+        counts = {each.name: each.count for each in self._bag.info.topics}
+        for topic, channel in self._channels().items():
+            if not counts.get(topic):
+                continue  # do not search the whole bag
+            read = reader_of(channel)
+            for raw in islice(self._bag.messages(Range(wants=topic.__eq__)), MOST_SKIPPED):
+                if pose := self._pose(raw, read):
+                    found[topic] = pose
+                    break
+        return found
+
+    def _pose(self, raw: Raw, read: Callable[[bytes], Any]) -> list[float] | None:
+        """Time since the start (s), x, y and theta; None for a pose that is not finite."""
+        pose = read(raw.data)
+        if pose is None or not all(map(math.isfinite, (pose.x, pose.y, pose.theta))):
+            return None
+        return [(raw.stamp - self._bag.info.start) / 1e9, pose.x, pose.y, pose.theta]
 
     def _find_poses(self, asked: Request) -> dict[str, list[list[float]]]:
         """The poses between two moments: time since the start (s), x, y and theta."""
@@ -149,9 +174,8 @@ class BagView:
             if raw.stamp - latest[topic] < CLOSEST:
                 continue
             latest[topic] = raw.stamp
-            pose: Any = readers[topic](raw.data)
-            if pose is not None and all(map(math.isfinite, (pose.x, pose.y, pose.theta))):
-                found[topic].append([(raw.stamp - origin) / 1e9, pose.x, pose.y, pose.theta])
+            if pose := self._pose(raw, readers[topic]):
+                found[topic].append(pose)
         return found
 
     def _find_goals(self, _: Request) -> list[dict[str, object]]:

@@ -19,8 +19,8 @@ const get = async path => {
 class Poses {
   #windows = new Map();
 
-  constructor(duration, onnews) {
-    Object.assign(this, {duration, onnews});
+  constructor({duration, first}, onnews) {
+    Object.assign(this, {duration, first, onnews});
   }
 
   // The window with a moment, or null while it is on its way.
@@ -40,8 +40,11 @@ class Poses {
     return null;
   }
 
-  // The last pose of a topic up to a moment, from its window or the one before.
+  // The last pose of a topic up to a moment, from its window or the one before. Before the first
+  // pose of the bag, that pose.
   pose(topic, time) {
+    const first = this.first[topic];
+    if (first && time < first[0]) return first;
     for (const moment of [time, time - WINDOW]) {
       if (moment < 0) break;
       const found = this.at(moment)?.[topic] ?? [], last = found[before(found, time)];
@@ -84,7 +87,7 @@ class Bag extends EventTarget {
     super();
     this.about = about;
     this.all = [];
-    this.poses = new Poses(about.duration, () => this.#show());
+    this.poses = new Poses(about, () => this.#show());
     this.graph = {poses: about.poses};
     const draft = Object.assign(new EventTarget(), {places: () => [], addPlace() {}, turtle: ""});
     const connection = {subscribe: (topic, _, heard) => this.heard.set(topic, heard), unsubscribe() {}};
@@ -183,7 +186,10 @@ class Bag extends EventTarget {
   }
 }
 
-const about = await get("bag");
+const about = await get("bag").catch(error => {
+  setText($("about"), error.message);
+  throw error;
+});
 setText($("name"), about.name);
 document.title = about.name;
 setText($("about"), `${about.messages} messages, ${about.duration.toFixed(1)} s${about.is_closed ? "" : ", not closed"}`);
