@@ -21,7 +21,7 @@ import msgspec
 
 from turtleact.goal import CURRENT_GOAL
 from turtleact.server.execution import Execution
-from turtleact.summaries import encodable, summary
+from turtleact.summaries import encodable, summary, text_of
 
 __all__ = ["GoalFilter", "JsonFormatter", "TextFormatter"]
 
@@ -99,7 +99,15 @@ def _message(record: logging.LogRecord) -> str:
     try:
         return record.getMessage()
     except Exception as error:
-        return f"{record.msg} {record.args} ({summary(error)})"
+        return f"{_text(record.msg)} {_text(record.args)} ({summary(error)})"
+
+
+def _text(value: object) -> str:
+    """The text of a value. If its class fails to give one, a text that says so."""
+    try:
+        return str(value)
+    except Exception:
+        return text_of(value)
 
 
 def _current_span() -> dict[str, str]:
@@ -116,7 +124,7 @@ def _current_span() -> dict[str, str]:
 def _written(members: dict[str, Any]) -> str:
     """Write JSON. A value that JSON cannot hold is written as its text."""
     try:
-        return msgspec.json.encode(members, enc_hook=str).decode()
-    except (UnicodeEncodeError, ValueError, TypeError, RecursionError):
-        plain = {name: encodable(str(value)) for name, value in members.items()}
+        return msgspec.json.encode(members, enc_hook=_text).decode()
+    except Exception:
+        plain = {name: encodable(_text(value)) for name, value in members.items()}
         return msgspec.json.encode(plain).decode()
