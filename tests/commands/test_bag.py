@@ -324,6 +324,7 @@ def test_goals_are_sent_again(on_graph, goals):
         "turtleact: 2 goals of '/fibonacci': SUCCEEDED\nturtleact: played 0 messages\n"
     )
     ran = on_graph(counting, *line, "--remap", "/fibonacci:=/other")
+    assert ran.status == 1
     assert "2 goals of '/other': " in ran.err
     assert "nobody serves it" in ran.err
 

@@ -219,11 +219,11 @@ def refuse(goal):
     return turtleact.GoalResponse.ACCEPT
 
 
-async def record_goals(node, path):
+async def record_goals(node, path, introspection: Any = "contents"):
     node.action_server(
-        Fibonacci, "fibonacci", count, introspection="contents", goal_callback=refuse
+        Fibonacci, "fibonacci", count, introspection=introspection, goal_callback=refuse
     )
-    client = node.action_client(Fibonacci, "fibonacci", introspection="contents")
+    client = node.action_client(Fibonacci, "fibonacci", introspection=introspection)
     async with recording.record(node, path, actions=["fibonacci"]):
         await client.send_goal(Fibonacci.Goal(order=2))
         async with client.send_goal(Fibonacci.Goal(order=9)) as goal:
@@ -242,6 +242,7 @@ async def test_goals_are_sent_again_with_new_ids(node, tmp_path):
     assert played.goals["/fibonacci", "SUCCEEDED"] == 1
     assert played.goals["/fibonacci", "CANCELED"] == 1
     assert played.goals.total() == 3
+    assert played.failed == 1  # the server rejects one, again
     first = await recording.goals(tmp_path / "first")
     second = await recording.goals(tmp_path / "second")
     assert [each.status for each in second][-3:] == [each.status for each in first]
@@ -262,7 +263,7 @@ async def test_without_a_server_the_reason_is_counted(node, tmp_path):
     await record_goals(node, tmp_path / "first")
     async with open_node("other") as other:
         played = await recording.play(other, tmp_path / "first", send_goals=True, rate="max")
-    assert played.goals.total() == 3
+    assert played.goals.total() == played.failed == 3
     assert all("/fibonacci" in reason for _, reason in played.goals)
 
 
@@ -276,6 +277,27 @@ async def test_a_goal_with_other_fields_is_counted_and_not_sent(node, tmp_path):
 
         played = await recording.play(node, tmp_path / "first", send_goals=True, rate="max")
     assert played.goals == {("/fibonacci", "the recorded goal has other fields"): 3}
+    assert played.failed == 3
+
+
+@pytest.mark.parametrize("introspection", ["off", "metadata"])
+async def test_goals_that_are_not_in_the_bag_are_counted(node, tmp_path, introspection):
+    await record_goals(node, tmp_path / "first", introspection)
+    played = await recording.play(node, tmp_path / "first", send_goals=True, rate="max")
+    [((action, reason), number)] = played.goals.items()
+    assert (action, number, played.failed) == ("/fibonacci", 2, 2)
+    assert reason.startswith("not sent, because the recording does not have the goal itself")
+
+
+async def test_goals_from_before_the_recording_are_not_missed(node, tmp_path):
+    await record_goals(node, tmp_path / "first")
+    client = node.action_client(Fibonacci, "fibonacci", introspection="contents")
+    async with recording.record(node, tmp_path / "second", actions=["fibonacci"]):
+        await node.clock.sleep(1)
+        await client.send_goal(Fibonacci.Goal(order=2))
+    played = await recording.play(node, tmp_path / "second", send_goals=True, rate="max")
+    assert played.goals == {("/fibonacci", "SUCCEEDED"): 1}
+    assert played.failed == 0
 
 
 async def test_a_loop_over_goals_starts_over(node, tmp_path):

@@ -194,4 +194,6 @@ def _sum_up_playing(played: Played) -> int:
     for (action, ended), count in sorted(played.goals.items()):
         note(f"{counted(count, 'goal')} of '{action}': {ended}")
     note(f"played {counted(played.messages, 'message')}")
+    if played.failed:
+        return FAILED
     return 0 if played.messages or played.goals or not played.skipped else FAILED

@@ -30,7 +30,7 @@ from turtleact.clock import WallClock
 from turtleact.errors import InvalidInterface, InvalidOption, TurtleactError, UnknownInterface
 from turtleact.goal import GoalStatus
 from turtleact.graph import SEND_GOAL
-from turtleact.interfaces import Message, WireFormat, get_action, stamp_of, type_hash
+from turtleact.interfaces import Message, WireFormat, get_action, nanoseconds, stamp_of, type_hash
 from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
 from turtleact.names import resolve_name
 from turtleact.node import Node
@@ -52,6 +52,12 @@ PATIENCE: Final = 2.0
 
 TURN: Final = 32
 """After this many messages without a pause, other tasks get a turn."""
+
+UNSENT: Final = (
+    "not sent, because the recording does not have the goal itself; to record goals, serve the "
+    "action with introspection 'contents'"
+)
+"""The reason of goals that were accepted in a recording without their messages."""
 
 CLOCK: Final = "/clock"
 """The topic with the time, for nodes with ``use_sim_time``."""
@@ -81,11 +87,14 @@ class Played(msgspec.Struct):
         messages: How many messages were published.
         goals: How many of the sent goals ended in each way, by action and by state or reason.
         skipped: Why messages or goals of a topic could not be played, by topic.
+        failed: How many of the goals to send were not sent or were rejected, or have no known end.
+            They are also in ``goals``, unless the type of their action is in ``skipped``.
     """
 
     messages: int = 0
     goals: Counter[tuple[str, str]] = msgspec.field(default_factory=Counter)
     skipped: dict[str, str] = {}
+    failed: int = 0
 
 
 async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> Played:
@@ -175,7 +184,7 @@ class _Player:
     def prepare(self, tasks: anyio.abc.TaskGroup) -> None:
         """Open the publishers and clients that the bag needs."""
         if self._sends_goals:
-            self._goals = _GoalSender(self._node, tasks, self._remap, self.played)
+            self._goals = _GoalSender(self._node, tasks, self._remap, self.played, self._start)
         if self._frequency:
             endpoint = self._endpoint(
                 CLOCK, Clock.type_name, QoS(depth=1, reliability="best_effort")
@@ -228,6 +237,8 @@ class _Player:
             ticking = Background(self._tick(begun, rate), f"the clock of {self._bag.path}")
         try:
             await self._play_all(begun, rate)
+            if self._goals is not None:
+                self._goals.note_unsent()
         finally:
             if ticking is not None:
                 await ticking.aclose()
@@ -346,6 +357,7 @@ class _GoalSender:
         tasks: The task group in which the goals are awaited.
         remap: Other names of actions.
         played: Where to count how the goals end.
+        start: Where playing begins in the bag (ns).
 
     Attributes:
         has_sent: Whether a goal was sent since the bag was started.
@@ -357,8 +369,11 @@ class _GoalSender:
         tasks: anyio.abc.TaskGroup,
         remap: Mapping[str, str],
         played: Played,
+        start: int,
     ) -> None:
         self.has_sent = False
+        self._start = start
+        self._accepted: dict[bytes, str] = {}  # the actions of the goals in status messages
         self._node = node
         self._tasks = tasks
         self._remap = remap
@@ -392,13 +407,27 @@ class _GoalSender:
         self.has_sent = False
         self._handles.clear()
         self._canceled.clear()
+        self._accepted.clear()
+
+    def note_unsent(self) -> None:
+        """Count the goals that were accepted in the bag, but are not in it themselves."""
+        for goal_id, action in self._accepted.items():
+            if goal_id in self._handles:
+                continue
+            if action in self._played.skipped:
+                self._played.failed += 1
+            else:
+                self._fail(self._remap.get(action, action), UNSENT)
 
     async def take(self, message: Recorded) -> None:
-        """Take a message of an action's topics. Only events of requests matter."""
+        """Take a message of an action's topics. Only states and events of requests matter."""
         _, action, part = part_of(message.topic)
-        if part not in ("send_goal", "cancel_goal"):
+        if part not in ("send_goal", "cancel_goal", "status"):
             return
         event = self._decoded(message)
+        if event is not None and part == "status":
+            self._note_accepted(action, event)
+            return
         if event is None or event.info.event_type not in REQUESTS:
             return
         for request in event.request:
@@ -406,6 +435,16 @@ class _GoalSender:
                 self._send(action, request)
             else:
                 self._cancel(event.info, request)
+
+    def _note_accepted(self, action: str, states: Any) -> None:  # noqa: ANN401  # a message
+        for each in states.status_list:
+            # A server also lists goals that it accepted before the recording began.
+            if nanoseconds(each.goal_info.stamp) >= self._start:
+                self._accepted[bytes(each.goal_info.goal_id.uuid)] = action
+
+    def _fail(self, action: str, reason: str) -> None:
+        self._played.goals[action, reason] += 1
+        self._played.failed += 1
 
     def _decoded(self, message: Recorded) -> Any:  # noqa: ANN401  # an event of any service
         read = self._readers.get(message.topic)
@@ -420,12 +459,13 @@ class _GoalSender:
             return
         self._handles[old] = None
         client = self._clients.get(self._remap.get(action, action))
-        if client is None:  # it is not known here
+        if client is None:  # its type is not known here
+            self._played.failed += 1
             return
         try:
             goal = client.action_type.Goal(**msgspec.structs.asdict(request.goal))
         except TypeError:
-            self._played.goals[client.name, "the recorded goal has other fields"] += 1
+            self._fail(client.name, "the recorded goal has other fields")
             return
         self.has_sent = True
         self._tasks.start_soon(self._follow, client, goal, old)
@@ -435,10 +475,10 @@ class _GoalSender:
             async with client.send_goal(goal) as handle:
                 self._handles[old] = handle
                 status: GoalStatus = (await handle.outcome()).status
-            ended = status.name
         except TurtleactError as error:
-            ended = str(error)
-        self._played.goals[client.name, ended] += 1
+            self._fail(client.name, str(error))
+            return
+        self._played.goals[client.name, status.name] += 1
 
     def _cancel(self, info: Any, request: Any) -> None:  # noqa: ANN401  # messages
         call = bytes(info.client_gid), info.sequence_number
