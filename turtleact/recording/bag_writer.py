@@ -1,5 +1,8 @@
 """Writes a bag: files, split by size or duration, and ``metadata.yaml`` at the end.
 
+A disk may fill up during a recording. So while a bag is written, a hidden file in its folder keeps
+room for the index and ``metadata.yaml``.
+
 Everything here blocks, so a thread calls it; see `turtleact.recording.spool`.
 
 Source: rosbag2 ``sequential_writer.cpp``.
@@ -10,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import errno
 from collections import Counter
+from io import FileIO
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +22,7 @@ import msgspec
 from turtleact.recording.mcap_writing import Compression, McapWriter
 from turtleact.recording.metadata import (
     METADATA,
+    NOT_CLOSED,
     BagError,
     BagFile,
     BagInfo,
@@ -31,8 +36,24 @@ from turtleact.recording.storage import Channel
 
 __all__ = ["BagWriter", "Split"]
 
+ABOUT: Final = "rosbag2"
+"""The name of the metadata records that describe the bag."""
+
+GONE: Final = "it was deleted, moved or renamed while it was written"
+"""The text of the error if a file or the folder is missing."""
+
 DISTRO: Final = "turtleact"
 """The text that a bag has in place of a ROS distribution."""
+
+
+STEP: Final = 32 * 1024
+"""The room that is kept for the end of a bag grows by so many bytes."""
+
+TOPIC_SIZE: Final = 500
+"""A description has at most this many bytes for a topic, besides its names and offers."""
+
+FILE_SIZE: Final = 300
+"""A description has at most this many bytes for a file, besides its name."""
 
 
 class Split(msgspec.Struct, frozen=True, kw_only=True):
@@ -65,6 +86,9 @@ class BagWriter:
         lost: How many messages of each topic were passed to `write` but are not in the bag.
     """
 
+    _writer: McapWriter
+    _room: _Room | None = None
+
     def __init__(self, path: Path, split: Split) -> None:
         self.path = path
         self.lost: Counter[str] = Counter()
@@ -75,23 +99,31 @@ class BagWriter:
         self._channels: dict[int, Channel] = {}
         self._offered: Counter[int] = Counter()  # messages given to the current file
         self._numbers: dict[int, int] = {}  # channels as the current file numbers them
+        self._about: dict[int, dict[str, str]] = {}  # as every file describes the channels
+        self._head = {"serialized_metadata": embedded(BagInfo(distro=DISTRO))}
         self._total: Counter[int] = Counter()
         self._files: list[BagFile] = []
+        self._described_size = STEP  # about how many bytes the description will have
         self._first = 0
         self._is_open = False
-        try:
-            if not self._is_single:
-                path.mkdir(parents=True)
-            self._writer = self._begin()
-        except FileExistsError:
-            problem = "it exists already; give another name, or delete it"
-            raise BagError(path, problem) from None
-        except OSError as error:
-            raise BagError(path, f"it cannot be created: {error.strerror}") from error
+        self._not_closed = ""  # the file that could not be closed
+        self._create()
+
+    @property
+    def waiting(self) -> int:
+        """How many messages were passed to `write` but are not on disk. Any thread may ask."""
+        return self._writer.waiting
 
     def add(self, number: int, channel: Channel) -> None:
         """Add a topic under a number that the caller chooses."""
         self._channels[number] = channel
+        self._about[number] = {
+            "offered_qos_profiles": offers_text(channel.offers),
+            "topic_type_hash": channel.type_hash,
+        }
+        about = 3 * len(self._about[number]["offered_qos_profiles"])
+        names = 4 * len(channel.topic) + len(channel.schema.name)
+        self._described_size += TOPIC_SIZE + about + names
         self._register(number)
 
     def write(self, number: int, stamp: int, sent: int, data: bytes) -> None:
@@ -111,14 +143,17 @@ class BagWriter:
         self._offered[number] += 1
         self._writer.add(self._numbers[number], stamp, sent, data)
         if self._writer.is_full:
-            self._writer.flush()
+            self.flush()
 
     def flush(self) -> None:
         """Put all messages so far on disk, so that a killed process would not lose them.
 
         Raises:
-            OSError: if the disk is full or gone. Call `close` then.
+            OSError: if the disk is full or gone, or the file was deleted. Call `close` then.
         """
+        self._look_for([self._name])
+        if self._room is not None:
+            self._room.keep(self._writer.index_size + self._described_size)
         self._writer.flush()
 
     def close(self, lost: dict[str, int]) -> None:
@@ -128,25 +163,18 @@ class BagWriter:
             lost: How many messages of each topic were lost before they came here.
 
         Raises:
-            OSError: if something could not be written. All that was written can be read.
+            OSError: if something could not be written, or was deleted. All that was written and
+                not deleted can be read.
         """
-        error: OSError | None = None
-        if self._is_open:
+        errors: list[OSError] = []
+        for step in (self._close_file, self._describe):
             try:
-                self._writer.flush()
+                step(lost)
             except OSError as problem:
-                error = problem
-            try:
-                self._end(lost)
-            except OSError as problem:
-                error = error or problem
-        if not self._is_single:
-            try:
-                self._describe(lost)
-            except OSError as problem:
-                error = error or problem
-        if error is not None:
-            raise error
+                errors.append(problem)
+        self._look_for([each.path for each in self._files])
+        if errors:
+            raise errors[0]
 
     @property
     def _name(self) -> str:
@@ -154,18 +182,60 @@ class BagWriter:
             return self.path.name
         return f"{self.path.name}_{len(self._files)}.mcap"
 
+    @property
+    def _folder(self) -> Path:
+        return self.path.parent if self._is_single else self.path
+
+    def _create(self) -> None:
+        path = self.path
+        try:
+            path.name.encode()
+        except UnicodeEncodeError:
+            problem = "its name is not UTF-8, as ROS 2's file metadata.yaml requires"
+            raise BagError(path, f"{problem}; give another name") from None
+        is_made = False
+        try:
+            if not self._is_single:
+                path.mkdir(parents=True)
+                is_made = True
+                self._room = _Room(path / f".{METADATA}")
+                self._room.keep(STEP)
+            self._writer = self._begin()
+        except OSError as error:
+            if self._room is not None:
+                self._room.close()
+            if is_made:  # an empty folder would only be in the way
+                with contextlib.suppress(OSError):
+                    path.rmdir()
+            if isinstance(error, FileExistsError):
+                problem = "it exists already; give another name, or delete it"
+                raise BagError(path, problem) from None
+            raise BagError(path, f"it cannot be created: {error.strerror}") from error
+
+    def _look_for(self, names: list[str]) -> None:
+        """Check that nobody has deleted these files or the folder.
+
+        Raises:
+            FileNotFoundError: if one is missing.
+        """
+        if not self._folder.exists():
+            raise FileNotFoundError(errno.ENOENT, GONE, str(self._folder))
+        for name in names:
+            if not (self._folder / name).exists():
+                raise FileNotFoundError(errno.ENOENT, GONE, str(self._folder / name))
+
     def _begin_another(self) -> None:
         """Close the file and begin another."""
-        self._writer.flush()
+        self.flush()
         self._end()
         self._writer = self._begin()
         for each in self._channels:
             self._register(each)
 
     def _begin(self) -> McapWriter:
-        folder = self.path.parent if self._is_single else self.path
-        writer = McapWriter(folder / self._name, self._split.compression)
-        writer.add_metadata("rosbag2", {"serialized_metadata": embedded(BagInfo(distro=DISTRO))})
+        self._described_size += FILE_SIZE + 3 * len(self._name)
+        writer = McapWriter(self._folder / self._name, self._split.compression)
+        writer.add_metadata(ABOUT, self._head)
         self._offered.clear()
         self._numbers.clear()
         self._is_open = True
@@ -173,10 +243,7 @@ class BagWriter:
 
     def _register(self, number: int) -> None:
         channel = self._channels[number]
-        about = {
-            "offered_qos_profiles": offers_text(channel.offers),
-            "topic_type_hash": channel.type_hash,
-        }
+        about = self._about[number]
         self._numbers[number] = self._writer.add_channel(channel.topic, channel.schema, about)
 
     def _is_time_to_split(self, stamp: int) -> bool:
@@ -188,29 +255,62 @@ class BagWriter:
             or (split.max_duration and stamp - self._first >= split.max_duration)
         )
 
+    def _close_file(self, lost: dict[str, int]) -> None:
+        """Close the last file, with the room that was kept for its index."""
+        if not self._is_open:
+            return
+        problem: OSError | None = None
+        try:
+            self._writer.flush()
+        except OSError as error:
+            problem = error
+        if self._room is not None:
+            self._room.leave_only(self._described_size)
+        self._end(lost)
+        if problem is not None:
+            raise problem
+
     def _end(self, lost: dict[str, int] | None = None) -> None:
         """Close the current file. If the disk has no room for the index, drop the last messages."""
         writer, self._is_open = self._writer, False
         try:
-            with contextlib.suppress(OSError):  # the index says the same, and matters more
-                self._embed(writer, lost or {})
-            writer.finish()
+            writer.finish(ABOUT, lambda: self._about_bag(lost or {}))
         finally:
-            written = Counter({own: writer.counts[its] for own, its in self._numbers.items()})
-            for number, count in (self._offered - written).items():
-                self.lost[self._channels[number].topic] += count
-            self._total += written
+            if not writer.is_finished:
+                self._not_closed = self._name
+            self.lost += self._lost_of_file()
+            self._total += self._written()
             duration = writer.end - writer.start
             self._files.append(
                 BagFile(path=self._name, start=writer.start, duration=duration, count=writer.count)
             )
 
-    def _embed(self, writer: McapWriter, lost: dict[str, int]) -> None:
-        about = BagInfo(distro=DISTRO, custom=self._custom(lost))
-        writer.add_metadata("rosbag2", {"serialized_metadata": embedded(about)})
+    def _written(self) -> Counter[int]:
+        """How many messages of each channel are in the current file."""
+        counts = self._writer.counts
+        return Counter({own: counts[its] for own, its in self._numbers.items()})
+
+    def _lost_of_file(self) -> Counter[str]:
+        """How many messages of each topic were given to the current file but are not in it."""
+        lost = Counter[str]()
+        for number, count in (self._offered - self._written()).items():
+            lost[self._channels[number].topic] += count
+        return lost
+
+    def _about_bag(self, lost: dict[str, int]) -> dict[str, str]:
+        """The metadata at the end of a file."""
+        custom = _custom(self.lost + self._lost_of_file() + Counter(lost))
+        if not custom:
+            return self._head
+        return {"serialized_metadata": embedded(BagInfo(distro=DISTRO, custom=custom))}
 
     def _describe(self, lost: dict[str, int]) -> None:
         """Write ``metadata.yaml``, completely or not at all."""
+        if self._room is None:
+            return
+        custom = _custom(self.lost + Counter(lost))
+        if self._not_closed:
+            custom[NOT_CLOSED] = self._not_closed
         start, duration = span(self._files)
         info = BagInfo(
             files=tuple(self._files),
@@ -227,18 +327,71 @@ class BagWriter:
             duration=duration,
             count=self._total.total(),
             distro=DISTRO,
-            custom=self._custom(lost),
+            custom=custom,
         )
-        described, draft = self.path / METADATA, self.path / f".{METADATA}"
         try:
-            draft.write_text(write_info(info), encoding="utf-8")
-            draft.replace(described)
-        except OSError as error:
-            draft.unlink(missing_ok=True)
-            if error.errno == errno.ENOSPC:  # the files can be read without it
-                return
-            raise
+            self._room.become(self.path / METADATA, write_info(info).encode())
+        finally:
+            self._room.close()
 
-    def _custom(self, lost: dict[str, int]) -> dict[str, str]:
-        counts = self.lost + Counter(lost)
-        return {f"lost:{topic}": str(count) for topic, count in counts.items()}
+
+class _Room:
+    """Keeps room on the disk in a hidden file, which becomes ``metadata.yaml`` in the end.
+
+    The file is filled with zeros. Then its bytes can be replaced even if the disk is full.
+
+    Args:
+        path: The hidden file, which must not exist.
+
+    Raises:
+        OSError: if the file cannot be created.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file: FileIO = path.open("xb", buffering=0)
+        self._size = 0
+
+    def keep(self, size: int) -> None:
+        """Keep room for at least so many bytes. Raise OSError if the disk does not have it."""
+        if size <= self._size:
+            return
+        wanted = (size // STEP + 1) * STEP
+        self._file.seek(self._size)
+        try:
+            _write(self._file, bytes(wanted - self._size))
+        except OSError:
+            self._file.truncate(self._size)
+            raise
+        self._size = wanted
+
+    def leave_only(self, size: int) -> None:
+        """Give up the room behind the first bytes."""
+        if size < self._size:
+            self._file.truncate(size)
+            self._size = size
+
+    def become(self, path: Path, content: bytes) -> None:
+        """Replace the zeros, and rename the file. Raise OSError if this is impossible."""
+        self._file.seek(0)
+        _write(self._file, content)
+        self._file.truncate()
+        self._file.close()  # Windows does not rename an open file
+        self._path.replace(path)
+
+    def close(self) -> None:
+        """Close the file, and delete it unless it was renamed."""
+        self._file.close()
+        with contextlib.suppress(OSError):
+            self._path.unlink()
+
+
+def _write(file: FileIO, data: bytes) -> None:
+    """Write all of the data: a nearly full disk takes a part, and then raises."""
+    view = memoryview(data)
+    while view:
+        view = view[file.write(view) or 0 :]
+
+
+def _custom(lost: Counter[str]) -> dict[str, str]:
+    return {f"lost:{topic}": str(count) for topic, count in lost.items()}

@@ -61,6 +61,9 @@ HELD_BACK: Final = 64
 MESSAGE: Final = struct.Struct("<BQHIQQ")
 """Opcode, length, channel, sequence, log time and publish time of a message. The data follow."""
 
+INDEX_SIZE: Final = 1000
+"""The bytes of an index without channels and chunks, with some to spare."""
+
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
 
 
@@ -82,11 +85,16 @@ class McapWriter:
         counts: How many messages each channel has.
         start: The time of the earliest message (ns); 0 before the first.
         end: The time of the latest message (ns).
+        waiting: How many messages the current chunk has.
+        index_size: About how many bytes `finish` will write.
+        is_finished: Whether the file has its index.
     """
 
     def __init__(self, path: Path, compression: Compression = "none") -> None:
         self.counts: Counter[int] = Counter()
         self.start = self.end = 0
+        self.index_size = INDEX_SIZE
+        self.is_finished = False
         self._compress = _compressor(compression)
         self._compression = "" if compression == "none" else "zstd"
         self._file: FileIO = path.open("xb", buffering=0)
@@ -123,7 +131,7 @@ class McapWriter:
                 id=number, name=schema.name, encoding=schema.encoding, data=schema.text.encode()
             )
             self._schemas[schema] = record
-            self._put(_bytes_of(record))
+            self._declare(record)
         channel = Channel(
             id=len(self._channels) + 1,
             topic=topic,
@@ -132,7 +140,7 @@ class McapWriter:
             metadata=metadata,
         )
         self._channels[channel.id] = channel
-        self._put(_bytes_of(channel))
+        self._declare(channel)
         return channel.id
 
     def add(self, channel: int, stamp: int, sent: int, data: bytes) -> None:
@@ -153,6 +161,7 @@ class McapWriter:
         self._parts.append(MESSAGE.pack(5, 22 + size, channel, 0, stamp, sent))
         self._parts.append(data)
         self._chunk_size += 31 + size
+        self.waiting += 1
 
     @property
     def is_full(self) -> bool:
@@ -200,6 +209,7 @@ class McapWriter:
             uncompressed_size=len(content),
         )
         self._chunk_index.append(_bytes_of(index))
+        self.index_size += len(self._chunk_index[-1])
         counts = Counter({channel: len(numbers) // 2 for channel, numbers in entries.items()})
         self._last.append(_Written(offset, counts))
         self.start = min(first, self.start) if self.counts else first
@@ -212,35 +222,48 @@ class McapWriter:
         self._metadata.append(MetadataIndex(offset=self._end, length=len(record), name=name))
         self._append(record)
 
-    def finish(self) -> None:
-        """Write the index and close the file.
+    def finish(self, name: str = "", values: Callable[[], dict[str, str]] = dict) -> None:
+        """Write a last metadata record and the index, and close the file.
 
-        The current chunk must have been written. If the disk has no room for the index, the last
-        chunks are removed. `counts` then counts the remaining messages.
+        The current chunk must have been written. If the disk has no room, the last chunks are
+        removed. `counts` then counts the remaining messages.
+
+        Args:
+            name: The name of the metadata record; empty for no record.
+            values: Returns the content of the record. Called again whenever `counts` has changed.
 
         Raises:
-            OSError: if there is still no room. The file is readable, but not closed.
+            OSError: if there was no room for everything. Unless `is_finished` is set, there was no
+                room for the index either; the file is readable then, but not closed.
         """
+        problem: OSError | None = None
         try:
-            while True:
+            while not self.is_finished:
                 try:
-                    self._append(self._summary())
-                    return
-                except OSError:
+                    self._append(self._ending(name, values))
+                    self.is_finished = True
+                except OSError as error:
+                    problem = problem or error
                     if not self._last:
                         raise
                     self._give_up_chunk()
         finally:
             self._file.close()
+        if problem is not None:
+            raise problem
 
     def _begin_chunk(self) -> None:
         self._parts: list[bytes] = []
         self._entries: dict[int, list[int]] = {}
         self._chunk_size = 0
+        self.waiting = 0
 
-    def _put(self, record: bytes) -> None:
-        self._parts.append(record)
-        self._chunk_size += len(record)
+    def _declare(self, record: McapRecord) -> None:
+        """Add a schema or channel to the chunk. The index repeats it."""
+        data = _bytes_of(record)
+        self._parts.append(data)
+        self._chunk_size += len(data)
+        self.index_size += len(data)
 
     def _append(self, data: bytes | bytearray) -> None:
         """Write data at the end of the file, or nothing at all."""
@@ -263,16 +286,24 @@ class McapWriter:
         self._file.truncate(self._end)
         self._file.seek(self._end)
 
-    def _summary(self) -> bytes:
-        """All that follows the data: index, statistics and footer."""
+    def _ending(self, name: str, values: Callable[[], dict[str, str]]) -> bytes:
+        """All that follows the chunks: a metadata record, unless it has no name, and the index."""
+        if not name:
+            return self._summary(self._end, self._metadata)
+        record = _bytes_of(Metadata(name=name, metadata=values()))
+        index = MetadataIndex(offset=self._end, length=len(record), name=name)
+        return record + self._summary(self._end + len(record), [*self._metadata, index])
+
+    def _summary(self, offset: int, metadata: list[MetadataIndex]) -> bytes:
+        """All that follows the data at an offset: index, statistics and footer."""
         head = _bytes_of(DataEnd(0))
-        start = self._end + len(head)
+        start = offset + len(head)
         groups = (
             (Opcode.SCHEMA, b"".join(map(_bytes_of, self._schemas.values()))),
             (Opcode.CHANNEL, b"".join(map(_bytes_of, self._channels.values()))),
-            (Opcode.STATISTICS, _bytes_of(self._statistics())),
+            (Opcode.STATISTICS, _bytes_of(self._statistics(len(metadata)))),
             (Opcode.CHUNK_INDEX, b"".join(self._chunk_index)),
-            (Opcode.METADATA_INDEX, b"".join(map(_bytes_of, self._metadata))),
+            (Opcode.METADATA_INDEX, b"".join(map(_bytes_of, metadata))),
         )
         body, offsets = bytearray(), bytearray()
         for opcode, records in groups:
@@ -290,14 +321,14 @@ class McapWriter:
         footer = Footer(summary_start=start, summary_offset_start=behind, summary_crc=crc)
         return head + bytes(body + offsets) + _bytes_of(footer) + MAGIC
 
-    def _statistics(self) -> Statistics:
+    def _statistics(self, metadata_count: int) -> Statistics:
         return Statistics(
             attachment_count=0,
             channel_count=len(self._channels),
             channel_message_counts=dict(self.counts),
             chunk_count=len(self._chunk_index),
             message_count=self.count,
-            metadata_count=len(self._metadata),
+            metadata_count=metadata_count,
             message_start_time=self.start,
             message_end_time=self.end,
             schema_count=len(self._schemas),

@@ -21,6 +21,7 @@ from turtleact.transports.base import QoS, TimePolicies
 
 __all__ = [
     "METADATA",
+    "NOT_CLOSED",
     "ROOT",
     "BagError",
     "BagFile",
@@ -41,6 +42,9 @@ VERSION: Final = 9
 """The version of the format that is written."""
 
 METADATA: Final = "metadata.yaml"
+
+NOT_CLOSED: Final = "not_closed"
+"""The custom text that names a file without an index, because the disk had no room for it."""
 
 ROOT: Final = "rosbag2_bagfile_information"
 
@@ -255,7 +259,7 @@ _POLICIES: Final[dict[str, tuple[str, ...]]] = {
 _LOADER: Final[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # as _LOADER
     """Writes YAML like yaml-cpp: repeats equal parts in full, and puts lists below their key."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002  # any
@@ -314,6 +318,7 @@ def _info(said: dict[str, Any]) -> BagInfo:
     paths = [str(each) for each in said["relative_file_paths"]]
     files = {str(each["path"]): _file(each) for each in said.get("files") or ()}
     alone = BagFile(path="", start=start, duration=duration, count=count)
+    custom = {str(key): str(value) for key, value in (said.get("custom_data") or {}).items()}
     return BagInfo(
         files=tuple(files.get(path) or msgspec.structs.replace(alone, path=path) for path in paths),
         topics=tuple(_topic(each) for each in said["topics_with_message_count"] or ()),
@@ -322,8 +327,9 @@ def _info(said: dict[str, Any]) -> BagInfo:
         duration=duration,
         count=count,
         distro=str(said.get("ros_distro") or ""),
-        custom={str(key): str(value) for key, value in (said.get("custom_data") or {}).items()},
+        custom=custom,
         compression=_compression(said),
+        is_closed=NOT_CLOSED not in custom,
     )
 
 
