@@ -2,10 +2,13 @@
 
 import json
 import os
+import shutil
 import signal
 import sys
 import time
 from contextlib import asynccontextmanager
+from itertools import count
+from threading import Event
 
 import anyio
 import pytest
@@ -18,8 +21,10 @@ from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard.std_msgs.msg import String
 from turtleact.recording import Bag
 from turtleact.recording.bag_writer import BagWriter, Split
+from turtleact.recording.mcap_writing import McapWriter
 from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import Schema, schema_of
+from turtleact.recording.spool import Spool
 from turtleact.recording.storage import Channel
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport
@@ -203,6 +208,104 @@ def test_a_recording_names_what_was_lost(on_graph, interrupts, monkeypatch, tmp_
     ran = on_graph(talking, "bag", "record", "-a", "-o", str(tmp_path / "run"))
     assert "lost: 8 messages of topic '/8'\n" in ran.err
     assert ran.err.endswith("lost in all: 36 messages of 8 topics\n")
+
+
+def signal_at(monkeypatch, interrupts, before_closing=None):
+    """Send SIGINT as soon as a recording has begun; then call something before the bag closes."""
+
+    async def tell(recording):
+        interrupts.end(signal.SIGINT)
+        if before_closing is not None:
+            before_closing(recording)
+
+    monkeypatch.setattr(bag_sessions, "tell", tell)
+
+
+def test_a_disk_that_is_full_when_a_signal_comes_is_named(
+    on_graph, interrupts, monkeypatch, tmp_path
+):
+    def flush(_):
+        raise OSError(28, "No space left on device")
+
+    async def tell(recording):
+        interrupts.end(signal.SIGINT)
+        with anyio.CancelScope(shield=True):
+            while recording.count == 0:
+                await anyio.sleep(0.01)
+
+    monkeypatch.setattr(bag_sessions, "tell", tell)
+    monkeypatch.setattr(McapWriter, "flush", flush)
+    ran = on_graph(talking, "bag", "record", "-a", "-o", str(tmp_path / "run"))
+    assert ran.status == 1
+    assert "it cannot be written any more: No space left on device" in ran.err
+
+
+def test_a_deleted_folder_is_named_at_the_end(on_graph, interrupts, monkeypatch, tmp_path):
+    path = tmp_path / "run"
+    signal_at(monkeypatch, interrupts, lambda _: shutil.rmtree(path))
+    ran = on_graph(talking, "bag", "record", "-a", "-o", str(path))
+    assert ran.status == 1
+    problem = "it was deleted, moved or renamed while it was written"
+    assert ran.err.splitlines()[-1] == f"turtleact: bag '{path}': {problem}"
+    assert "recorded in" not in ran.err
+
+
+def test_while_a_bag_takes_long_to_close_its_progress_is_told(
+    on_graph, interrupts, monkeypatch, tmp_path
+):
+    waiting, told, closes = count(100, -10), Event(), Spool.close
+    extended = []
+
+    def note(text):
+        notes.append(text)
+        if "still to write" in text:
+            told.set()
+
+    def close(self):
+        assert told.wait(5)
+        closes(self)
+
+    notes: list[str] = []
+    signal_at(monkeypatch, interrupts)
+    monkeypatch.setattr(bag_sessions, "note", note)
+    monkeypatch.setattr(bag_sessions, "LOOK", 0.001)
+    monkeypatch.setattr(Spool, "close", close)
+    monkeypatch.setattr(recording.Recording, "waiting", property(lambda _: next(waiting)))
+    monkeypatch.setattr(type(interrupts), "extend", lambda _: extended.append(1))
+    ran = on_graph(talking, "bag", "record", "-a", "-o", str(tmp_path / "run"))
+    assert ran.status == 0
+    path = tmp_path / "run"
+    assert f"closing {path}: 60 messages still to write; Ctrl-C gives them up" in notes
+    assert len(extended) >= 5
+
+
+@pytest.mark.parametrize(
+    ("more", "cause"),
+    [([], "nothing was written for 10 s"), ([signal.SIGINT], "a second signal came")],
+)
+def test_a_bag_that_is_given_up_is_named(on_graph, interrupts, monkeypatch, tmp_path, more, cause):
+    said = []
+
+    def before_closing(_):
+        interrupts.received += more
+        said.append(interrupts.last_words())
+
+    signal_at(monkeypatch, interrupts, before_closing)
+    monkeypatch.setattr(recording.Recording, "waiting", 7)
+    monkeypatch.setattr(recording.Recording, "lost", 2)
+    path = tmp_path / "run"
+    on_graph(talking, "bag", "record", "-a", "-o", str(path))
+    assert said == [
+        f"turtleact: {path} was not closed, because {cause}: 9 messages lost; 'turtleact bag info "
+        f"{path}' counts the others and says that the file was not closed\n"
+    ]
+    assert interrupts.last_words() == ""  # the bag is closed
+    assert interrupts.together == 1.0
+
+
+def test_a_name_that_is_not_utf8_is_refused_at_the_start(on_graph):
+    ran = on_graph(talking, "bag", "record", "-a", "-o", os.fsdecode(b"bad\xff"))
+    assert (ran.status, "its name is not UTF-8" in ran.err) == (1, True)
 
 
 def test_without_the_extra_the_package_is_named(turtleact, tmp_path, monkeypatch):

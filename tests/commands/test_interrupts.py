@@ -244,6 +244,44 @@ def test_of_several_deadlines_the_first_counts(installed, monkeypatch):
     in_the_loop(installed, steps)
 
 
+def test_a_signal_of_another_kind_may_count_as_the_same(installed):
+    installed.together = 60.0
+    for number in (signal.SIGHUP, SIGTERM):
+        signal.raise_signal(number)
+    assert (installed.received, installed.status) == ([signal.SIGHUP], 129)
+    with pytest.raises(Left, match="129"):
+        signal.raise_signal(signal.SIGHUP)
+
+
+def test_a_deadline_can_be_put_off_until_a_second_signal(installed, monkeypatch):
+    monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.01)
+    installed.patience = 0.0
+
+    def late():
+        signal.raise_signal(SIGINT)
+        end = time.monotonic() + 0.05
+        while time.monotonic() < end:
+            installed.extend()
+        signal.raise_signal(SIGINT)
+        installed.extend()
+        spin()
+
+    async def steps():
+        with pytest.raises(Left, match="130"):
+            late()
+        assert len(installed.received) == 2
+
+    in_the_loop(installed, steps)
+
+
+def test_the_last_words_are_written_before_the_process_ends(installed, capfd):
+    installed.last_words = lambda: "lost\n"
+    signal.raise_signal(SIGINT)
+    with pytest.raises(Left):
+        signal.raise_signal(SIGINT)
+    assert capfd.readouterr().err == "lost\n"
+
+
 def test_an_alarm_that_is_lost_comes_again(installed, monkeypatch):
     leaves, alarms = os._exit, []
 

@@ -150,8 +150,33 @@ async def test_a_full_disk_ends_the_recording(node, tmp_path, monkeypatch):
             await run.wait_ended()
             publisher.publish(String())
             assert run.is_over
-    assert (run.count, run.lost) == (1, 1)
+    assert (run.count, run.lost) == (1, 0)  # the second message came after the end
     assert len(await messages(tmp_path / "run")) == 1
+
+
+async def test_a_deleted_folder_ends_the_recording(node, tmp_path):
+    publisher = node.publisher(String, "said")
+    with pytest.raises(BagError, match="run': it was deleted, moved or renamed"):  # noqa: PT012  # the end of the block raises
+        async with recording.record(node, tmp_path / "run"):
+            publisher.publish(String())
+            (tmp_path / "run").rename(tmp_path / "other")
+    assert len(await messages(tmp_path / "other")) == 1
+
+
+async def test_a_message_that_comes_after_the_end_is_not_a_lost_one(node, tmp_path):
+    delivered = []
+
+    def subscribe(endpoint, format, deliver, *, in_any_thread=False):
+        delivered.append(deliver)
+        return subscribes(endpoint, format, deliver, in_any_thread=in_any_thread)
+
+    subscribes, node.transport.subscribe = node.transport.subscribe, subscribe
+    node.publisher(String, "said").publish(String())
+    async with recording.record(node, tmp_path / "run", topics=["said"]) as run:
+        [deliver] = delivered
+        deliver(String())
+    deliver(String())
+    assert (run.count, run.lost, run.waiting) == (1, 0, 0)
 
 
 async def test_an_unexpected_error_ends_the_recording_and_is_logged(

@@ -5,14 +5,18 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import anyio
+
 from turtleact.commands import graph, runner
-from turtleact.commands.output import counted, duration, note, say
+from turtleact.commands.output import counted, duration, note, printable, say
 from turtleact.recording import Bag, Played, Recording, Selection, play, record
 from turtleact.recording.metadata import read_qos_overrides
 from turtleact.recording.spool import CAPACITY
+from turtleact.tasks import Background
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
@@ -27,7 +31,19 @@ MOST_NAMED = 5
 """A note about lost messages names at most this many topics."""
 
 PATIENCE = 10.0
-"""After a signal, closing the bag or canceling its goals may take this long (s)."""
+"""After a signal, the command gives up if nothing was written for this long (s).
+
+`play_bag` has this time to cancel its goals.
+"""
+
+LOOK = 0.5
+"""After a signal, the command checks at this interval whether something was written (s)."""
+
+TELL = 4
+"""A note about the messages that still wait follows after so many such checks."""
+
+TOGETHER = 1.0
+"""Signals of different kinds within this time count as one (s)."""
 
 FAILED = 1
 """The exit status if nothing could be played, or a topic could not be recorded."""
@@ -64,7 +80,7 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
         BagError: if the bag cannot be created, or the disk is full.
         TurtleactError: if no graph is in reach.
     """
-    interrupts.patience = PATIENCE
+    interrupts.patience, interrupts.together = PATIENCE, TOGETHER
     recorded: list[Recording] = []
     qos = {} if order.overrides is None else read_qos_overrides(order.overrides)
 
@@ -81,17 +97,50 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
                 qos=qos,
             ) as recording:
                 recorded.append(recording)
+                interrupts.last_words = partial(_last_words, recording, interrupts)
+                closing = Background(_watch_closing(recording, interrupts), "closing the bag")
                 note(f"recording to {order.path}; Ctrl-C ends it")
                 await tell(recording)
         finally:
             if recorded:
+                await closing.aclose()
+                interrupts.last_words = str
                 _sum_up_recording(recorded[0])
         return 0
 
     status = graph.run(reach, record_on, interrupts)
     if not recorded:
         return status
+    if recorded[0].error is not None:  # not raised yet if a signal came before it was noticed
+        raise recorded[0].error
     return FAILED if recorded[0].unrecorded else 0
+
+
+async def _watch_closing(recording: Recording, interrupts: Interrupts) -> None:
+    """After a signal, let the command go on as long as messages are written, and say so."""
+    await interrupts.wait(1)
+    before, looks = -1, 0
+    while True:
+        left = recording.waiting
+        if left != before:
+            interrupts.extend()
+        if looks and looks % TELL == 0:
+            waiting = counted(left, "message")
+            note(f"closing {recording.path}: {waiting} still to write; Ctrl-C gives them up")
+        before, looks = left, looks + 1
+        await anyio.sleep(LOOK)
+
+
+def _last_words(recording: Recording, interrupts: Interrupts) -> str:
+    """What to say if the process ends before the bag is closed."""
+    is_forced = len(interrupts.received) > 1
+    cause = "a second signal came" if is_forced else f"nothing was written for {PATIENCE:.0f} s"
+    lost = counted(recording.waiting + recording.lost, "message")
+    path = printable(str(recording.path))
+    return (
+        f"turtleact: {path} was not closed, because {cause}: {lost} lost; "
+        f"'turtleact bag info {path}' counts the others and says that the file was not closed\n"
+    )
 
 
 async def tell(recording: Recording) -> None:
@@ -179,6 +228,8 @@ def has_display() -> bool:
 
 def _sum_up_recording(recording: Recording) -> None:
     lost = recording.lost_by_topic
+    if not recording.path.exists():
+        return
     note(f"{counted(recording.count, 'message')} recorded in {recording.path}")
     for topic, count in sorted(lost.items(), key=lambda each: -each[1])[:MOST_NAMED]:
         note(f"lost: {counted(count, 'message')} of topic '{topic}'")

@@ -16,6 +16,8 @@ signal depends on what the program is doing:
   another deadline passes (`Interrupts.end_within`, `Interrupts.patience`). A third signal ends the
   process at once. From the first signal on, the alarm clock also rings every `GRACE`. Otherwise, if
   a signal came just before a blocking write, Python would notice it only after the write.
+- Some desktops and service managers send two signals of different kinds at once. A command that
+  needs time to end can count such signals as one (`Interrupts.together`).
 - After the loop, a signal has no effect. While Python shuts down, signals are ignored.
 
 One signal handler, set once, does all of this. With the loop's own signal handling, Python's
@@ -73,6 +75,8 @@ GRACE = 0.5
 LONGEST = 1e9
 """The longest time for which the alarm clock can safely be set (s): 31 years."""
 
+STDERR = 2
+
 CHUNK = 2**16
 """How many bytes are read at a time: as many as a pipe holds on Linux."""
 
@@ -92,6 +96,10 @@ class Interrupts:
         received: The signals that came, in order.
         restore: A function that gives the terminal back. A signal handler calls it before it ends
             the process.
+        last_words: A function that returns a text for stderr. It is called before a signal handler
+            ends the process, so it must not wait for the main thread.
+        together: If a second signal of another kind comes within this time after the first (s, wall
+            clock), it is ignored.
         patience: How long the loop may go on after the first signal, before the alarm clock ends
             the process (s, wall clock).
         must_leave: Whether the process must end with `leave`, because some tasks or threads do not
@@ -101,7 +109,10 @@ class Interrupts:
     def __init__(self) -> None:
         self.received: list[signal.Signals] = []
         self.restore: Callable[[], object] = bool
+        self.last_words: Callable[[], str] = str
+        self.together = 0.0
         self.patience = inf
+        self._first_at = -inf  # when the first signal came (s, monotonic clock)
         self.must_leave = False
         self._endured = 1
         self._is_reading = False
@@ -264,6 +275,11 @@ class Interrupts:
             self._due, self._late = due, status
             self._set_alarm()
 
+    def extend(self) -> None:
+        """Let `patience` begin again, unless another signal asked to end at once."""
+        if len(self.received) < self._endured:
+            self._due = monotonic() + self.patience + GRACE
+
     async def wait(self, count: int) -> None:
         """Wait until ``count`` signals have come. Cancelling: safe."""
         # No signal is lost between the check and the wait: the handler only schedules `set`, which
@@ -278,6 +294,8 @@ class Interrupts:
         scope.cancel()
 
     def _arrive(self, number: int, _: FrameType | None) -> None:
+        if self._is_repeated(number):
+            return
         self.received.append(signal.Signals(number))
         # As a signal handler, this may run between any two bytecodes of the main thread. So it
         # takes no lock, and raises only where `read` expects it.
@@ -292,6 +310,14 @@ class Interrupts:
             self.end_within(0.0 if is_last else self.patience, self.status)
             self._set_alarm()
             self._tell()
+
+    def _is_repeated(self, number: int) -> bool:
+        """Whether a signal means the same as the first, because they came together."""
+        if not self.received:
+            self._first_at = monotonic()
+            return False
+        is_soon = monotonic() - self._first_at < self.together
+        return is_soon and len(self.received) == 1 and number != self.received[0]
 
     def _end_beginning(self) -> None:
         self.end_within(0.0, self.status if self._early is None else self._early)
@@ -329,8 +355,15 @@ class Interrupts:
     def _end(self, status: int) -> NoReturn:
         try:
             self.restore()
+            _write_at_once(self.last_words())
         finally:
             os._exit(status)
+
+
+def _write_at_once(text: str) -> None:
+    """Write to stderr, unless this would block because nobody reads it."""
+    if text and (not WAITS_FOR_FILES or select.select((), (STDERR,), (), 0)[1]):
+        os.write(STDERR, text.encode(errors="backslashreplace"))
 
 
 def _read(file: int, woken: socket.socket, most: int) -> bytes:

@@ -8,6 +8,7 @@ introspection, so a recording may lack goals and results; `turtleact bag info` s
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import AsyncIterator, Collection, Iterable, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
@@ -102,7 +103,10 @@ class Recording:
 
     @property
     def lost(self) -> int:
-        """How many messages were lost because the disk was too slow or full."""
+        """How many messages were lost because the disk was too slow or full.
+
+        Messages that come after the recording has ended early are not counted.
+        """
         return sum(self.lost_by_topic.values())
 
     @property
@@ -111,11 +115,20 @@ class Recording:
         return self._spool.lost
 
     @property
+    def waiting(self) -> int:
+        """How many messages are not on disk yet."""
+        return self._spool.waiting
+
+    @property
     def error(self) -> BagError | None:
         """Why the recording has ended early; None if it has not."""
         problem = self._spool.error
         if problem is None:
             return None
+        if isinstance(problem, FileNotFoundError) and problem.filename is not None:
+            return BagError(
+                Path(os.fsdecode(problem.filename)), problem.strerror or "it is missing"
+            )
         reason = getattr(problem, "strerror", None) or problem
         what = f"it cannot be written any more: {reason}"
         return BagError(self.path, f"{what}; what was recorded until then can be read")
@@ -266,7 +279,8 @@ async def record(
     """Record topics, services and actions for the length of a block.
 
     What appears on the graph during the block is recorded too. Messages are written in a thread.
-    If the thread cannot keep up, messages are dropped and counted; see `Recording.lost`.
+    If the thread cannot keep up, messages are dropped and counted; see `Recording.lost`. At the end
+    of the block, all messages that wait are written, however long that takes.
 
     Args:
         node: A node on the graph.
@@ -279,8 +293,9 @@ async def record(
             for, by topic; for other topics, it follows from their publishers.
 
     Raises:
-        BagError: if the folder or file exists or cannot be created. If the disk was full, the error
-            is raised at the end of the block; everything recorded before that can be read.
+        BagError: if the folder or file exists or cannot be created. If the disk was full or the
+            files were deleted, the error is raised at the end of the block, unless the block raises
+            another. What was recorded before and not deleted can be read.
         InvalidName: if a name breaks ROS 2's rules.
         InvalidOption: if ``max_duration`` is negative or above 1,000,000,000.
         TypeError: if an option does not exist.

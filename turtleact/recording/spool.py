@@ -78,6 +78,7 @@ class Spool:
         self._taken = 0
         self._refused = 0
         self._entries: list[Entry] = []
+        self._taken_out: list[Entry] = []  # by the thread, which writes them
         self._weight = 0
         self._listed: list[int] = []  # topics to add to the bag
         self._added: set[int] = set()  # topics that the bag has
@@ -109,17 +110,24 @@ class Spool:
     def put(self, number: int, stamp: int, message: object) -> None:
         """Take a message. Any thread may call this.
 
+        Once writing has ended, or `close` was called, messages are ignored and not counted. A
+        transport may still deliver some after a subscription is closed.
+
         Args:
             number: The number of its topic.
             stamp: When it was received (ns).
             message: The message, or its bytes.
         """
+        if self._is_closing or self._is_over:
+            return
         size = len(message) if isinstance(message, bytes) else self._sizes[number]
         with self._changed:
             while self._weight > self._capacity and self._is_patient and not self._is_over:
                 self._changed.notify_all()
                 self._changed.wait()
-            if self._is_over or self._weight > self._capacity:
+            if self._is_over:
+                return
+            if self._weight > self._capacity:
                 self._refused += 1
                 self._lose(number)
                 return
@@ -142,6 +150,11 @@ class Spool:
             return self._taken - gone
 
     @property
+    def waiting(self) -> int:
+        """How many messages are not on disk yet. Takes no lock, so a signal handler may ask."""
+        return len(self._entries) + len(self._taken_out) + self._writer.waiting
+
+    @property
     def lost(self) -> dict[str, int]:
         """How many messages of each topic were lost."""
         with self._changed:
@@ -152,18 +165,17 @@ class Spool:
 
     def _lose(self, number: int) -> None:
         self._lost[number] += 1
-        if self._lost[number] == 1 and self.error is None and not self._is_closing:
+        if self._lost[number] == 1:
             topic = self._channels[number].topic
             logger.warning("topic %s: the disk is too slow; messages are lost", topic)
 
     # the thread
 
     def _work(self) -> None:
-        entries: list[Entry] = []
         try:
             flushed = time.monotonic()
             while not self._is_closing or self._entries:
-                entries = self._take()
+                entries = self._taken_out = self._take()
                 while self._listed:
                     self._add(self._listed.pop(0))
                 self._write(entries)
@@ -173,7 +185,7 @@ class Spool:
         except Exception as error:
             self._fail(error)
         finally:
-            self._end(entries)
+            self._end()
 
     def _take(self) -> list[Entry]:
         """Take all entries that wait, after a pause in which more may gather."""
@@ -219,13 +231,13 @@ class Spool:
                 self._sizes[number] = len(data)
         return data
 
-    def _end(self, unwritten: list[Entry]) -> None:
+    def _end(self) -> None:
         """Close the bag, whatever has happened."""
         with self._changed:
             self._is_over = True
-            for number, _, _ in (*unwritten, *self._entries):
+            for number, _, _ in (*self._taken_out, *self._entries):
                 self._lost[number] += 1
-            self._entries = []
+            self._entries, self._taken_out = [], []
             dropped = self._dropped()
             self._changed.notify_all()
         try:
