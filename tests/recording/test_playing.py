@@ -348,6 +348,18 @@ async def test_a_file_of_no_sensible_duration_is_not_begun(node, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+async def test_a_closed_node_neither_plays_nor_records(tmp_path):
+    path = write(tmp_path / "run", 0.0)
+    async with open_node("lab") as node:
+        pass
+    with pytest.raises(TurtleactError, match="node '/lab' is closed: open another"):
+        await recording.play(node, path)
+    with pytest.raises(TurtleactError, match="node '/lab' is closed: open another"):
+        async with recording.record(node, tmp_path / "new"):
+            pytest.fail("it began")
+    assert not (tmp_path / "new").exists()
+
+
 async def test_damage_is_raised_as_it_is(node, tmp_path):
     path = write(tmp_path / "run.mcap", *range(100))
     content = bytearray(path.read_bytes())

@@ -12,7 +12,7 @@ from opentelemetry.sdk.metrics.export import PeriodicExportingMetricReader
 from prometheus_client.parser import text_string_to_metric_families
 
 import turtleact
-from turtleact import GoalRejected
+from turtleact import GoalRejected, TurtleactError
 from turtleact.clock import VirtualClock
 from turtleact.goal import Goal
 from turtleact.observers import FeedbackLost
@@ -56,6 +56,13 @@ async def test_ended_goals_are_counted_by_status_with_their_durations():
     assert found[f"{name}_bucket action=/count,le=+Inf,status=succeeded"] == 3
     assert 0 < found[f"{name}_sum action=/count,status=succeeded"] < 30
     assert found["ros_action_wait_seconds_count action=/count"] == 3
+
+
+async def test_a_closed_node_cannot_be_watched():
+    async with turtleact.open_node("lab") as node:
+        pass
+    with pytest.raises(TurtleactError, match="node '/lab' is closed: open another"):
+        GoalMetrics().watch(node)
 
 
 async def test_a_histogram_has_the_goals_up_to_each_bound():

@@ -663,6 +663,11 @@ async def open_node(
             await node.aclose()
 
 
+def check_open(node: Node) -> None:
+    """Raise `TurtleactError` if a node is closed, or belongs to another event loop."""
+    node._check_open()
+
+
 def resources_of(node: Node) -> Resources:
     """Return the tracker of everything open on a node, for code that runs beside the node."""
     return node._resources

@@ -33,7 +33,7 @@ from turtleact.graph import SEND_GOAL
 from turtleact.interfaces import Message, WireFormat, get_action, nanoseconds, stamp_of, type_hash
 from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
 from turtleact.names import resolve_name
-from turtleact.node import Node
+from turtleact.node import Node, check_open
 from turtleact.recording.bag import Bag, Reading, Recorded, reader_of
 from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import class_of
@@ -120,6 +120,7 @@ async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> 
         BagError: if there is no bag, or a place in it is damaged.
         InvalidOption: if the rate is neither a number above zero nor "max", or ``start_offset`` or
             ``duration`` is negative or above 1,000,000,000.
+        TurtleactError: if the node is closed, or the caller runs in another event loop.
         TypeError: if an option does not exist.
     """
     for unknown in options.keys() - PlayOptions.__annotations__.keys():
@@ -127,6 +128,7 @@ async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> 
     rate = options.get("rate", 1.0)
     if rate != "max" and not (isinstance(rate, int | float) and rate > 0):
         raise InvalidOption("rate", f"expected a number above zero or 'max', not {rate!r}")
+    check_open(node)
     times = _times(options)
     bag = Bag(path)
     player = _Player(node, bag, options, times)

@@ -26,7 +26,7 @@ from turtleact.graph import SEND_GOAL
 from turtleact.interfaces import Message, WireFormat, get_interface, type_hash
 from turtleact.introspection import GATHER
 from turtleact.names import resolve_name
-from turtleact.node import Node
+from turtleact.node import Node, check_open
 from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.mcap_writing import Compression
 from turtleact.recording.metadata import BagError, Offer
@@ -298,10 +298,12 @@ async def record(
             another. What was recorded before and not deleted can be read.
         InvalidName: if a name breaks ROS 2's rules.
         InvalidOption: if ``max_duration`` is negative or above 1,000,000,000.
+        TurtleactError: if the node is closed, or the caller runs in another event loop.
         TypeError: if an option does not exist.
     """
     for unknown in options.keys() - RecordOptions.__annotations__.keys():
         raise TypeError(f"record has no option '{unknown}'")
+    check_open(node)
     split = Split(
         max_size=options.get("max_size", 0),
         max_duration=in_nanoseconds("max_duration", options.get("max_duration", 0.0)),

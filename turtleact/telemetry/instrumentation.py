@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from anyio import sleep_forever
 
 from turtleact.errors import TurtleactError
-from turtleact.node import Node, resources_of
+from turtleact.node import Node, check_open, resources_of
 from turtleact.tasks import Background
 from turtleact.telemetry.measuring import measure, watch, watch_loop
 
@@ -54,11 +54,9 @@ def instrument(
             "pip install 'opentelemetry-api>=1.30,<2'"
         ) from missing
     resources = resources_of(node)
-    resources.home.check()
+    check_open(node)
     if resources.find(_Instrumentation) is not None:
         return
-    if not node.is_open:
-        raise TurtleactError(f"node '{node.fully_qualified_name}' is closed: open another")
     tracing, instruments = Tracing(node, tracer_provider), Instruments(meter_provider)
     if not tracing.is_off:
         watch(node, tracing.add_server, tracing.add_client)

@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple, TypeAlias
 from weakref import WeakSet
 
-from turtleact.node import Node
+from turtleact.node import Node, check_open
 from turtleact.telemetry.measuring import BOUNDS, measure, watch_loop
 
 __all__ = ["GoalMetrics", "Totals"]
@@ -102,7 +102,11 @@ class GoalMetrics:
         """Count the goals that a node serves and sends, from now on.
 
         A second call for the same node does nothing.
+
+        Raises:
+            TurtleactError: if the node is closed, or the caller runs in another event loop.
         """
+        check_open(node)
         if node not in self._nodes:
             self._nodes.add(node)
             measure(node, self._totals)
