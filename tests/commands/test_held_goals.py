@@ -41,12 +41,12 @@ FIBONACCI = "example_interfaces/action/Fibonacci"
 interface: Callable[[str], Any] = get_interface
 TABLE = """\
 id                                action   state      age         client
-71a906369b85473ab15bb0160400f6a4  /hold    EXECUTING  1 min 35 s  /boss
-0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e  /refuse  EXECUTING  1 min 34 s  /boss
-3c87eb979ec646d88d02a52e6a57ee59  /count   SUCCEEDED  1 min 33 s  one of 2
-c53d3439a0e348a6b910e9028279a17a  /count   EXECUTING  1 min 32 s  one of 2
-fbda737307334cbbb22f0a599bd12cac  /fail    ABORTED    1 min 31 s  /aide
-71a9ffff9b85473ab15bb0160400f6a4  /hold    EXECUTING  1.0 s       /boss
+71a906369b85473ab15bb0160400f6a4  /hold    EXECUTING  1 min 35 s  ?
+0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e  /refuse  EXECUTING  1 min 34 s  ?
+3c87eb979ec646d88d02a52e6a57ee59  /count   SUCCEEDED  1 min 33 s  ?
+c53d3439a0e348a6b910e9028279a17a  /count   EXECUTING  1 min 32 s  ?
+fbda737307334cbbb22f0a599bd12cac  /fail    ABORTED    1 min 31 s  ?
+71a9ffff9b85473ab15bb0160400f6a4  /hold    EXECUTING  1.0 s       ?
 """
 
 

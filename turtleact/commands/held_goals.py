@@ -496,8 +496,8 @@ async def _ask(node: Node, server: str, action: str, silent: set[str]) -> None:
 
 
 def _row(node: Node, goal: HeldGoal, now: int) -> tuple[str, ...]:
-    clients = _clients(node, goal.action)
-    client = clients[0] if len(clients) == 1 else f"one of {len(clients)}" if clients else "gone"
+    # Even a single client may be the wrong one: the sender may have left, and its name with it.
+    client = "?" if _clients(node, goal.action) else "gone"
     age = duration((now - goal.stamp) / SECOND)
     state = f"{goal.status.name}{' (paused)' * goal.is_paused}"
     return goal.goal_id.hex(), goal.action, state, age, client
