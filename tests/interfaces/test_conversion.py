@@ -252,6 +252,11 @@ class Sample(Message, type_name="example_msgs/msg/Sample"):
     from_: float64 = 0.0
 
 
+class Turtle(Message, type_name="example_msgs/msg/Turtle"):
+    name: string = "turtle1"
+    speed: float64 = 2.0
+
+
 FULL = Sample(True, "a", Point(1.0), [Point(y=2.0)], b"ab", [1], [1, 2], 0.5)
 AS_DICT = {
     "flag": True,
@@ -344,6 +349,7 @@ def test_bytes_are_made_of_bytes_or_numbers(uuid):
         (Empty, 5, "message: expected {}, because it has no fields, got 5"),
         (Sample, 5, 'message: expected fields such as {flag: false, name: "", at: {}}, got 5'),
         (Point, None, "message: expected fields such as {x: 0.0, y: 0.0, z: 0.0}, got None"),
+        (Turtle, 5, 'message: expected fields such as {name: "turtle1", speed: 2.0}, got 5'),
         (GoalInfo, [], "message: expected fields such as {goal_id: {}, stamp: {}}, got []"),
         (UUID, [], "message: expected fields such as {uuid: []}, got []"),
     ],

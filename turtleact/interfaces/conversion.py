@@ -11,6 +11,7 @@ Source: builtin_interfaces/msg/Time, for the times.
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
@@ -334,8 +335,8 @@ def sample(field: Field) -> str:
         return "[]"
     if field.type.is_nested:
         return "{}"
-    value = zero(field.type)
-    return '""' if value == "" else str(value).lower()
+    value = zero(field.type) if field.default is None else field.default
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value).lower()
 
 
 def instead(cls: type[Message], name: object) -> str:
