@@ -38,6 +38,7 @@ from turtleact.testing import FaultyTransport
 from turtleact.transports import MemoryTransport
 
 FIBONACCI = "example_interfaces/action/Fibonacci"
+HOLD = ("71a906369b85473ab15bb0160400f6a4", "71a9ffff9b85473ab15bb0160400f6a4")
 interface: Callable[[str], Any] = get_interface
 TABLE = """\
 id                                action   state      age         client
@@ -339,6 +340,27 @@ def test_the_status_tells_of_a_goal_that_was_canceled(on_graph, graphs):
     ran = on_graph(graphs.in_turn(graphs.goals, canceling), "watch", graphs.IDS["hold"])
     assert ran.status == 5
     assert ran.out.endswith("\nGoal finished with status: CANCELED\n")
+
+
+def test_the_name_of_an_action_means_its_only_running_goal(on_graph, graphs):
+    ran = on_graph(graphs.goals, "watch", "count")
+    assert (ran.status, ran.out.splitlines()[-1]) == (0, "Goal finished with status: SUCCEEDED")
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "problem"),
+    [
+        ("/hold", 2, f"action '/hold' has 2 running goals, give one: {HOLD[0]}, {HOLD[1]}"),
+        ("fail", 1, "no server in reach holds a running goal of /fail; 'turtleact goals' lists"),
+        ("hald", 1, "action '/hald': nobody serves it; .* did you mean '/hold'?"),
+    ],
+)
+def test_an_action_without_exactly_one_running_goal_is_not_watched(
+    on_graph, graphs, name, status, problem
+):
+    ran = on_graph(graphs.goals, "watch", name)
+    assert (ran.status, ran.out) == (status, "")
+    assert re.search(problem, ran.err)
 
 
 def test_ctrl_c_lets_go_of_a_goal_that_is_watched(on_graph, graphs):

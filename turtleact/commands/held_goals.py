@@ -182,21 +182,33 @@ def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
 async def find_goal(node: Node, wanted: str) -> HeldGoal:
     """Find the goal on the graph with an id that begins with a text.
 
-    Print a note if the goal's server does not answer.
+    If the text begins with a slash, find the only running goal of the action with this name. Print
+    a note if the goal's server does not answer.
 
     Raises:
         UsageError: if there are several.
+        ServerUnavailable: if nobody serves an action of that name.
         TurtleactError: if there is none.
     """
-    goals, silent = await held_goals(node, served_actions(node, None))
-    found = find_goals(goals, wanted)
+    is_name = wanted.startswith("/")
+    goals, silent = await held_goals(node, served_actions(node, wanted if is_name else None))
+    found = _running_goal(goals, wanted) if is_name else find_goals(goals, wanted)
     if found is None:
+        goal = f"a running goal of {wanted}" if is_name else f"a goal {wanted}"
         hint = silence(silent) if silent else "'turtleact goals' lists all goals"
-        raise TurtleactError(f"no server in reach holds a goal {wanted}; {hint}")
+        raise TurtleactError(f"no server in reach holds {goal}; {hint}")
     stuck = [server for server in _servers(node, {found.action: ""}) if server in silent]
     if stuck:
         note(f"{silence(stuck)}; waiting for it")
     return found
+
+
+def _running_goal(goals: Iterable[HeldGoal], action: str) -> HeldGoal | None:
+    running = [goal for goal in goals if goal.status.is_active]
+    if len(running) > 1:
+        shown = ", ".join(goal.goal_id.hex() for goal in running)
+        raise UsageError(f"action '{action}' has {len(running)} running goals, give one: {shown}")
+    return running[0] if running else None
 
 
 FEEDBACK_QOS = QoS(depth=1000)
@@ -311,7 +323,7 @@ async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedb
 
     Args:
         node: A node on the graph.
-        wanted: The beginning of the goal's id.
+        wanted: The beginning of the goal's id, or the full name of an action with one running goal.
         transcript: Prints the goal.
         hears_feedback: Whether to receive the goal's feedback.
 

@@ -48,7 +48,7 @@ from turtleact.commands.verbs.options import (
     type_of,
     whole,
 )
-from turtleact.errors import UsageError
+from turtleact.errors import InvalidName, UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
@@ -59,6 +59,7 @@ if TYPE_CHECKING:
 __all__ = ["action", "app", "moment"]
 
 _GOAL_ID = re.compile(r"[0-9a-f]{4,32}")
+_HEXADECIMAL = re.compile(r"[0-9a-fA-F-]+")
 _SECONDS = re.compile(r"(?P<whole>[0-9]{1,10})(?:\.(?P<part>[0-9]{0,9}))?")
 _LATEST = 2**31 * 1_000_000_000
 """The first moment that is too late for ROS 2's ``builtin_interfaces/msg/Time``."""
@@ -147,10 +148,18 @@ AnyName: TypeAlias = Annotated[
     ),
 ]
 Id: TypeAlias = Annotated[
-    str,
+    str | None,
     typer.Argument(
         metavar="ID",
         help="The goal's id, or its first four digits or more.",
+        autocompletion=completion.goal_ids,
+    ),
+]
+IdOrName: TypeAlias = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="ID|NAME",
+        help="The goal's id, or its first four digits or more. Or an action with one running goal.",
         autocompletion=completion.goal_ids,
     ),
 ]
@@ -328,7 +337,7 @@ def cancel(
         raise UsageError("--all and --before take one action; without one, they mean all actions")
     if not is_many and not given:
         raise UsageError("give the ids of goals, or --all; 'turtleact goals' lists them")
-    ids = [] if is_many else [_goal_id(text) for text in given]
+    ids = [] if is_many else [_goal_id(text, for_all=True) for text in given]
     until = 0 if before is None else moment(before)
 
     async def look(node: Node) -> int:
@@ -376,7 +385,7 @@ def _switch(given: list[str], *, is_all: bool, is_paused: bool, timeout: float) 
         raise UsageError("--all takes one action; without one, it means all actions")
     if not is_all and not given:
         raise UsageError("give the ids of goals, or --all; 'turtleact goals' lists them")
-    ids = [] if is_all else [_goal_id(text) for text in given]
+    ids = [] if is_all else [_goal_id(text, for_all=True) for text in given]
 
     async def look(node: Node) -> int:
         from turtleact.commands import held_goals
@@ -391,7 +400,7 @@ def _switch(given: list[str], *, is_all: bool, is_paused: bool, timeout: float) 
 
 @app.command(cls=Verb, help=VERBS["watch"])
 def watch(
-    goal_id: Id,
+    what: IdOrName = None,
     *,
     plain: Plain = False,
     interfaces: Interfaces = None,
@@ -400,13 +409,17 @@ def watch(
     config: Config = None,
 ) -> Job:
     """``watch``."""
-    plan = _follow(goal_id, "plain" if plain else "auto", hears_feedback=True)
+    if what is None:
+        raise UsageError(
+            "give the id of a goal, or an action with one running goal; 'turtleact goals' lists all"
+        )
+    plan = _follow(_watched(what), "plain" if plain else "auto", hears_feedback=True)
     return on_known_graph(reach(connect, domain, config), interfaces, plan)
 
 
 @app.command(cls=Verb, help=VERBS["result"])
 def result(
-    goal_id: Id,
+    goal_id: Id = None,
     *,
     journal: Journal = None,
     interfaces: Interfaces = None,
@@ -415,10 +428,12 @@ def result(
     config: Config = None,
 ) -> Job:
     """``result``."""
+    if goal_id is None:
+        raise UsageError("give the id of a goal; 'turtleact goals' lists them")
+    wanted = _goal_id(goal_id)
     if journal is not None:
-        wanted = _goal_id(goal_id)
         return _read(lambda goals: goals.print_result(journal, wanted, folder(interfaces)))
-    plan = _follow(goal_id, "plain", hears_feedback=False)
+    plan = _follow(wanted, "plain", hears_feedback=False)
     return on_known_graph(reach(connect, domain, config), interfaces, plan)
 
 
@@ -598,19 +613,30 @@ def _read(look: Callable[[ModuleType], int]) -> Job:
     return job
 
 
-def _goal_id(text: str) -> str:
+def _goal_id(text: str, *, for_all: bool = False) -> str:
     digits = text.replace("-", "").lower()
     if not _GOAL_ID.fullmatch(digits):
         problem = "is not a goal id, which has 32 hexadecimal digits; the first 4 are enough"
-        if text.startswith("/"):
-            problem += ". To mean all goals of an action, add --all"
-        raise UsageError(f"{quoted(text)} {problem}")
+        hint = "'turtleact goals' lists all goals"
+        if for_all:
+            hint += ", and --all means all goals of an action"
+        raise UsageError(f"{quoted(text)} {problem}. {hint}")
     return digits
 
 
-def _follow(goal_id: str, view: View, *, hears_feedback: bool) -> Plan:
-    wanted = _goal_id(goal_id)
+def _watched(text: str) -> str:
+    """Return the id of a goal, or the full name of an action, which begins with a slash."""
+    from turtleact.names import resolve_name
 
+    if _HEXADECIMAL.fullmatch(text):
+        return _goal_id(text)
+    try:
+        return resolve_name(text)
+    except InvalidName:
+        return _goal_id(text)  # raises an error
+
+
+def _follow(wanted: str, view: View, *, hears_feedback: bool) -> Plan:
     def plan(interrupts: Interrupts) -> Look:
         from turtleact.commands import held_goals, send_goal
 
