@@ -129,7 +129,10 @@ def test_the_reference_has_every_verb(made):
 def test_a_verb_is_shown_with_its_arguments_options_and_examples(made):
     page = made["reference/cli/serve.md"]
     assert "turtleact serve [OPTIONS] [TARGET]" in page
-    assert "| `--speed` FACTOR | How fast time passes, up to 100. Default: `1.0`. |" in page
+    assert (
+        "| `--speed` FACTOR | How fast time passes: 2 is twice as fast as real time; up to 100. "
+        "Default: `1.0`. |" in page
+    )
     assert "0 to 232. Default: `ROS_DOMAIN_ID` or `0`. |" in page
     assert "\nturtleact serve --web 9090\n" in page
 

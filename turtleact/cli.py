@@ -152,11 +152,15 @@ def _advice(error: BaseException) -> str:
 
     if isinstance(error, UnknownInterface):
         if found := misnamed(Path(), error.type_name):
-            return f"{' Otherwise' if error.suggestion else ':'} rename {found[0]} to {found[1]}"
-        if error.type_name.rpartition("/")[2][:1].islower():
-            begins = "he name of an interface begins with a capital letter, and so does its file"
-            return f" T{begins}" if error.suggestion else f": t{begins}"
-        return f"{' Otherwise' if error.suggestion else ':'} {ELSEWHERE}"
+            return f"{' If not,' if error.suggestion else ':'} rename {found[0]} to {found[1]}"
+        package, slash, name = error.type_name.rpartition("/")
+        if name[:1].islower():
+            camel = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
+            begins = (
+                f"names of interfaces begin with a capital letter, as in '{package}{slash}{camel}'"
+            )
+            return f" N{begins[1:]}" if error.suggestion else f": {begins}"
+        return f"{' If not,' if error.suggestion else ':'} {ELSEWHERE}"
     if isinstance(error.__cause__, UnknownInterface):  # a file uses it
         return f"\nto make it known, {ELSEWHERE}"
     return ""

@@ -284,16 +284,23 @@ def test_the_option_comes_before_the_workspace_and_that_before_the_working_direc
     assert shown == ["int32 installed\n", "int32 option\n"]
 
 
-ADVICE = "source the ROS workspace that has it, give --interfaces DIR, or change to the folder of"
+ADVICE = (
+    "source the ROS workspace that has the interface, give --interfaces DIR, or change to the "
+    "folder of"
+)
 
 
 @pytest.mark.parametrize(
     ("type_name", "problem"),
     [
         ("labs/action/Gone", f"unknown interface 'labs/action/Gone': {ADVICE} its package"),
-        ("std_msgs/msg/Strin", f"did you mean 'std_msgs/msg/String'? Otherwise {ADVICE} its"),
-        ("lab/msg/go", "did you mean 'lab/msg/Out'? The name of an interface begins with a cap"),
-        ("labs/msg/gone", "'labs/msg/gone': the name of an interface begins with a capital letter"),
+        ("std_msgs/msg/Strin", f"did you mean 'std_msgs/msg/String'? If not, {ADVICE} its"),
+        ("lab/msg/go", "did you mean 'lab/msg/Out'? Names of interfaces begin with a capital"),
+        (
+            "labs/msg/gone",
+            "'labs/msg/gone': names of interfaces begin with a capital letter, as in",
+        ),
+        ("labs/msg/gone_to", "as in 'labs/msg/GoneTo'"),
         ("lab/msg/Out", "lab/msg/Out.msg:1:1: unknown interface 'labs/msg/Gone'"),
         ("lab/msg/Out", f"\nto make it known, {ADVICE} its package\n"),
     ],

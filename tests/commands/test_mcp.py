@@ -51,6 +51,22 @@ def test_a_missing_extra_is_named_with_the_command_that_installs_it(on_graph, gr
     assert ran.err == "turtleact: turtleact mcp needs one more package: pip install 'mcp>=2.3,<3'\n"
 
 
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_terminal_is_told_what_the_command_waits_for(
+    on_graph, graphs, monkeypatch, tmp_path, is_terminal
+):
+    with (tmp_path / "empty").open("w+") as empty:
+        monkeypatch.setattr(empty, "isatty", lambda: is_terminal, raising=False)
+        monkeypatch.setattr(sys, "stdin", empty)
+        ran = on_graph(graphs.fibonacci, "mcp", "--all")
+    assert (ran.status, ran.out) == (0, "")
+    told = (
+        "turtleact: waiting for an MCP client on stdin; a client starts this command. "
+        "Ctrl-C ends it\n"
+    )
+    assert ran.err == (told if is_terminal else "")
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

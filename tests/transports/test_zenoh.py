@@ -616,6 +616,16 @@ async def test_a_server_that_is_announced_and_cannot_be_reached_is_given_up(addr
         declared.undeclare()
 
 
+async def test_a_client_that_sees_no_actions_asks_for_the_router(address, monkeypatch):
+    monkeypatch.setattr(services, "GRACE", 0.05)
+    async with (
+        open_zenoh([], listen=[address]) as alone,
+        turtleact.open_node("robot", transport=alone) as node,
+    ):
+        with pytest.raises(ServerUnavailable, match=r"are the server and the router running\?$"):
+            await node.action_client(Fibonacci, "fibonacci").send_goal(Fibonacci.Goal())
+
+
 async def test_a_goal_can_be_sent_as_soon_as_its_client_is_opened(address):
     """The client sees the server at once, and can reach it a moment later."""
 

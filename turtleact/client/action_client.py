@@ -243,7 +243,9 @@ class ActionClient(Generic[G, R, F]):
                 "this node sees only its own process, where nobody serves it; to reach others, open"
                 " the node with transport= and open_zenoh()"
             )
-        return f"the graph has {', '.join(actions[:5])}" if actions else "the graph has no actions"
+        if not actions:
+            return "this node sees no actions at all: are the server and the router running?"
+        return f"the graph has {', '.join(actions[:5])}"
 
     def _find(self) -> GoalServer | None:
         found = self._endpoints.find_local()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from importlib.util import find_spec
@@ -86,6 +87,8 @@ def run(order: Order, interrupts: Interrupts) -> int:
         node, wire = opened
         if order.is_empty:
             raise UsageError(await _what_there_is(node))
+        if wire is not None and sys.stdin.isatty():
+            note("waiting for an MCP client on stdin; a client starts this command. Ctrl-C ends it")
         return await _serve(order, node, wire)
 
     return runner.run(graph.until_interrupted(_open(order), serve, interrupts), interrupts)

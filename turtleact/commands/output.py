@@ -26,8 +26,8 @@ __all__ = [
 ]
 
 ELSEWHERE = (
-    "source the ROS workspace that has it, give --interfaces DIR, or change to the folder of its "
-    "package"
+    "source the ROS workspace that has the interface, give --interfaces DIR, or change to the "
+    "folder of its package"
 )
 """The advice for an unknown interface."""
 

@@ -97,7 +97,8 @@ PANELS: Final = {
     **dict.fromkeys(
         ("send-goal", "goals", "cancel", "pause", "resume", "watch", "result"), "Goals"
     ),
-    **dict.fromkeys(("serve", "run", "mcp", "teleop", "snapshot"), "Turtles"),
+    **dict.fromkeys(("serve", "run", "mcp"), "Servers and programs"),
+    **dict.fromkeys(("teleop", "snapshot"), "Turtles"),
     **dict.fromkeys(GROUPS, "Verbs of ros2"),
     "journal": "Goals",
     "doctor": "Verbs of ros2",

@@ -116,7 +116,7 @@ Speed: TypeAlias = Annotated[
     str | None,
     typer.Option(
         metavar="FACTOR",
-        help="How fast time passes, up to 100, or max.",
+        help="How fast time passes: 2 is twice as fast as real time; up to 100, or max.",
         autocompletion=completion.words("max"),
         rich_help_panel=EMBEDDED,
     ),

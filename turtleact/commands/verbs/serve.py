@@ -230,7 +230,7 @@ Speed: TypeAlias = Annotated[
     typer.Option(
         metavar="FACTOR",
         parser=speed_factor,
-        help="How fast time passes, up to 100.",
+        help="How fast time passes: 2 is twice as fast as real time; up to 100.",
         rich_help_panel=WORLD,
     ),
 ]
