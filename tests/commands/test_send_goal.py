@@ -156,8 +156,8 @@ def test_a_type_that_is_on_the_graph_and_not_known_here_says_what_to_do(on_graph
     assert (ran.status, ran.err) == (
         1,
         "turtleact: action '/far': its type far_msgs/action/Away is not known here: "
-        "source the ROS workspace that has it, give --interfaces DIR, or change to the folder of "
-        "its package\n",
+        "source the ROS workspace that has the interface, give --interfaces DIR, or change to the "
+        "folder of its package\n",
     )
 
 

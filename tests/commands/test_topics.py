@@ -310,8 +310,8 @@ def test_a_type_of_the_graph_that_is_not_known_here_says_how_to_make_it_known(on
     assert (ran.status, ran.out) == (1, "")
     assert ran.err == (
         "turtleact: topic '/far': its type far_msgs/msg/Away is not known here: "
-        "source the ROS workspace that has it, give --interfaces DIR, or change to the folder of "
-        "its package\n"
+        "source the ROS workspace that has the interface, give --interfaces DIR, or change to the "
+        "folder of its package\n"
     )
 
 

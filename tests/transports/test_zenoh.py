@@ -616,12 +616,12 @@ async def test_a_server_that_is_announced_and_cannot_be_reached_is_given_up(addr
         declared.undeclare()
 
 
-async def test_a_client_that_sees_no_actions_asks_for_the_router(address, monkeypatch):
-    monkeypatch.setattr(services, "GRACE", 0.05)
+async def test_a_client_that_sees_no_actions_asks_for_the_router(address):
     async with (
         open_zenoh([], listen=[address]) as alone,
         turtleact.open_node("robot", transport=alone) as node,
     ):
+        alone.discovery_ends = 0.0  # do not wait for servers
         with pytest.raises(ServerUnavailable, match=r"are the server and the router running\?$"):
             await node.action_client(Fibonacci, "fibonacci").send_goal(Fibonacci.Goal())
 
