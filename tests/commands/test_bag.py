@@ -324,7 +324,7 @@ def test_without_the_extra_the_package_is_named(turtleact, tmp_path, monkeypatch
 
 
 @asynccontextmanager
-async def counting(transport):
+async def counting(transport, introspection="contents"):
     """A graph on which ``fibonacci`` is served, and nothing else."""
 
     async def body(goal):
@@ -332,17 +332,23 @@ async def counting(transport):
         yield Fibonacci.Result([goal.order])
 
     async with open_node("server", transport=transport) as node:
-        node.action_server(Fibonacci, "fibonacci", body, introspection="contents")
+        node.action_server(Fibonacci, "fibonacci", body, introspection=introspection)
         yield
 
 
 @pytest.fixture
 def goals(tmp_path):
     """A bag with two goals, and a message of ``/said``."""
+    return record_goals(tmp_path)
 
+
+def record_goals(tmp_path, introspection="contents"):
     async def main():
         transport = MemoryTransport(VirtualClock())  # it stands still
-        async with counting(transport), open_node("asker", transport=transport) as node:
+        async with (
+            counting(transport, introspection),
+            open_node("asker", transport=transport) as node,
+        ):
             client = node.action_client(Fibonacci, "fibonacci")
             said = node.publisher(String, "/said")
             async with recording.record(node, tmp_path / "goals"):
@@ -352,6 +358,16 @@ def goals(tmp_path):
 
     anyio.run(main)
     return str(tmp_path / "goals")
+
+
+def test_info_says_that_events_have_no_contents(turtleact, tmp_path):
+    ran = turtleact("bag", "info", record_goals(tmp_path, "metadata"))
+    missing = "Missing: the goals and results of /fibonacci. Their service events have no contents"
+    assert missing in ran.out
+
+
+def test_info_of_a_bag_with_goals_misses_nothing(turtleact, goals):
+    assert "Missing" not in turtleact("bag", "info", goals).out
 
 
 def test_goals_are_listed(turtleact, goals):

@@ -11,6 +11,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,7 +21,7 @@ from turtleact.interfaces.conversion import to_dict
 from turtleact.interfaces.text import flow
 from turtleact.names import resolve_name
 from turtleact.recording.bag import Bag
-from turtleact.recording.metadata import BagInfo, BagTopic
+from turtleact.recording.metadata import BagError, BagInfo, BagTopic
 from turtleact.recording.selection import EVENT, REQUESTS, owner_of, part_of
 from turtleact.recording.storage import Range
 
@@ -35,6 +36,12 @@ INDENT = 19
 _SIZES = ("B", "KiB", "MiB", "GiB", "TiB")
 
 HEADINGS = ("id", "action", "state", "took", "feedback", "goal", "result", "reason")
+
+FIRST = 8
+"""How many events show whether the events of an action have contents."""
+
+EMPTY_EVENT = 52
+"""The length of a service event without request and response (bytes), as CDR."""
 
 LONGEST = 40
 """In a table, a goal or result is cut after this many characters."""
@@ -54,7 +61,7 @@ def print_info(path: Path, *, verbose: bool, names_only: bool) -> int:
             return 0
         reading = _Reading(bag) if verbose else None
         lines = [*_head(info), *_topics(info), *_services(info, reading), *_actions(info, reading)]
-        say_names("\n" + "".join(f"{line}\n" for line in [*lines, *_remarks(info)]))
+        say_names("\n" + "".join(f"{line}\n" for line in [*lines, *_remarks(bag)]))
         return 0
     finally:
         bag.close()
@@ -188,9 +195,9 @@ def _actions_of(info: BagInfo) -> list[_Action]:
     return [_Action(name, types[name], found[name]) for name in sorted(found)]
 
 
-def _remarks(info: BagInfo) -> list[str]:
+def _remarks(bag: Bag) -> list[str]:
     """Sentences about what is missing in the bag."""
-    remarks = []
+    info, remarks = bag.info, list[str]()
     if not info.is_closed:
         remarks.append(
             "The file was not closed: the recorder was killed, or the disk was full. "
@@ -206,7 +213,26 @@ def _remarks(info: BagInfo) -> list[str]:
             f"Missing: the goals and results of {', '.join(silent)}. No service events were "
             "published; serve the actions with introspection to record them."
         )
+    empty = [each.name for each in _actions_of(info) if _lacks_contents(bag, each)]
+    if empty:
+        remarks.append(
+            f"Missing: the goals and results of {', '.join(empty)}. Their service events have no "
+            "contents; serve the actions with 'turtleact serve --introspection contents' to record "
+            "them."
+        )
     return ["", *remarks] if remarks else []
+
+
+def _lacks_contents(bag: Bag, action: _Action) -> bool:
+    """Whether the events of an action's goal requests have no contents, judged by the first few."""
+    topic = action.parts.get("send_goal")
+    if topic is None or not topic.count:
+        return False
+    try:
+        first = list(islice(bag.messages(Range(wants=topic.name.__eq__)), FIRST))
+    except BagError:  # a damaged chunk
+        return False
+    return bool(first) and all(len(raw.data) <= EMPTY_EVENT for raw in first)
 
 
 def _lacks_goals(action: _Action) -> bool:
