@@ -2,10 +2,11 @@
 
 import socket
 
+import anyio
 import pytest
 
 from turtleact.errors import InvalidOption
-from turtleact.http_server import bound, is_loopback, token_for
+from turtleact.http_server import Config, bound, is_loopback, serving, token_for
 
 READ_AHEAD = 2**14
 
@@ -46,3 +47,20 @@ def test_a_token_is_made_only_if_other_machines_can_connect():
 def test_other_machines_must_send_a_token():
     with pytest.raises(InvalidOption, match="must not be empty if other machines can connect"):
         token_for("192.168.1.5", "")
+
+
+@pytest.mark.loops("asyncio")
+async def test_a_server_ends_with_its_block_even_if_closing_fails():
+    async def fail() -> None:
+        raise ValueError("it cannot be closed")
+
+    async def serve(_scope: object, _receive: object, _send: object) -> None:
+        """Serves nothing."""
+
+    with bound("127.0.0.1", 0) as listener:
+        address = listener.getsockname()
+        with pytest.raises(ValueError, match="cannot be closed"):
+            async with serving(Config(serve), listener, fail):
+                pass
+    with pytest.raises(OSError, match="connect"):
+        await anyio.connect_tcp(*address)

@@ -15,6 +15,7 @@ import shutil
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from time import monotonic
 from typing import TYPE_CHECKING, Final
 
 import anyio
@@ -182,7 +183,10 @@ async def _watch_disk(
         return disk_fault(path, what), check()
 
     async def report_silence() -> None:
-        await anyio.sleep(SILENT_AFTER)
+        # Measured by the wall clock: virtual time jumps while the thread asks the disk.
+        asked = monotonic()
+        while (left := SILENT_AFTER - (monotonic() - asked)) > 0:
+            await anyio.sleep(left)
         problem = f"the disk of the {what} {path} does not answer"
         reports.report(
             name, problem, "look at the drive, and at the network if it is a network drive"

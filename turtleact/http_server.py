@@ -114,11 +114,13 @@ async def serving(
         # Shielded: a cancelled block must not leave clients without their last answers, or a
         # server without an owner. uvicorn itself limits how long requests may take.
         with anyio.CancelScope(shield=True):
-            await close()
-            server.should_exit = True
-            if is_patient:
-                await server.over.wait()
-            await running.aclose()
+            try:
+                await close()
+            finally:  # the server ends even if that has failed
+                server.should_exit = True
+                if is_patient:
+                    await server.over.wait()
+                await running.aclose()
 
 
 def token_for(host: str, token: str | None) -> str:

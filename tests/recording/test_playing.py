@@ -13,7 +13,7 @@ import turtleact
 from turtleact import InvalidOption, QoS, TurtleactError, open_node, recording
 from turtleact.app import open_world
 from turtleact.clock import VirtualClock
-from turtleact.interfaces import encode, int32, nanoseconds
+from turtleact.interfaces import encode, int32, nanoseconds, stamp_of
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import TurtlePose, Twist, Vector3
 from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
@@ -248,6 +248,41 @@ async def test_goals_are_sent_again_with_new_ids(node, tmp_path):
     assert [each.status for each in second][-3:] == [each.status for each in first]
     assert [each.goal for each in second][-3:] == [each.goal for each in first]
     assert not {each.id for each in first} & {each.id for each in second[-3:]}
+
+
+async def test_a_cancel_that_comes_before_the_acceptance_is_not_lost(node, tmp_path):
+    await record_goals(node, tmp_path / "first")
+    asked = list[Any]()
+
+    async def ponder(goal):
+        asked.append(goal)
+        await node.clock.sleep(5)  # the recorded cancel came after 1.5 s
+        return turtleact.GoalResponse.ACCEPT
+
+    node.action_server(Fibonacci, "other", count, goal_callback=ponder)
+    played = await recording.play(
+        node, tmp_path / "first", send_goals=True, remap={"/fibonacci": "/other"}
+    )
+    assert len(asked) == 3
+    assert played.goals["/other", "CANCELED"] == 1
+
+
+async def test_a_cancel_of_all_goals_up_to_a_time_spares_later_goals(node, tmp_path):
+    node.action_server(Fibonacci, "fibonacci", count, introspection="contents")
+    client = node.action_client(Fibonacci, "fibonacci", introspection="contents")
+    async with (
+        recording.record(node, tmp_path / "first", actions=["fibonacci"]),
+        client.send_goal(Fibonacci.Goal(order=9)) as early,
+    ):
+        await node.clock.sleep(1)
+        between = stamp_of(node.clock.now())
+        await node.clock.sleep(1)
+        async with client.send_goal(Fibonacci.Goal(order=2)) as late:
+            await client.cancel_before(between)
+            await early.outcome()
+            await late.outcome()
+    played = await recording.play(node, tmp_path / "first", send_goals=True)
+    assert played.goals == {("/fibonacci", "CANCELED"): 1, ("/fibonacci", "SUCCEEDED"): 1}
 
 
 async def test_goals_can_go_to_an_action_of_another_name(node, tmp_path):

@@ -351,6 +351,26 @@ class _Player:
         return self._remap.get(topic, topic)
 
 
+class _Resent(msgspec.Struct):
+    """A recorded goal that is sent again.
+
+    Attributes:
+        stamp: When the goal was requested in the bag (ns).
+        handle: The handle of the new goal; None until the server has accepted it.
+        is_canceled: Whether to cancel the goal as soon as it is accepted.
+    """
+
+    stamp: int
+    handle: ClientGoalHandle[Any, Any] | None = None
+    is_canceled: bool = False
+
+    def cancel(self) -> None:
+        """Cancel the goal now, or when it is accepted."""
+        self.is_canceled = True
+        if self.handle is not None:
+            self.handle.cancel_nowait()
+
+
 class _GoalSender:
     """Sends the goals of a bag again, and cancels those that were canceled.
 
@@ -381,7 +401,7 @@ class _GoalSender:
         self._remap = remap
         self._played = played
         self._clients: dict[str, ActionClient[Any, Any, Any]] = {}
-        self._handles: dict[bytes, ClientGoalHandle[Any, Any] | None] = {}
+        self._goals: dict[bytes, _Resent] = {}  # by their recorded ids
         self._canceled: set[tuple[bytes, int]] = set()
         self._readers: dict[str, Callable[[bytes], Message | None]] = {}
 
@@ -407,14 +427,14 @@ class _GoalSender:
     def start_over(self) -> None:
         """Forget the goals sent so far, so that the next round sends all of them again."""
         self.has_sent = False
-        self._handles.clear()
+        self._goals.clear()
         self._canceled.clear()
         self._accepted.clear()
 
     def note_unsent(self) -> None:
         """Count the goals that were accepted in the bag, but are not in it themselves."""
         for goal_id, action in self._accepted.items():
-            if goal_id in self._handles:
+            if goal_id in self._goals:
                 continue
             if action in self._played.skipped:
                 self._played.failed += 1
@@ -434,7 +454,7 @@ class _GoalSender:
             return
         for request in event.request:
             if part == "send_goal":
-                self._send(action, request)
+                self._send(action, request, nanoseconds(event.info.stamp))
             else:
                 self._cancel(event.info, request)
 
@@ -455,11 +475,11 @@ class _GoalSender:
             read = self._readers[message.topic] = reader_of(channel)
         return read(message.data)
 
-    def _send(self, action: str, request: Any) -> None:  # noqa: ANN401  # a message
+    def _send(self, action: str, request: Any, stamp: int) -> None:  # noqa: ANN401  # a message
         old = bytes(request.goal_id.uuid)
-        if old in self._handles:  # the client's event and the server's are of one request
+        if old in self._goals:  # the client's event and the server's are of one request
             return
-        self._handles[old] = None
+        resent = self._goals[old] = _Resent(stamp)
         client = self._clients.get(self._remap.get(action, action))
         if client is None:  # its type is not known here
             self._played.failed += 1
@@ -470,12 +490,16 @@ class _GoalSender:
             self._fail(client.name, "the recorded goal has other fields")
             return
         self.has_sent = True
-        self._tasks.start_soon(self._follow, client, goal, old)
+        self._tasks.start_soon(self._follow, client, goal, resent)
 
-    async def _follow(self, client: ActionClient[Any, Any, Any], goal: Message, old: bytes) -> None:
+    async def _follow(
+        self, client: ActionClient[Any, Any, Any], goal: Message, resent: _Resent
+    ) -> None:
         try:
             async with client.send_goal(goal) as handle:
-                self._handles[old] = handle
+                resent.handle = handle
+                if resent.is_canceled:
+                    handle.cancel_nowait()
                 status: GoalStatus = (await handle.outcome()).status
         except TurtleactError as error:
             self._fail(client.name, str(error))
@@ -488,9 +512,11 @@ class _GoalSender:
             return
         self._canceled.add(call)
         old = bytes(request.goal_info.goal_id.uuid)
-        for each, handle in self._handles.items():
-            if handle is not None and (each == old or not any(old)):
-                handle.cancel_nowait()
+        stamp = nanoseconds(request.goal_info.stamp)
+        everything = not any(old) and not stamp
+        for each, goal in self._goals.items():
+            if everything or each == old or (stamp and goal.stamp <= stamp):
+                goal.cancel()
 
     def _client(self, action: str, type_name: str) -> ActionClient[Any, Any, Any]:
         name = self._remap.get(action, action)

@@ -166,8 +166,9 @@ class Recording:
             if each.kind == "publisher" and self._selection.wants(each.name, each.type_name):
                 key = _Key(each.name, each.type_name, each.type_hash)
                 offered.setdefault(key, []).append(each)
+        listed = {each[:2] for each in offered}
         for key in self._unlisted(endpoints):
-            if not any(each[:2] == key[:2] for each in offered):
+            if key[:2] not in listed:
                 offered[key] = []
         checkpoint = current_tasks().checkpoint
         for key, publishers in offered.items():
