@@ -57,6 +57,13 @@ async def test_the_line_that_says_it_is_ready_is_always_there():
         assert shown(board, width=59, height=10)[0].startswith("ready at tcp/127.0.0.1:7447")
 
 
+async def test_a_paused_world_is_called_paused():
+    async with served(paused=True) as (board, node):
+        assert shown(board)[1] == "the world is paused"
+        node.resume()
+        assert "the world is paused" not in shown(board)
+
+
 async def test_all_turtles_are_on_the_map_with_their_names():
     async with served(turtles=3) as (board, _):
         world = world_of(shown(board))

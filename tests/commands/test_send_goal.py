@@ -23,7 +23,9 @@ from turtleact import open_node
 from turtleact.commands import send_goal
 from turtleact.commands.transcript import JsonTranscript, PlainTranscript
 from turtleact.goal import GoalStatus
+from turtleact.interfaces import from_text
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
+from turtleact.interfaces.standard import GetSimulationState, SetSimulationState, SimulationState
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint
 
@@ -276,6 +278,35 @@ def test_a_timeout_of_zero_leaves_once_the_goal_is_accepted(on_graph, graphs):
     ran = on_graph(graphs.goals, "send-goal", "hold", "-t0", "--plain")
     assert (ran.status, ran.err.count("the goal goes on; 'turtleact watch ")) == (0, 1)
     assert re.search(r"Goal accepted with ID: [0-9a-f]{32}\n\n\Z", ran.out)
+
+
+@pytest.mark.parametrize(
+    ("state", "note"),
+    [
+        (SimulationState.STATE_PLAYING, ""),
+        (
+            SimulationState.STATE_PAUSED,
+            "turtleact: the world is paused; 'turtleact service call /world/set_simulation_state "
+            '"state: {state: 1}"\' resumes it\n',
+        ),
+    ],
+)
+def test_a_paused_world_is_told_of(on_graph, graphs, state, note):
+    @asynccontextmanager
+    async def world(transport):
+        response = GetSimulationState.Response(SimulationState(state))
+        async with open_node("world", transport=transport) as node:
+            node.service(GetSimulationState, "~/get_simulation_state", lambda _: response)
+            yield
+
+    ran = on_graph(graphs.in_turn(graphs.fibonacci, world), "send-goal", "fibonacci", "order: 3")
+    assert (ran.status, ran.err) == (0, note)
+
+
+def test_the_command_that_resumes_a_world_is_parsed():
+    command = shlex.split(send_goal.RESUMES.partition("'")[2].partition("' resumes")[0].rstrip("'"))
+    text = from_text(SetSimulationState.Request, command[-1])
+    assert text.state.state == SimulationState.STATE_PLAYING
 
 
 def test_a_goal_that_ends_in_time_is_not_canceled(on_stage):

@@ -42,6 +42,7 @@ ELSEWHERE = {
     "serve --listen tls/0.0.0.0:7447 --config serve.toml": "test_locks.py: it needs certificates",
     "bag convert": "test_playing.py: it needs a damaged bag",
     "cancel 71a9 0d4f": "test_page.py: it needs goals with these ids",
+    'service call /world/set_simulation_state "state: {state: 1}"': "test_send_goal.py",
     "pause 71a9": "test_pausing.py: it needs such a goal",
     "mcp --actions /patrol,/go_to": "test_mcp.py: it serves until its client leaves",
     "mcp --all --confirm": "test_mcp.py: likewise",

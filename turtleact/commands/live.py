@@ -392,7 +392,8 @@ class Dashboard:
         world = None if sim is None else render.MapView(SIDE, turtles, _Drawn(sim), ahead)
         log = [line.short for line in self._log.lines()]
         more = len(self._goals) - len(goals)
-        shown = render.Board(self._heading, world, rows, more, log=log)
+        paused = ["the world is paused"] if sim is not None and sim.is_paused else []
+        shown = render.Board([*self._heading, *paused], world, rows, more, log=log)
         return render.board(shown, width=width, height=height)
 
     def _in_order(self) -> list[_Served]:

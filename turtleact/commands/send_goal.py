@@ -37,6 +37,7 @@ from turtleact.commands.transcript import (
 from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError, UsageError
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import Action, from_text
+from turtleact.interfaces.standard import GetSimulationState, SimulationState
 from turtleact.names import resolve_name
 from turtleact.transports.base import find_server
 
@@ -64,6 +65,10 @@ PATIENCE = 5.0
 A goal may take this long to end after its timeout. A server on the graph may take this long until
 it can be reached. After this time, the user is told that no server has accepted the goal.
 """
+
+WORLD_STATE = "/world/get_simulation_state"
+
+RESUMES = """'turtleact service call /world/set_simulation_state "state: {state: 1}"'"""
 
 AGAIN = 0.25
 """The interval at which ``--reattach`` looks for a server that has not started (s, wall clock)."""
@@ -327,6 +332,8 @@ class Sending:
             beside.start_soon(self.time_out, sent, self._order.timeout)
             self._interrupts.end_within(self._order.timeout + PATIENCE, TIMEOUT)
         beside.start_soon(transcript.animate)
+        if not self._is_embedded:
+            beside.start_soon(self._tell_of_pause, sent.node)
         if transcript.wants_feedback:
             async for feedback in handle:
                 transcript.feedback(feedback)
@@ -338,6 +345,21 @@ class Sending:
         if outcome.status is GoalStatus.ABORTED:
             transcript.note(f"the goal was aborted: {outcome.reason or 'no reason given'}")
         return self._exit_status(outcome)
+
+    async def _tell_of_pause(self, node: Node) -> None:
+        """Tell the user if the world is paused: the clock of its graph stands, so goals wait."""
+        services = {each.name for each in node.transport.endpoints() if each.kind == "service"}
+        if WORLD_STATE not in services:
+            return
+        client = node.service_client(GetSimulationState, WORLD_STATE)
+        try:
+            response = await client.call(GetSimulationState.Request(), PATIENCE)
+        except TurtleactError:
+            return  # the world is silent or gone; the goal's own server tells what matters
+        finally:
+            await client.aclose()
+        if response.state.state in (SimulationState.STATE_PAUSED, SimulationState.STATE_STOPPED):
+            self._transcript.note(f"the world is paused; {RESUMES} resumes it")
 
     def _exit_status(self, outcome: Outcome[Message]) -> int:
         if outcome.status is GoalStatus.CANCELED:
