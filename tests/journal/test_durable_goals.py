@@ -31,8 +31,9 @@ from turtleact.errors import (
 from turtleact.goal_journal import GoalRecord
 from turtleact.interfaces import Action, Message, int32
 from turtleact.journal import read_goals
+from turtleact.observers import GoalObserver
 
-from ..lab import Count, Gate, feedback, goal, result, running, settle
+from ..lab import Count, Gate, feedback, goal, local_server, result, running, settle
 
 ID, OTHER, THIRD = bytes(range(16)), bytes(range(1, 17)), bytes(range(2, 18))
 
@@ -300,6 +301,39 @@ async def test_a_body_that_succeeds_while_it_is_stopped_has_succeeded(path):
         async with here.client.send_goal(goal(), goal_id=ID) as handle:
             await server.aclose()
             assert await handle.result() == result(1)
+
+
+class OnExecuting(GoalObserver):
+    """Calls a function when a goal is about to run."""
+
+    def __init__(self, call: Callable[[], object]) -> None:
+        self._call = call
+
+    def goal_changed(self, goal: Any, before: GoalStatus, after: GoalStatus) -> None:
+        if after is GoalStatus.EXECUTING:
+            self._call()
+
+
+async def test_a_body_that_has_not_begun_when_its_server_stops_never_runs_on(path):
+    under_way = set[bytes]()
+
+    async def act(request: Count.Goal, handle: Handle) -> Count.Result:
+        under_way.add(handle.goal_id)
+        try:
+            await anyio.sleep_forever()
+        finally:
+            under_way.remove(handle.goal_id)
+        return result()
+
+    async with place(path) as here, anyio.create_task_group() as group:
+        server = here.serve(act)
+        close = OnExecuting(partial(group.start_soon, server.aclose))
+        local_server(server).observers.add(close)
+        with pytest.raises(ServerUnavailable, match="goes on when the server is back"):
+            await here.client.send_goal(goal(), goal_id=ID)
+        await settle()
+        assert not under_way
+        assert records(path)[ID].status is GoalStatus.EXECUTING
 
 
 async def test_goals_are_aborted_after_a_restart_unless_they_resume(path):

@@ -60,6 +60,7 @@ class BodyTask(Coroutine[object, object, None]):
         "_goal",
         "_has_ended",
         "_is_cancel_due",
+        "_is_dropped",
         "_runner",
         "_steps",
         "_task",
@@ -75,6 +76,7 @@ class BodyTask(Coroutine[object, object, None]):
         self._steps: Coroutine[object, object, object] | None = None
         self._task: Cancelable | None = None
         self._is_cancel_due = False
+        self._is_dropped = False
         self._has_ended = False
 
     def start(self, name: str, context: Context | None) -> None:
@@ -94,12 +96,14 @@ class BodyTask(Coroutine[object, object, None]):
 
         A body that has not begun never begins.
         """
-        # There are four cases. (1) The body has not begun: the goal ends now, and `send` finds it
-        # ended. (2) The body is in its first step, so `start` has not stored the task yet: `start`
-        # or `send` cancels afterwards. (3) The task is in an anyio shield, which
-        # `asyncio.Task.cancel` would break: `send` cancels after the step that leaves the shield.
-        # (4) Otherwise the task is cancelled now.
+        # There are four cases. (1) The body has not begun: `send` never begins it. The goal ends
+        # now, or stays unfinished in the journal while the server is suspended. (2) The body is in
+        # its first step, so `start` has not stored the task yet: `start` or `send` cancels
+        # afterwards. (3) The task is in an anyio shield, which `asyncio.Task.cancel` would break:
+        # `send` cancels after the step that leaves the shield. (4) Otherwise the task is cancelled
+        # now.
         if self._steps is None:
+            self._is_dropped = True
             self._runner.end_unstarted(self._goal)
         elif self._task is None:
             self._is_cancel_due = True
@@ -147,8 +151,8 @@ class BodyTask(Coroutine[object, object, None]):
         return self._step(self._begin if self._steps is None else self._steps.send, None)
 
     def _begin(self, value: Any) -> object:  # noqa: ANN401  # as `send`
-        """Run the first step, unless the goal was cancelled before it."""
-        if self._goal.is_decided:
+        """Run the first step, unless the body was cancelled or the goal ended before it."""
+        if self._is_dropped or self._goal.is_decided:
             raise StopIteration
         self._steps = self._runner.open_body(self._goal, self)
         return self._steps.send(value)
