@@ -6,6 +6,7 @@ import gc
 from collections import defaultdict
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any
 
 import anyio
@@ -807,6 +808,41 @@ async def test_a_second_attachment_of_a_client_shares_the_goal():
     ):
         gate.opened.set()
         assert await again.result() == await own.result() == result(3)
+
+
+async def test_tasks_that_attach_to_a_goal_at_once_share_it():
+    gate, readers = Gate(), list[Any]()
+
+    async def act(request: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
+        await gate.opened.wait()
+        yield feedback(1)
+        yield result(3)
+
+    async def attach(client: turtleact.ActionClient[Any, Any, Any]) -> None:
+        async with client.attach(ID) as handle:
+            readers.append([each.so_far async for each in handle])
+
+    async with apart(act) as served, served.client.send_goal(goal(), goal_id=ID):
+        graph: Any = served.node.transport
+        news, subscribe = list[Callable[[], object]](), graph.subscribe
+
+        def subscribe_slowly(endpoint: Any, format: Any, deliver: Any) -> Any:
+            def deliver_later(message: Any) -> None:
+                news.append(partial(deliver, message))
+
+            is_status = endpoint.name.endswith("/status")
+            return subscribe(endpoint, format, deliver_later if is_status else deliver)
+
+        graph.subscribe = subscribe_slowly
+        other = served.node.action_client(Count, "count")
+        async with anyio.create_task_group() as group:
+            for _ in range(2):
+                group.start_soon(attach, other)
+            await settle()
+            news.pop()()  # the first status, for which both wait
+            await settle()
+            gate.opened.set()
+    assert readers == [[[1]], [[1]]]
 
 
 async def test_an_id_that_is_under_way_is_refused_here():

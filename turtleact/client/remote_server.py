@@ -164,6 +164,9 @@ class RemoteActionServer:
         with anyio.move_on_after(STATUS_WITHIN):
             while self._held is None:
                 await self._status.wait()
+        remote = self._goals.by_id.get(goal_id)  # another task may have sent or attached to it
+        if remote is not None:
+            return remote.goal
         if self._held is None or goal_id not in self._held:
             return None
         state = self._held[goal_id]
