@@ -310,6 +310,8 @@ def test_a_name_that_is_not_utf8_is_refused_at_the_start(on_graph):
 
 def test_without_the_extra_the_package_is_named(turtleact, tmp_path, monkeypatch):
     ours = ("turtleact.recording", "turtleact.commands.bag_")
+    # A package has its modules as attributes, too. They come back with the modules.
+    monkeypatch.setattr(sys.modules["turtleact"], "recording", recording)
     for name in [each for each in sys.modules if each.startswith(ours)]:
         monkeypatch.delitem(sys.modules, name)
     for name in ["mcap", *[each for each in sys.modules if each.startswith("mcap.")]]:
