@@ -68,7 +68,7 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         bound: float64 = 0.0
 
     class Feedback(Message):
-        """Where the turtle is, and how far it still has to go. Sent once a second.
+        """Where the turtle is, and how far it still has to go. Sent once a second and at the end.
 
         Attributes:
             pose: Where the turtle is.
@@ -135,12 +135,16 @@ class _GoTo:
         theta = goal.theta if goal.heading_tolerance else None
         async with self._turtles.drive(goal.turtle, self._steering(goal), handle) as drive:
             deadline, due = drive.deadline(target, theta=theta), drive.time()
-            result = GoTo.Result(bound=before.bound)
+            result, has_told = GoTo.Result(bound=before.bound), False
 
             def note() -> None:
                 result.distance = before.distance + drive.travelled
                 result.duration = drive.time() - started
                 handle.set_partial_result(result)
+
+            def tell() -> None:
+                note()
+                handle.publish_feedback(GoTo.Feedback(drive.pose, drive.distance_to([target])))
 
             try:
                 if not result.bound:
@@ -150,11 +154,12 @@ class _GoTo:
                         raise drive.too_late(_missed(goal, is_there=drive.has_reached(target)))
                     if drive.time() >= due:
                         due = drive.time() + PERIOD
-                        note()
-                        remaining = drive.distance_to([target])
-                        handle.publish_feedback(GoTo.Feedback(drive.pose, remaining))
+                        tell()
+                        has_told = True
                     await drive.towards(target, theta=theta, until=min(due, deadline))
                 await drive.rest()
+                if has_told:  # the last feedback must not contradict the result
+                    tell()
             finally:
                 note()  # a canceled or aborted goal has a result, too
         return result
