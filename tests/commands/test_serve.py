@@ -604,7 +604,7 @@ def test_a_standby_takes_over_when_the_first_server_is_killed(served, lab):
 
 @pytest.mark.loops("asyncio")
 async def test_a_server_of_the_same_node_that_lives_is_not_waited_for_for_ever(
-    tmp_path, monkeypatch
+    tmp_path, monkeypatch, caplog
 ):
     """Two sessions, as of two processes: whether the other is a predecessor cannot be seen."""
     monkeypatch.setattr("turtleact.commands.serve.LEASE", 0.1)
@@ -620,6 +620,10 @@ async def test_a_server_of_the_same_node_that_lives_is_not_waited_for_for_ever(
         await second.explore()
         with pytest.raises(TurtleactError, match="'/quick' is served by node /turtleact already"):
             await serve_declared(other, [quick], wait=False)
+    assert caplog.messages[-2:] == [
+        "/quick is served by /turtleact: waiting until that has gone",
+        "waiting for up to 0.1 s: /turtleact may be an earlier run that was killed",
+    ]
 
 
 STUDENT = """

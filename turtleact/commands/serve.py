@@ -273,6 +273,9 @@ async def serve_declared(
         if taken.node == node.fully_qualified_name:
             raise UsageError(f"action '{taken.action}' is given twice") from None
         raise _refused(taken) from None
+    if not (wait or all(server.is_serving for server in servers)):
+        earlier = f"{node.fully_qualified_name} may be an earlier run that was killed"
+        logger.warning("waiting for up to %g s: %s", LEASE, earlier)
     # One after the other is enough: each wait ends by itself, and all share the time limit.
     with anyio.move_on_after(None if wait else LEASE):
         for server in servers:
