@@ -20,12 +20,13 @@ from turtleact.interfaces import implied
 from turtleact.interfaces.classes import event_message
 from turtleact.interfaces.standard import CancelGoal, ServiceEventInfo, Time
 from turtleact.interfaces.standard.std_srvs.srv import SetBool
-from turtleact.introspection import EVENT_QOS, event_topic
+from turtleact.introspection import EVENT_QOS, ServiceEvents, event_topic
 from turtleact.node import Node
+from turtleact.tasks import Background
 from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport, open_zenoh
 
-from .lab import Count, Gate, HandClock, count, goal, result
+from .lab import Count, Gate, HandClock, count, goal, result, settle
 
 IMPLIED = implied(Count)
 SERVICES: dict[str, Any] = {
@@ -309,6 +310,62 @@ async def test_a_server_that_closes_sends_the_events_that_wait(address):
         await server.aclose()
         while cast("Any", await anext(reader)).response != [SetBool.Response()]:
             pass
+
+
+class Far:
+    """A publication whose only reader is in another process."""
+
+    has_readers, has_near_readers = True, False
+
+    def __init__(self) -> None:
+        self.sent: list[bytes] = []
+
+    def send(self, data: bytes) -> None:
+        self.sent.append(data)
+
+    def close(self) -> None:
+        """Nothing is left to do."""
+
+
+@asynccontextmanager
+async def events_for_others(monkeypatch) -> AsyncIterator[tuple[ServiceEvents, Far]]:
+    """The events of a service, and what is sent to other processes."""
+    monkeypatch.setattr("turtleact.introspection.GATHER", 0.0)
+    far = Far()
+    async with turtleact.open_node("lab") as node:
+        monkeypatch.setattr(node.transport, "advertise", lambda *_: far)
+        server = node.service(SetBool, "flip", flip, introspection="metadata")
+        yield cast("Any", node.transport.local("/flip", SetBool.type_name)).observer, far
+        await server.aclose()
+
+
+async def test_a_program_that_cancels_all_its_tasks_loses_no_events(monkeypatch):
+    gathering = list[Background]()
+
+    class Noted(Background):
+        def __init__(self, *args: Any) -> None:
+            super().__init__(*args)
+            gathering.append(self)
+
+    monkeypatch.setattr("turtleact.introspection.Background", Noted)
+    async with events_for_others(monkeypatch) as (events, far):
+        events.requested(b"", bytes(16), 1)
+        gathering[0].cancel()
+        await settle()
+        assert len(far.sent) == 1
+        events.requested(b"", bytes(16), 2)
+        await until(lambda: len(far.sent) == 2)
+
+
+async def test_what_happens_after_a_service_was_closed_is_not_published(monkeypatch):
+    async with events_for_others(monkeypatch) as (events, far):
+        events.requested(b"", bytes(16), 1)
+        events.close()
+        await settle()
+        events.responded(b"", bytes(16), 1)
+        await anyio.sleep(0)
+        await settle()
+        assert len(far.sent) == 1
 
 
 def complete(events: list[Any]) -> set[tuple[bytes, int]]:

@@ -100,22 +100,24 @@ class ServiceEvents(CallObserver):
         self._encode_response = WireFormat(find_type).encode
         self._publication = transport.advertise(described, self._format)
         self._tasks = current_tasks()
+        self._is_open = True
         self._unsent: list[_Event] = []
         self._is_gathering = False
         self._gathering: Background | None = None
 
     def requested(self, request: object, gid: bytes, sequence: int) -> None:
         """Publish that a request has been sent or received."""
-        if self._publication.has_readers:
+        if self._is_open and self._publication.has_readers:
             self._publish(self._request, gid, sequence, request)
 
     def responded(self, response: object, gid: bytes, sequence: int) -> None:
         """Publish that a response has been sent or received."""
-        if self._publication.has_readers:
+        if self._is_open and self._publication.has_readers:
             self._publish(self._response, gid, sequence, response)
 
     def close(self) -> None:
         """Send the events that wait, and leave the topic."""
+        self._is_open = False
         if self._gathering is not None:
             self._gathering.cancel()
         self._send_all()
@@ -152,24 +154,19 @@ class ServiceEvents(CallObserver):
             return self._format.write(info, request=data)
         return self._format.write(info, response=data)
 
-    # Threads other than the event loop's may bring events, too. To append to a list is safe there.
-    # The flag is cleared before the list is taken, so an event that arrives in between is either
-    # taken, too, or starts the next wait.
-
     def _send_later(self, event: _Event) -> None:
         self._unsent.append(event)
         if not self._is_gathering:
             self._is_gathering = True
-            self._tasks.from_anywhere(self._gather)
-
-    def _gather(self) -> None:
-        name = f"the events of topic {self._topic}"
-        self._gathering = Background(self._send_soon(), name, self._tasks)
+            name = f"the events of topic {self._topic}"
+            self._gathering = Background(self._send_soon(), name, self._tasks)
 
     async def _send_soon(self) -> None:
-        await anyio.sleep(GATHER)
-        self._is_gathering = False
-        self._send_all()
+        try:
+            await anyio.sleep(GATHER)
+        finally:  # a program may cancel all tasks: later events must start the next wait
+            self._is_gathering = False
+            self._send_all()
 
     def _send_all(self) -> None:
         unsent, self._unsent = self._unsent, []
