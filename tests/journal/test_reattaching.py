@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ import anyio.to_thread
 import pytest
 
 import turtleact
+from turtleact import GoalStatus
 from turtleact.client import remote_goals
 from turtleact.errors import InvalidOption, ServerUnavailable, UnknownGoal
+from turtleact.observers import GoalObserver
 from turtleact.transports import MemoryTransport, open_zenoh
 
 from .. import warm
@@ -140,6 +143,58 @@ async def test_an_awaited_goal_survives_a_restart(tmp_path, see: Callable[[Memor
         assert results == [result(3)]
         if see is Apart:  # the new server has published before a client in its process can attach
             assert seen == [feedback(0), feedback(0)]
+
+
+WHO = ContextVar[str]("WHO")
+
+
+class Ends(GoalObserver):
+    """Writes down in which states goals end."""
+
+    def __init__(self) -> None:
+        self.states: list[GoalStatus] = []
+
+    def goal_changed(self, goal: Any, before: GoalStatus, after: GoalStatus) -> None:
+        if after.is_terminal:
+            self.states.append(after)
+
+
+async def test_after_a_restart_feedback_and_observers_are_served_as_before(tmp_path):
+    gate, ends, transport = Gate(), Ends(), MemoryTransport()
+    heard = list[tuple[str, Count.Feedback]]()
+
+    async def act(request: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:
+        WHO.set("the body")
+        gate.log.append("begun")
+        gate.started.set()
+        await gate.opened.wait()
+        yield feedback(1)
+        yield result(3)
+
+    def hear(message: Count.Feedback) -> None:
+        heard.append((WHO.get(), message))
+
+    async def send() -> Count.Result:
+        WHO.set("the sender")
+        got: Count.Result = await client.send_goal(goal(), reattach=30.0, feedback_callback=hear)
+        return got
+
+    restarted = Restarted(transport, tmp_path / "goals.db", act)
+    async with turtleact.open_node("near", transport=transport) as node:
+        client = node.action_client(Count, "count")
+        client.observers.add(ends)
+        async with running(send) as sent:
+            async with restarted.serving():
+                await gate.started.wait()
+            async with restarted.serving():
+                while gate.log != ["begun"] * 2:
+                    await settle()
+                await settle()  # the client has attached to the goal again
+                gate.opened.set()
+                await sent.done.wait()
+    assert sent.value == result(3)
+    assert heard == [("the sender", feedback(1))]
+    assert ends.states == [GoalStatus.SUCCEEDED]
 
 
 async def test_a_server_that_stays_away_is_given_up(tmp_path):

@@ -15,6 +15,7 @@ import uuid
 import warnings
 from collections.abc import Callable, Coroutine, Generator
 from contextvars import copy_context
+from functools import partial
 from inspect import CO_COROUTINE
 from types import CodeType, TracebackType
 from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeAlias, TypeVar
@@ -310,7 +311,10 @@ class ActionClient(Generic[G, R, F]):
         goal = await server.attach(goal_id_bytes(order.goal_id or b""))
         if goal is None:
             raise UnknownGoal(f"the server of '{self.name}' is back, but does not hold the goal")
-        goal.on_feedback = goal.on_feedback or order.on_feedback
+        goal.sender = goal.sender or order.sender  # so that the client's observers hear of it again
+        on_feedback: Any = order.on_feedback
+        if on_feedback is not None and goal.on_feedback is None:  # runs in the sender's context
+            goal.on_feedback = partial(copy_context().run, on_feedback)
         return server, goal
 
     async def _enter(self, order: GoalOrder) -> GoalReader:
