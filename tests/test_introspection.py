@@ -26,7 +26,7 @@ from turtleact.tasks import Background
 from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport, open_zenoh
 
-from .lab import Count, Gate, HandClock, count, goal, result, settle
+from .lab import Count, Gate, HandClock, count, goal, result, running, settle
 
 IMPLIED = implied(Count)
 SERVICES: dict[str, Any] = {
@@ -310,6 +310,27 @@ async def test_a_server_that_closes_sends_the_events_that_wait(address):
         await server.aclose()
         while cast("Any", await anext(reader)).response != [SetBool.Response()]:
             pass
+
+
+async def test_a_call_under_way_when_its_client_closes_is_published_to_its_end(address):
+    started, gate = anyio.Event(), anyio.Event()
+
+    async def wait(_: SetBool.Request) -> SetBool.Response:
+        started.set()
+        await gate.wait()
+        return SetBool.Response()
+
+    async with apart(address) as (far, near):
+        far.service(SetBool, "flip", wait)
+        client = near.service_client(SetBool, "flip", introspection="contents")
+        reader = near.subscription(event_message(SetBool), event_topic("/flip"))
+        await client.wait_for_service()
+        async with running(lambda: client.call(SetBool.Request())):
+            await started.wait()
+            await client.aclose()
+            gate.set()
+        assert [kind_of(each) for each in reader.drain()] == ["REQUEST_SENT", "RESPONSE_RECEIVED"]
+        assert not near.count_publishers(event_topic("/flip"))
 
 
 class Far:

@@ -292,6 +292,8 @@ class ServiceClient(Generic[Req, Res]):
         self._home = owner.home.of(f"the client of service '{name}'")
         self._tasks = tasks
         self._found: LocalService | None = None
+        self._is_open = True
+        self._calls = 0  # to servers that are not called directly
         self._check_request = _checker(service_type.Request, "request")
 
     async def call(self, request: Req, timeout: float | None = None) -> Res:
@@ -345,8 +347,13 @@ class ServiceClient(Generic[Req, Res]):
 
         Such calls are not cancelled.
         """
+        self._is_open = False
         self._membership.close()
-        if self._caller.observer is not None:
+        self._close_observer()
+
+    def _close_observer(self) -> None:
+        """Close the observer once the client is closed and no call is left to observe."""
+        if self._caller.observer is not None and not (self._is_open or self._calls):
             self._caller.observer.close()
 
     async def _answer(self, request: object) -> object:
@@ -357,7 +364,12 @@ class ServiceClient(Generic[Req, Res]):
             server = self._found = self._find_local()
         if server is not None:
             return await server.answer(request)
-        return (await self._caller.call(self._check_request(request))).message
+        self._calls += 1
+        try:
+            return (await self._caller.call(self._check_request(request))).message
+        finally:
+            self._calls -= 1
+            self._close_observer()
 
     def _find_local(self) -> LocalService | None:
         """Return the server in this process.
