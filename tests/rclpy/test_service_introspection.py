@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from turtleact.rclpy.action import ActionClient, ActionServer
+from turtleact.rclpy.exceptions import InvalidHandle
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.qos import QoSProfile, qos_profile_system_default
 from turtleact.rclpy.service_introspection import ServiceIntrospectionState
@@ -82,19 +83,35 @@ def test_a_destroyed_end_leaves_the_topic(node, ends):
     assert node.count_publishers("add/_service_event") == 1
 
 
+@pytest.mark.parametrize("index", range(4), ids=["service", "client", "server", "action client"])
+def test_a_destroyed_entity_cannot_publish_events(node, ends, index):
+    actions = ActionServer(node, Fibonacci, "count", print), ActionClient(node, Fibonacci, "count")
+    entity = (*ends, *actions)[index]
+    entity.destroy()
+    with pytest.raises(InvalidHandle):
+        configure(node, ServiceIntrospectionState.METADATA, entity)
+    topics = ("add/_service_event", "count/_action/send_goal/_service_event")
+    assert [node.count_publishers(topic) for topic in topics] == [0, 0]
+
+
+def test_an_entity_that_is_destroyed_while_it_enters_the_topic_leaves_it(node, monkeypatch):
+    server = ActionServer(node, Fibonacci, "count", print)
+    with monkeypatch.context() as entering:
+        entering.setattr(node.connection, "wait_until_explored", server.destroy)
+        configure(node, ServiceIntrospectionState.METADATA, server)
+    assert node.count_publishers("count/_action/send_goal/_service_event") == 0
+
+
 def test_an_event_that_cannot_be_published_fails_no_call(node, executor, ends, events, capsys):
     class Broken:
         def now(self):
-            return self
-
-        def to_msg(self):
-            return "no time"
+            raise ValueError("no time")
 
     ends[1].configure_introspection(
         Broken(), qos_profile_system_default, ServiceIntrospectionState.METADATA
     )
     call(executor, ends[1])
-    assert "an event of /add/_service_event cannot be published" in capsys.readouterr().err
+    assert "an event of /add/_service_event cannot be published: no time" in capsys.readouterr().err
 
 
 def test_an_action_publishes_the_calls_of_its_services(node, executor):

@@ -15,6 +15,7 @@ from typing import Protocol
 
 from turtleact.rclpy.clock import Clock
 from turtleact.rclpy.impl.connection import CallEvents, Connection, Sender
+from turtleact.rclpy.impl.entity import Entity
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class
@@ -67,6 +68,7 @@ class ServiceEvents(CallEvents):
         self._clock: Clock | None = None
         self._sender: Sender | None = None
         self._has_contents = False
+        self._is_closed = False
 
     @property
     def is_on(self) -> bool:
@@ -82,8 +84,11 @@ class ServiceEvents(CallEvents):
             self._node.connection.wait_until_explored()  # so that a reader gets the first event
             sender = self._node.connection.advertise(end, hash_of(type_name))
         with self._lock:
-            before, self._sender, self._clock = self._sender, sender, clock
-            self._has_contents = state == ServiceIntrospectionState.CONTENTS
+            if self._is_closed:  # by another thread, while this one opened the topic
+                before = sender
+            else:
+                before, self._sender, self._clock = self._sender, sender, clock
+                self._has_contents = state == ServiceIntrospectionState.CONTENTS
         if before is not None:
             before.close()
 
@@ -98,14 +103,23 @@ class ServiceEvents(CallEvents):
         self._publish(kind, gid, sequence, response=response)
 
     def close(self) -> None:
-        """Leave the topic."""
+        """Leave the topic for good."""
         with self._lock:
+            self._is_closed = True
             before, self._sender = self._sender, None
         if before is not None:
             before.close()
 
     def _publish(self, kind: str, gid: bytes, sequence: int, **shown: Anything) -> None:
         """Publish an event. A failure is logged, because it must not affect the call."""
+        try:
+            self._publish_unless_off(kind, gid, sequence, shown)
+        except Exception as error:
+            logger.error(f"an event of {self._topic} cannot be published: {error}")
+
+    def _publish_unless_off(
+        self, kind: str, gid: bytes, sequence: int, shown: dict[str, Anything]
+    ) -> None:
         with self._lock:  # any thread may call this, and another one may configure meanwhile
             sender, clock, has_contents = self._sender, self._clock, self._has_contents
         if sender is None or clock is None or not sender.has_readers:
@@ -117,18 +131,15 @@ class ServiceEvents(CallEvents):
             client_gid=list(gid),
             sequence_number=sequence,
         )
-        try:
-            event = self._type.Event(info=info)
-            if has_contents:
-                for part, data in shown.items():
-                    message_class = getattr(self._type, part.capitalize())
-                    setattr(event, part, [decode(data, message_class)])
-            sender.publish(encode(event, type(event)))
-        except Exception as error:
-            logger.error(f"an event of {self._topic} cannot be published: {error}")
+        event = self._type.Event(info=info)
+        if has_contents:
+            for part, data in shown.items():
+                message_class = getattr(self._type, part.capitalize())
+                setattr(event, part, [decode(data, message_class)])
+        sender.publish(encode(event, type(event)))
 
 
-class Introspected:
+class Introspected(Entity):
     """An entity with one end of a service, or of the three services of an action.
 
     Attributes:
@@ -150,6 +161,10 @@ class Introspected:
             service_event_qos_profile: The quality of service of the topic
                 ``SERVICE/_service_event``.
             introspection_state: What is published.
+
+        Raises:
+            InvalidHandle: if the entity was destroyed.
         """
-        for each in self.service_events:
-            each.configure(clock, service_event_qos_profile, introspection_state)
+        with self.handle:
+            for each in self.service_events:
+                each.configure(clock, service_event_qos_profile, introspection_state)
