@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import threading
 from contextlib import asynccontextmanager
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 
 import turtleact
+from turtleact.errors import InvalidMessage
 from turtleact.interfaces import get_service
 from turtleact.interfaces.standard import ExampleFibonacci
 from turtleact.rclpy import toplevel as rclpy
@@ -212,10 +214,30 @@ def test_an_answer_that_comes_too_late_is_dropped(node, executor):
     assert not future.done()
 
 
-def test_a_request_that_cannot_be_read_is_logged(node, executor, capsys):
+def test_an_answer_to_a_caller_that_was_cancelled_is_dropped():
+    responds: list[Any] = []
+    failures: list[Any] = []
+    handler = RequestHandler(lambda request, respond: responds.append(respond))
+
+    async def cancel_and_answer():
+        asyncio.get_running_loop().set_exception_handler(lambda _, what: failures.append(what))
+        asking = asyncio.create_task(handler.reply(b"", b""))
+        await asyncio.sleep(0)
+        asking.cancel()
+        await asyncio.wait([asking])
+        responds[0](b"", "")
+        await asyncio.sleep(0)
+
+    asyncio.run(cancel_and_answer())
+    assert not failures
+
+
+def test_a_request_that_cannot_be_read_is_refused_and_logged(node, executor, capsys):
     service = node.create_service(AddTwoInts, "add", add)
-    service.handler.take(b"\0\1\0\0", print)
+    answers: list[Any] = []
+    service.handler.take(b"\0\1\0\0", lambda answer, note: answers.append(answer))
     executor.spin_once(timeout_sec=0)
+    assert isinstance(answers[0], InvalidMessage)
     assert "a request to /add cannot be read" in capsys.readouterr().err
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from turtleact.errors import InvalidMessage
-from turtleact.rclpy.impl.connection import RequestHandler
+from turtleact.rclpy.impl.connection import RequestHandler, Respond
 from turtleact.rclpy.impl.entity import NOTHING, Entity
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
@@ -61,7 +61,7 @@ class Service(Introspected, Subscriptable, Entity):
         self.qos_profile = qos_profile
         self.service_events = (events,)
         self.handler = RequestHandler(self._receive, events)
-        self._waiting: deque[tuple[bytes, Callable[[bytes, str], object]]] = deque()
+        self._waiting: deque[tuple[bytes, Respond]] = deque()
         self._opened: Closeable | None = None
         super().__init__(callback_group, close=self._close, wake=wake)
 
@@ -75,7 +75,7 @@ class Service(Introspected, Subscriptable, Entity):
         """Remember what the transport has opened, to close it later."""
         self._opened = opened
 
-    def _receive(self, request: bytes, respond: Callable[[bytes, str], object]) -> None:
+    def _receive(self, request: bytes, respond: Respond) -> None:
         self._waiting.append((request, respond))
         self.wake()
 
@@ -93,9 +93,10 @@ class Service(Introspected, Subscriptable, Entity):
             return decode(data, self.srv_type.Request), respond
         except InvalidMessage as error:
             logger.error(f"a request to {self._full_name} cannot be read: {error}")
+            respond(error, "")  # the transport counts the request as under way until its answer
             return NOTHING
 
-    async def run(self, taken: tuple[Anything, Callable[[bytes, str], object]]) -> None:
+    async def run(self, taken: tuple[Anything, Respond]) -> None:
         """Call the callback and send its response."""
         request, respond = taken
         response = self.callback(request, self.srv_type.Response())

@@ -210,7 +210,12 @@ class ActionClient(Introspected, Waitable):
         if feedback_callback is not None:
             self._early[key] = []  # first, because feedback may come as soon as there is a callback
             self._feedback_callbacks[key] = feedback_callback
-        return self._call("send_goal", data, partial(self._goal_answered, goal_uuid))
+        lost = partial(self._forget, key)
+        try:
+            return self._call("send_goal", data, partial(self._goal_answered, goal_uuid), lost)
+        except BaseException:
+            lost()
+            raise
 
     def cancel_goal_async(self, goal_handle: ClientGoalHandle) -> Future:
         """Ask the server to cancel a goal, and return the future of the answer.
@@ -253,17 +258,27 @@ class ActionClient(Introspected, Waitable):
 
     # what comes; any thread
 
-    def _call(self, service: str, data: bytes, handle: Callable[[Anything], Anything]) -> Future:
-        """Send a request, and return the future of what ``handle(response)`` returns."""
+    def _call(
+        self,
+        service: str,
+        data: bytes,
+        handle: Callable[[Anything], Anything],
+        lost: Callable[[], object] = bool,
+    ) -> Future:
+        """Send a request, and return the future of what ``handle(response)`` returns.
+
+        ``lost()`` is called if there is no response.
+        """
         future = Future()
         response_class = self._kind.service(service).Response
 
         def answered(response: bytes, note: str) -> None:  # noqa: ARG001  # notes are for turtleact
-            self._push(self._answered, future, response_class, response, handle)
+            self._push(self._answered, future, response_class, response, handle, lost)
 
         def failed(error: TurtleactError) -> None:
             # As in ROS 2, a request that nobody answers is lost: its future is never done.
             self._node.get_logger().debug(f"a request was lost: {error}")
+            lost()
 
         self._ends[service].send(data, answered, failed)
         return future
@@ -282,11 +297,12 @@ class ActionClient(Introspected, Waitable):
     def _take_status(self, data: bytes) -> None:
         # Only the newest states matter. They are looked at in the turn of the first.
         with self._lock:
-            was_there, self._status = self._status is not None, data
-        if not was_there and self._goal_handles:
+            is_first = self._status is None
+            if is_first and not self._goal_handles:
+                return  # there is no goal whose state could change
+            self._status = data
+        if is_first:
             self._push(self._update_states)
-        elif not was_there:
-            self._status = None
 
     def _push(self, handle: Callable[..., Anything], *arguments: Anything) -> None:
         self._events.append((handle, arguments))
@@ -333,11 +349,13 @@ class ActionClient(Introspected, Waitable):
         response_class: Anything,
         data: bytes,
         handle: Callable[[Anything], Anything],
+        lost: Callable[[], object],
     ) -> None:
         try:
             response = decode(data, response_class)
         except InvalidMessage as error:
             self._node.get_logger().error(f"a response cannot be read: {error}")
+            lost()
             return
         result = handle(response)
         if not future.cancelled():
@@ -360,6 +378,12 @@ class ActionClient(Introspected, Waitable):
                 self._events.extendleft((self._feedback, (data,)) for data in reversed(early))
         self.wake()
         return handle
+
+    def _forget(self, key: bytes) -> None:
+        """Expect no feedback of a goal, because it will never have a handle."""
+        with self._lock:
+            self._early.pop(key, None)
+            self._feedback_callbacks.pop(key, None)
 
     def _goal_ended(self, goal_handle: ClientGoalHandle, response: Anything) -> Anything:
         goal_handle.update_status(response.status)

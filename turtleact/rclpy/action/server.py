@@ -319,6 +319,7 @@ class ActionServer(Introspected, Waitable):
             message = decode(request, self._kind.service(service).Request)
         except InvalidMessage as error:
             self._logger.error(f"a request cannot be read: {error}")
+            respond(error, "")  # the transport counts the request as under way until its answer
             return
         self._requests.append((service, message, respond))
         self.wake()

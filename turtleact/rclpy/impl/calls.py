@@ -12,7 +12,7 @@ from collections.abc import Callable
 from itertools import count
 
 from turtleact.errors import TurtleactError
-from turtleact.rclpy.impl.connection import Connection, RequestHandler
+from turtleact.rclpy.impl.connection import Connection, RequestHandler, Respond
 from turtleact.rclpy.service_introspection import ServiceEvents
 from turtleact.transports.base import (
     EVERY_SERVER,
@@ -78,7 +78,14 @@ class CallEnd:
         """
         handler = self._local()
         if handler is not None:
-            handler.take(request, self._watched(handler, request, answered))
+
+            def respond(response: bytes | TurtleactError, note: str) -> None:
+                if isinstance(response, TurtleactError):
+                    failed(response)
+                else:
+                    answered(response, note)
+
+            handler.take(request, self._watched(handler, request, respond))
             return
 
         def ended(call: PendingCall) -> None:
@@ -107,22 +114,21 @@ class CallEnd:
         self._connection.loop.post(self._caller.close)
         self.events.close()
 
-    def _watched(
-        self, handler: RequestHandler, request: bytes, answered: Callable[[bytes, str], object]
-    ) -> Callable[[bytes, str], object]:
+    def _watched(self, handler: RequestHandler, request: bytes, respond: Respond) -> Respond:
         """Report a call inside this process to the observers, because no transport sees it."""
         both = (self.events, handler.observer)
         observers = [each for each in both if each is not None and each.is_on]
         if not observers:
-            return answered
+            return respond
         sequence = next(self._sequence)
         for each in observers:
             each.requested(request, self._gid, sequence)
 
-        def answer(response: bytes, note: str) -> None:
-            for each in reversed(observers):
-                each.responded(response, self._gid, sequence)
-            answered(response, note)
+        def answer(response: bytes | TurtleactError, note: str) -> None:
+            if not isinstance(response, TurtleactError):
+                for each in reversed(observers):
+                    each.responded(response, self._gid, sequence)
+            respond(response, note)
 
         return answer
 

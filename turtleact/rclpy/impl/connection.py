@@ -41,8 +41,11 @@ __all__ = ["CallEvents", "Connection", "OpenTransport", "RequestHandler", "Sende
 OpenTransport: TypeAlias = Callable[[int], AbstractAsyncContextManager[Transport]]
 """A function that opens the graph of a ROS domain."""
 
-Respond: TypeAlias = Callable[[bytes, str], object]
-"""A function that answers a request with a response and a note. Any thread may call it."""
+Respond: TypeAlias = Callable[[bytes | TurtleactError, str], object]
+"""A function that answers a request with a response, or with an error, and a note.
+
+Any thread may call it.
+"""
 
 CLOSING = 2.0
 """How long to wait for a graph to close (s)."""
@@ -165,7 +168,11 @@ class RequestHandler:
     ) -> bool:
         """Take a request from another process."""
         self.has_far_callers = True
-        self.take(cast("bytes", request), lambda data, note: respond(Reply(data, note)))
+
+        def answer(response: bytes | TurtleactError, note: str) -> None:
+            respond(Reply(response, note) if isinstance(response, bytes) else response)
+
+        self.take(cast("bytes", request), answer)
         return True
 
     async def reply(self, request: object, caller: bytes) -> Reply:
@@ -174,9 +181,13 @@ class RequestHandler:
         answered: asyncio.Future[Reply | TurtleactError] = loop.create_future()
 
         def settle(reply: Reply | TurtleactError) -> None:
-            loop.call_soon_threadsafe(answered.set_result, reply)
+            if not answered.done():  # the caller's task may have been cancelled
+                answered.set_result(reply)
 
-        self.reply_nowait(request, caller, settle)
+        def respond(reply: Reply | TurtleactError) -> None:
+            loop.call_soon_threadsafe(settle, reply)
+
+        self.reply_nowait(request, caller, respond)
         reply = await answered
         if isinstance(reply, TurtleactError):
             raise reply
