@@ -477,11 +477,17 @@ def test_an_index_that_takes_the_room_of_messages_is_an_error(tmp_path, disk):
     assert lost_in(info) == writer.lost
 
 
-def test_a_bag_says_that_its_file_could_not_be_closed(tmp_path, monkeypatch):
+def test_a_bag_says_that_its_file_could_not_be_closed(tmp_path, disk, monkeypatch):
+    disk(1_000_000)
     writer = opened(tmp_path / "run")
     fill(writer, 10)
     writer.flush()
-    monkeypatch.setattr(McapWriter, "_append", lambda *_: os.write(-1, b""))
+    write = Disk.write
+
+    def fail(file, data):
+        return os.write(-1, b"") if file.name.endswith(".mcap") else write(file, data)
+
+    monkeypatch.setattr(Disk, "write", fail)
     with pytest.raises(OSError, match="Bad file descriptor"):
         writer.close({"/other": 3})
     info = info_of(tmp_path / "run")
