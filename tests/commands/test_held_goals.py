@@ -197,6 +197,25 @@ async def test_goals_that_are_far_away_are_waited_for(graphs, round_trip, found)
             assert len(goals) == found
 
 
+async def test_a_server_that_sends_much_does_not_hide_the_goals_of_another_one():
+    transport = MemoryTransport(VirtualClock())
+    latched = QoS(depth=2, durability="transient_local")
+    async with (
+        aclosing(Background(transport.clock.run(), "the clock")),
+        open_node("busy", transport=transport) as busy,
+        open_node("calm", transport=transport) as calm,
+        open_node("asks", transport=transport) as asks,
+    ):
+        for node, number in ((busy, 1), (calm, 2)):
+            info = GoalInfo(UUID(bytes([number] * 16)), Time(1, 0))
+            statuses = node.publisher(GoalStatusArray, "far/_action/status", latched)
+            statuses.publish(GoalStatusArray([GoalStatusMessage(info, 2)]))
+            if node is busy:
+                statuses.publish(GoalStatusArray([GoalStatusMessage(info, 2)]))
+        goals, _ = await held_goals(asks, {"/far": FIBONACCI})
+    assert [goal.goal_id[0] for goal in goals] == [1, 2]
+
+
 # --- cancel ---------------------------------------------------------------------------------
 
 

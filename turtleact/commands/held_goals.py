@@ -470,13 +470,16 @@ async def _listen(
     """Receive the latched message of each server of an action."""
     topic = action_names(name).status
     subscription = node.subscription(GoalStatusArray, topic, STATUS_QOS)
-    left = node.count_publishers(topic)
+    servers = node.count_publishers(topic)
     try:
-        while left > 0:
+        while servers > 0:
             message = await anext(subscription)
-            left -= 1
             for goal in goals_in(message, name, type_name):
                 found[name, goal.goal_id] = goal
+            # A server whose goals change sends more messages, and no message says who sent it.
+            # Several servers are therefore heard until the caller ends this.
+            if servers == 1:
+                break
     finally:
         await subscription.aclose()
 
