@@ -538,7 +538,7 @@ def _of_type(value: ParameterValue, kind: int) -> ParameterValue:
 
 
 def _quoted(value: ParameterValue, kind: int) -> str:
-    """How to write a number or bool as text, if the parameter is text; otherwise empty."""
+    """A hint on how to quote a number or bool given for a text parameter; empty in other cases."""
     plain = value_of(value)
     if kind != ParameterType.PARAMETER_STRING or not isinstance(plain, bool | int | float):
         return ""

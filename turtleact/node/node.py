@@ -184,17 +184,17 @@ class Node:
                 two callbacks may be coroutine functions. ``policy`` decides what happens to a new
                 goal while another runs: "parallel", "reject", "queue" or "preempt". Under
                 "parallel", at most ``max_active`` goals run, and the others wait. At most
-                ``queue_limit`` goals may wait. Servers of this node with the same ``slot`` share
-                one policy and one place. ``result_timeout`` is how long a result is kept after the
-                goal's end (s, 10 by default; None keeps it for ever). ``on_client_lost`` is "keep",
-                or "cancel" to cancel a client's goals when the client closes. When the server
-                closes, a cancelled body has ``grace`` seconds to clean up (event loop time, 5 by
-                default). After that, the body is given up. ``journal`` keeps the goals on disk (see
-                `turtleact.open_journal`). ``on_restart`` says what to do with goals that an earlier
-                process left: "abort" or "resume". ``pausable=True`` declares that a coroutine body
-                awaits ``handle.checkpoint()``, where the body can be paused. ``on_pause(handle)``
-                and ``on_resume(handle)`` are coroutine functions that bring a robot to rest and let
-                it go on. For ``introspection``, see `Node`.
+                ``queue_limit`` goals may wait. Servers of this node with the same ``slot`` apply
+                their policy together, like one server. ``result_timeout`` is how long a result is
+                kept after the goal's end (s, 10 by default; None keeps it for ever).
+                ``on_client_lost`` is "keep", or "cancel" to cancel a client's goals when the client
+                closes. When the server closes, a cancelled body has ``grace`` seconds to clean up
+                (event loop time, 5 by default). After that, the body is given up. ``journal`` keeps
+                the goals on disk (see `turtleact.open_journal`). ``on_restart`` says what to do
+                with goals that an earlier process left: "abort" or "resume". ``pausable=True``
+                declares that a coroutine body awaits ``handle.checkpoint()``, where the body can be
+                paused. ``on_pause(handle)`` and ``on_resume(handle)`` are coroutine functions that
+                bring a robot to rest and let it go on. For ``introspection``, see `Node`.
 
         Raises:
             ActionConflict: if another node serves the name, or this node serves it with the same

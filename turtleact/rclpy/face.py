@@ -1,7 +1,8 @@
 """Decides which rclpy a program gets: the genuine one, or turtleact's.
 
-The two are never mixed. The genuine rclpy is used if it can be imported together with a message.
-Another process tries that import, because an import that fails halfway cannot be undone.
+The two are never mixed. The genuine rclpy is used if it can be imported and the type support of a
+message can be loaded. Another process tries both, because an import that fails halfway cannot be
+undone.
 """
 
 from __future__ import annotations

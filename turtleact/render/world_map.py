@@ -79,9 +79,9 @@ class MapView(NamedTuple):
 def world_map(view: MapView, rows: int) -> Text:
     """The world between its walls, ``rows`` high and twice as wide, not counting the border.
 
-    A reached target has a tick beside its number. If several things fall into one cell, a turtle
-    hides a target, a target a name, and a name a trail. A name is drawn where it hides least. If
-    there is no room, the name is left out.
+    A target that has been reached has a check mark beside its number. If several things fall into
+    one cell, a turtle hides a target, a target a name, and a name a trail. A name is drawn where it
+    hides least. If there is no room, the name is left out.
     """
     columns = 2 * rows
     canvas = Braille(columns, rows) if view.ink is None else view.ink.canvas(columns, rows)

@@ -66,7 +66,7 @@ class Absolute(NamedTuple):
 
     @classmethod
     def of(cls, x: float, y: float, theta: float) -> Absolute:
-        """The request in float32."""
+        """Return the values of the request, rounded to float32."""
         return cls(*array("f", (x, y, theta)))
 
     def place_after(self, state: State) -> Place:  # noqa: ARG002  # wherever it was
@@ -82,7 +82,7 @@ class Relative(NamedTuple):
 
     @classmethod
     def of(cls, linear: float, angular: float) -> Relative:
-        """The request in float32."""
+        """Return the values of the request, rounded to float32."""
         return cls(*array("f", (linear, angular)))
 
     def place_after(self, state: State) -> Place:
@@ -101,7 +101,7 @@ class Spawn(NamedTuple):
 
     @classmethod
     def of(cls, x: float, y: float, theta: float) -> Spawn:
-        """The request in float32."""
+        """Return the values of the request, rounded to float32."""
         return cls(*array("f", (x, y, theta)))
 
     @property

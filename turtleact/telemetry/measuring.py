@@ -99,7 +99,7 @@ class _ServerMeter(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """No: a goal that starts at once never waits."""
+        """No: a goal that starts at once has no waiting time to measure."""
         return False
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:

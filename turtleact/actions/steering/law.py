@@ -254,7 +254,7 @@ class Steering(msgspec.Struct, frozen=True):
     def _at_once(
         self, frame: Frame, goal: complex, after: complex | None, turning: float
     ) -> Speeds:
-        """Both speeds in the given gear, if speeds may jump."""
+        """Both speeds in the gear of ``frame`` when speeds may jump."""
         limits, miss = self.limits, MISS * self.limits.tolerance
         if after is not None and abs(after - goal) <= 2.0 * miss:
             # Both are reached from a point between them, unless the turtle would have to back away
@@ -280,7 +280,7 @@ class Steering(msgspec.Struct, frozen=True):
         return share * limits.max_linear, angular
 
     def _eased(self, frame: Frame, goal: complex, speeds: Speeds, *, is_last: bool) -> Speeds:
-        """Both speeds in the given gear, if accelerations are limited."""
+        """Both speeds in the gear of ``frame`` when accelerations are limited."""
         limits = self.limits
         area, aim = inside(goal, limits)
         facing = late(limits) if self.style == "rotate_then_drive" else math.pi / 2

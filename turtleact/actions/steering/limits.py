@@ -285,7 +285,7 @@ def reach(area: Area, at: complex, heading: complex, limits: Limits) -> float:
 
 
 def is_clear(seen: complex, limits: Limits, *, slack: float = 0.0) -> bool:
-    """Whether driving on is the shortest way to a point.
+    """Whether the shortest way to a point is to drive on.
 
     Driving on is shortest if the last turn is at most a quarter turn. Then the point lies outside
     the turning circle and, if it is farther aside than the circle's centre, at least a radius
@@ -305,8 +305,8 @@ def approach(
     """The point to aim at on the way to a target before the last; None for the target itself.
 
     The path consists of a line to a corner, a line from there through the inner side of the
-    target's disc, and the arc that joins them. The turtle aims at the corner, as long as a tick
-    towards it leaves the disc outside the turning circle, and then at the disc.
+    target's disc, and the arc that joins them. The turtle aims at the corner while the disc would
+    still be outside the turning circle after another tick that way. Then it aims at the disc.
     """
     way, leg = target - frame.at, after - target
     if abs(leg) <= limits.tolerance or frame.see(target).real < _FACING * abs(way):

@@ -243,7 +243,10 @@ class Writer:
         self.places = places_in_steps(size_of(code), first) | places_after(items, self.places)
 
     def is_common(self, items: list[Item]) -> bool:
-        """Whether a run has the same padding wherever it starts, with and without its last item."""
+        """Whether a run has the same padding wherever it starts.
+
+        The same must hold for the run without its last item.
+        """
         return all(common_run("<", each, self.places) for each in (items, items[:-1]))
 
     def rows(self, cls: type[Message], value: str, size: int) -> None:
