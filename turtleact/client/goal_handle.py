@@ -2,8 +2,8 @@
 
 The handle reads a `Goal` object. If the server is in the same process, that is the server's own
 object. Otherwise messages keep the object up to date (`turtleact.goal_server`). The goal's sender
-reads feedback without loss, and the body waits for the sender. Clients that have attached to the
-goal read the messages that are kept.
+loses no feedback: if the sender is far behind with reading, the body waits for it. Clients that
+have attached to the goal read the messages that are kept.
 
 Source: rclpy ``action/client.py`` for names and behaviour.
 """

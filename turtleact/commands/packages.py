@@ -99,7 +99,7 @@ def runnable(
 
 
 def runnable_here() -> dict[str, dict[str, Program | None]]:
-    """The programs that can be run from the working directory, with `PROGRAMS`; see `runnable`."""
+    """The programs that can be run from the working directory, and `PROGRAMS`; see `runnable`."""
     return runnable(Path(), PROGRAMS)
 
 

@@ -193,7 +193,7 @@ def read_info(text: str, path: Path) -> BagInfo:
 
 
 def offers_text(offers: Iterable[Offer]) -> str:
-    """Return the text of a channel that says what its publishers offered."""
+    """Return the QoS that a channel's publishers offered, as text for its metadata."""
     said = [_offer(each) for each in offers]
     return _dump(said).strip() if said else ""
 

@@ -432,7 +432,7 @@ class _GoalSender:
         self._accepted.clear()
 
     def note_unsent(self) -> None:
-        """Count the goals that were accepted in the bag, but are not in it themselves."""
+        """Count as failed the accepted goals whose requests are not in the bag."""
         for goal_id, action in self._accepted.items():
             if goal_id in self._goals:
                 continue

@@ -288,7 +288,7 @@ class Pens:
             holder.pen = Pen(colour, width or THINNEST)
 
     def colour(self, turtle: str) -> Colour:
-        """Return the colour of a turtle's pen, on or off."""
+        """Return the colour of a turtle's pen, whether the pen is on or off."""
         return self._holders[turtle].pen.colour
 
     def hand_out(self, turtle: str) -> None:

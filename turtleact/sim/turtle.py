@@ -132,7 +132,7 @@ class Turtle:
         )
 
     def leave(self, reason: str) -> None:
-        """Note that the turtle is gone: its goals end ABORTED for ``reason``, requests do nothing.
+        """Record that the turtle is gone: its goals end ABORTED for ``reason``.
 
         Call this as soon as the world has forgotten the turtle; `aclose` may take a while.
         """

@@ -216,7 +216,9 @@ class World:
         self._teleport(turtle, Relative.of(linear, angular))
 
     def spawn(self, x: float, y: float, theta: float, name: str = "") -> str:
-        """Put a new turtle into the world. From a place outside, its first step brings it back.
+        """Put a new turtle into the world.
+
+        If the place is outside, the turtle's first step brings it inside.
 
         Args:
             x: Distance from the left edge (m). All three numbers are rounded to float32.

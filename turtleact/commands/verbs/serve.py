@@ -352,10 +352,11 @@ def _overrides(files: list[Path] | None, assignments: list[str] | None) -> tuple
 
 
 def _node_name(targets: list[str] | None, *, no_sim: bool) -> str:
-    """The name of the node with the user's actions. Without a world, it is their module's.
+    """The name of the node with the user's actions.
 
-    ROS 2 warns of two nodes with one name, and a server without a world often runs beside one with
-    a world.
+    Without a world, the node is named after the module of the actions, if that is a fit name. ROS 2
+    warns of two nodes with one name, and a server without a world often runs beside one with a
+    world.
     """
     from turtleact.commands.targets import read_target
 

@@ -113,7 +113,7 @@ def writer_behind(
 
     Args:
         cls: The class.
-        place: Where the message begins, counted with the header.
+        place: Where the message begins, in bytes from the start of the header.
         is_strict: Whether to accept only what ``snapshot`` would copy unchanged.
     """
     return encoder(cls, place, is_strict=is_strict)

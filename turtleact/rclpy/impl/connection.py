@@ -346,7 +346,7 @@ class Connection:
 
 
 class _Posted:
-    """An object of the event loop that any thread may close."""
+    """Wraps an object of the event loop, so that any thread may close the object."""
 
     def __init__(self, loop: EventLoop, opened: Closeable) -> None:
         self._loop = loop
