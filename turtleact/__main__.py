@@ -1,4 +1,4 @@
-"""``python -m turtleact`` is the program ``turtleact``."""
+"""Makes ``python -m turtleact`` run the program ``turtleact``."""
 
 from __future__ import annotations
 

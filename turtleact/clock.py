@@ -1,14 +1,16 @@
-"""Clocks: wall time, scaled wall time, and virtual time.
+"""Provides clocks for wall time, scaled wall time and virtual time.
 
-Every wait of turtleact goes through a `Clock`. Virtual time stands still while any task can run.
-Virtual time jumps to the next deadline once every task waits. A simulated minute therefore passes
-in milliseconds, and two runs of the same program see the same times. Every clock can be stopped.
+A `Clock` tells the time and lets tasks wait. Virtual time stands still while any task can run. It
+jumps to the next deadline as soon as every task waits. A simulated minute therefore passes in
+milliseconds, and two runs of the same program see the same times. Every clock can be stopped and
+started again.
 
-Measure with `Clock.time`: it counts seconds from an arbitrary start, and never goes backwards.
-`Clock.now` is ROS time, in nanoseconds since the epoch. Messages to others carry it as their stamp.
+To measure durations, use `Clock.time`: it counts seconds from an arbitrary start, and never goes
+backwards. To stamp messages, use `Clock.now`: it is the ROS time, in nanoseconds since the epoch.
 
-Under `turtleact.testing` the event loop's own time is virtual. Clocks made in such a loop use its
-time as wall time, so that every clock and `anyio.sleep` agree.
+Under `turtleact.testing` the event loop's own time is virtual. A `WallClock` or `ScaledClock` that
+is made in such a loop uses the loop's time instead of wall time. Every clock then agrees with
+`anyio.sleep`.
 """
 
 from __future__ import annotations
@@ -59,25 +61,25 @@ _SPARE = 16  # A heap tolerates this many removed items even if it holds few oth
 
 
 class Clock(Protocol):
-    """A source of time, and the only way to wait."""
+    """Tells the time, and lets tasks wait."""
 
     def time(self) -> float:
-        """Seconds since an arbitrary moment. This time never goes backwards."""
+        """Return the seconds since an arbitrary moment. This time never goes backwards."""
 
     def now(self) -> int:
-        """The ROS time: nanoseconds since 1970-01-01 00:00 UTC."""
+        """Return the ROS time: nanoseconds since 1970-01-01 00:00 UTC."""
 
     async def sleep(self, seconds: float) -> None:
-        """Wait for some seconds of this clock. With 0 or less, only let other tasks run."""
+        """Wait for ``seconds`` of this clock's time. With 0 or less, only let other tasks run."""
 
     async def sleep_until(self, deadline: float) -> None:
         """Wait until `time` has reached ``deadline``."""
 
     def stop_at(self, moment: float) -> None:
-        """Stop the clock at ``moment``, or now if ``moment`` has passed.
+        """Stop the clock when `time` reaches ``moment``, or now if ``moment`` has passed.
 
-        With `math.inf`, the clock starts again. It continues from where it stopped, so no sleeper
-        loses time to the stop.
+        If ``moment`` is `math.inf`, start the clock again. The clock continues from the time at
+        which it stopped, and each sleeping task waits for the rest of its time.
         """
 
     async def run(self) -> None:
@@ -85,10 +87,11 @@ class Clock(Protocol):
 
 
 class ScaledClock:
-    """Wall time multiplied by ``factor``, slowed down if sleepers cannot keep up.
+    """A clock that runs ``factor`` times as fast as wall time, or slower if tasks cannot keep up.
 
-    A late sleeper holds the clock up: until it runs, time stays within `LEEWAY` of its deadline.
-    A machine that is too slow therefore makes time pass more slowly, and no timeout expires early.
+    If a task sleeps until a deadline but wakes late, the task holds the clock up: until the task
+    runs, the clock goes at most `LEEWAY` past the deadline. On a machine that is too slow, the
+    clock therefore runs more slowly, and no timeout expires early.
 
     Args:
         factor: Clock seconds per wall-clock second, above zero and at most `FASTEST`.
@@ -116,7 +119,10 @@ class ScaledClock:
         self._freed: Signal | None = None
 
     def time(self) -> float:
-        """Seconds since this clock was made, minus the time for which it was held up or stopped."""
+        """Return how many seconds this clock has counted since it was made.
+
+        The clock does not count while it is held up or stopped.
+        """
         if self._stands:
             return self._end
         seconds = (self._wall() - self._wall_start) * self.factor
@@ -130,11 +136,14 @@ class ScaledClock:
         return seconds
 
     def now(self) -> int:
-        """The ROS time. It starts at the wall-clock time at which this clock was made."""
+        """Return the ROS time. A new clock starts at the system time.
+
+        If the event loop's own time is virtual, a new clock starts at `EPOCH` plus that time.
+        """
         return self._ros_start + round(self.time() * 1e9)
 
     async def sleep(self, seconds: float) -> None:
-        """Wait for some seconds of this clock. With 0 or less, only let other tasks run."""
+        """Wait for ``seconds`` of this clock's time. With 0 or less, only let other tasks run."""
         left = max(seconds, 0.0)
         await self._sleep(self.time() + left, left)
 
@@ -147,9 +156,9 @@ class ScaledClock:
         await self._sleep(max(deadline, now - LEEWAY), max(deadline - now, 0.0))
 
     def stop_at(self, moment: float) -> None:
-        """Stop at ``moment``, or now if ``moment`` has passed.
+        """Stop the clock when `time` reaches ``moment``, or now if ``moment`` has passed.
 
-        `math.inf` starts the clock again.
+        If ``moment`` is `math.inf`, start the clock again.
         """
         now = self.time()
         if self._stands:
@@ -189,12 +198,12 @@ class ScaledClock:
                 return
 
     async def run(self) -> None:
-        """Sleep until cancelled. Wall time passes by itself."""
+        """Only sleep until cancelled, because wall time passes by itself."""
         await anyio.sleep_forever()
 
 
 class WallClock(ScaledClock):
-    """Wall time that no late sleeper can hold up."""
+    """A clock that follows wall time. Late tasks do not hold this clock up."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -203,16 +212,16 @@ class WallClock(ScaledClock):
             self.now = time.time_ns  # type: ignore[method-assign]  # follows the system time
 
     def stop_at(self, moment: float) -> None:
-        """Stop at ``moment``, or now if ``moment`` has passed.
+        """Stop the clock when `time` reaches ``moment``, or now if ``moment`` has passed.
 
-        `math.inf` starts the clock again.
+        If ``moment`` is `math.inf`, start the clock again.
         """
         super().stop_at(moment)
         if self._wall is time.monotonic:
             self.now = self._behind  # type: ignore[method-assign]  # as above
 
     def _behind(self) -> int:
-        """The system time (ns), minus the time for which this clock was stopped."""
+        """Return the system time (ns), minus the time for which this clock was stopped."""
         stood = self._wall() - self._made - self.time()
         return time.time_ns() - round(stood * 1e9)
 
@@ -221,12 +230,12 @@ class WallClock(ScaledClock):
 
 
 class VirtualClock:
-    """Time that jumps to the next deadline as soon as every task waits.
+    """A clock that jumps to the next deadline as soon as every task waits.
 
-    Some task must call `run`. Sleepers with the same deadline wake one at a time, in the order in
-    which they went to sleep. Each sleeper wakes when everything that the previous one caused has
-    been done. Virtual time does not stand still for tasks that wait for the network, a thread or
-    wall time. It does stand still while a journal writes.
+    The clock jumps only while `run` is running. Tasks that sleep until the same deadline wake one
+    at a time, in the order in which they went to sleep. Each of them wakes only when all other
+    tasks wait again. A task that waits for the network, a thread or wall time does not stop virtual
+    time. But virtual time stands still while a thread writes a journal, or reads or writes a bag.
     """
 
     def __init__(self) -> None:
@@ -238,15 +247,18 @@ class VirtualClock:
         self._tasks: Tasks | None = None
 
     def time(self) -> float:
-        """Virtual seconds since this clock was made."""
+        """Return the virtual seconds since this clock was made."""
         return self._time
 
     def now(self) -> int:
-        """The ROS time. It starts at `EPOCH`, so that every run sees the same stamps."""
+        """Return the ROS time.
+
+        It starts at `EPOCH`, so that every run of a program has the same stamps.
+        """
         return EPOCH + round(self._time * 1e9)
 
     async def sleep(self, seconds: float) -> None:
-        """Wait for some virtual seconds. With 0 or less, only let other tasks run."""
+        """Wait for ``seconds`` of virtual time. With 0 or less, only let other tasks run."""
         await self.sleep_until(self._time + seconds)
 
     async def sleep_until(self, deadline: float) -> None:
@@ -269,13 +281,13 @@ class VirtualClock:
             raise
 
     def stop_at(self, moment: float) -> None:
-        """Never jump to a deadline after ``moment``. `math.inf` lifts the limit."""
+        """Never jump to a deadline after ``moment``. With `math.inf`, there is no limit."""
         self._end = min(moment, _LAST)
         if self._wanted is not None:
             self._wanted.fire()
 
     async def run(self) -> None:
-        """Jump to the next deadline whenever every other task waits, until cancelled."""
+        """Until cancelled, jump to the next deadline whenever every other task waits."""
         wanted = self._wanted = current_tasks().signal()
         wait_until_idle, sleepers, work = idleness(), self._sleepers, thread_work()
         # One sleeper is woken per round, so whatever it does happens before the next one wakes. If
@@ -297,8 +309,8 @@ class VirtualClock:
 def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
     """Make the clock for a speed: a factor of wall time, or ``"max"`` for virtual time.
 
-    If the event loop's own time is virtual, every speed runs as fast as possible, and ``"max"``
-    means the same as 1.
+    If the event loop's own time is virtual, a clock of any speed runs as fast as possible, and
+    ``"max"`` means the same as 1.
 
     Raises:
         SimError: if ``speed`` is neither a number nor ``"max"``, or the factor is out of range.
@@ -313,10 +325,10 @@ def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
 
 
 class Heap(Generic[T]):
-    """A set of items with quick access to the smallest.
+    """A set of items with quick access to the smallest item.
 
-    Among thousands of items, searching for one in the middle would be slow. A removed item
-    therefore stays in the list until it comes first, or until removed items outnumber the others.
+    Searching thousands of items for the one to remove would be slow. A removed item therefore stays
+    in the list until it comes first, or until the removed items outnumber the others.
 
     Attributes:
         first: The smallest item; None if the heap is empty.
@@ -331,13 +343,13 @@ class Heap(Generic[T]):
         return len(self._there)
 
     def push(self, item: T) -> None:
-        """Put an item in."""
+        """Add an item."""
         heapq.heappush(self._items, item)
         self._there.add(item)
         self.first = self._items[0]
 
     def remove(self, item: T) -> None:
-        """Take an item out, if it is still there."""
+        """Remove an item, if it is still in the heap."""
         self._there.discard(item)
         if len(self._items) > 2 * len(self._there) + _SPARE:
             self._items = sorted(self._there)
@@ -365,15 +377,15 @@ def _leaping_time() -> Callable[[], float] | None:
 
 
 def check_timeout(seconds: object, option: str = "timeout", *, may_be_none: bool = True) -> None:
-    """Check that a timeout is a number of seconds, or None where None is allowed.
+    """Check that a timeout is a number of seconds, or None if ``may_be_none``.
 
     Args:
-        seconds: The user's value.
+        seconds: The timeout that the user gave.
         option: The option's name, for the error message.
         may_be_none: Whether None is allowed and means no limit.
 
     Raises:
-        InvalidOption: if the timeout is neither a number nor an allowed None.
+        InvalidOption: if the timeout is not a number, unless it is None and None is allowed.
     """
     if may_be_none and seconds is None:
         return
@@ -385,9 +397,9 @@ def check_timeout(seconds: object, option: str = "timeout", *, may_be_none: bool
 
 @asynccontextmanager
 async def within(seconds: float | None, clock: Clock) -> AsyncIterator[None]:
-    """Cancel the block after some seconds of a clock, and continue after the block.
+    """Cancel the block after ``seconds`` of the clock's time, and continue after the block.
 
-    None sets no limit.
+    If ``seconds`` is None, the block is not cancelled.
     """
     if seconds is None:
         yield

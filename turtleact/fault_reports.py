@@ -1,8 +1,8 @@
-"""Publishes faults that only one process can see, such as a full disk, for the doctor.
+"""Publishes faults that only one process can see, such as a full disk, for ``turtleact doctor``.
 
 Each node with a fault publishes a ``diagnostic_msgs/msg/DiagnosticArray`` on the latched topic
 `TOPIC`, with one status for each fault. The topic is opened when the first fault is reported, so
-that a program without faults pays nothing. When a fault has gone, the next message no longer
+that a program without faults has no extra topic. When a fault is over, the next message no longer
 contains it.
 
 In a ``DiagnosticStatus``, ``name`` says what is at fault, ``message`` says what is wrong, and the
@@ -80,7 +80,7 @@ class FaultReports:
         self._publication: Publication | None = None
 
     def report(self, name: str, problem: str, advice: str, until: float | None = None) -> None:
-        """Report a fault. It replaces an earlier fault of that name.
+        """Report a fault. It replaces an earlier fault with the same name.
 
         Args:
             name: The kind of fault, a space and what is at fault, such as "disk /data/goals.db".
@@ -97,12 +97,12 @@ class FaultReports:
             self._publish()
 
     def clear(self, name: str) -> None:
-        """Report that a fault has gone. An unknown name is ignored."""
+        """Report that a fault is over. A name without a reported fault is ignored."""
         if self._faults.pop(name, None) is not None:
             self._publish()
 
     def close(self) -> None:
-        """Leave the topic."""
+        """Stop publishing faults."""
         if self._publication is not None:
             self._publication.close()
 
@@ -122,8 +122,9 @@ class LostFeedback:
         transport: The transport to publish on.
         node: The fully qualified name of the node.
         action: The name of the action.
-        how: The verb between the feedback and the node in the report, such as "did not reach".
-        advice: What to do.
+        how: What happened to the feedback, such as "did not reach" in "2 feedback messages of
+            action /count did not reach node /client".
+        advice: What the user can do about the loss.
     """
 
     def __init__(self, transport: Transport, node: str, action: str, how: str, advice: str) -> None:
@@ -135,9 +136,10 @@ class LostFeedback:
         self._time = 0.0
 
     def add(self, count: int) -> None:
-        """Count lost messages.
+        """Add ``count`` to the number of lost messages.
 
-        A report follows if their number has doubled, or if the last report is a minute old.
+        The number is reported if it has doubled since the last report, or if that report is at
+        least a minute old.
         """
         self._count += count
         now = time.time()
@@ -147,7 +149,7 @@ class LostFeedback:
             self._reports.report(self._name, problem, self._advice, now + LASTS)
 
     def close(self) -> None:
-        """Leave the topic."""
+        """Stop publishing reports."""
         self._reports.close()
 
 
@@ -155,15 +157,15 @@ class LostFeedback:
 async def watching_disk(
     transport: Transport, node: str, path: Path, what: str, check: Callable[[], str] = str
 ) -> AsyncIterator[None]:
-    """Watch the disk of a file during a block; report a fault while the disk is nearly full.
+    """Watch the disk of a file during a block, and report a fault while the disk is nearly full.
 
     Args:
         transport: The transport to publish on.
         node: The fully qualified name of the node that uses the file.
-        path: The file or folder.
+        path: The file or folder on that disk.
         what: What the file is for, such as "journal".
-        check: A function that returns another problem of the file, or an empty text. A thread calls
-            it.
+        check: A function that returns what else is wrong with the file, or an empty text. It is
+            called in a thread.
     """
     reports = FaultReports(transport, node)
     watch = Background(_watch_disk(reports, path, what, check), f"the disk of {path}")
@@ -211,7 +213,7 @@ async def _watch_disk(
 
 
 def disk_fault(path: Path, what: str) -> str:
-    """Describe the disk of a file if the disk is nearly full; otherwise return an empty text."""
+    """Return a text that says how full a file's disk is; empty if there is enough room."""
     try:
         usage = shutil.disk_usage(path if path.exists() else path.parent)
     except OSError:

@@ -1,8 +1,9 @@
-"""The feedback of one goal: decides which messages are kept, and when the body must wait.
+"""Stores the feedback of one goal: decides which messages to keep, and when the body must wait.
 
-Once the sender has begun to read its stream, it loses nothing: unread messages are kept, and a body
-that is far ahead waits. Before that, only the newest messages are kept. Other readers get the
-messages that are still kept, and count those that they have missed.
+Once the client that sent the goal has begun to read the feedback, it misses no message: unread
+messages are kept, and the goal's body waits if the client is far behind. Before that, only the
+newest messages are kept. Other readers get the messages that are still kept, and count those that
+they have missed.
 
 This module never waits. A caller that wants to wait passes a `Listener`.
 """
@@ -17,22 +18,25 @@ __all__ = ["FeedbackLog", "Listener"]
 
 
 class Listener(Protocol):
-    """Something that wants to know about changes."""
+    """An object that is told about changes."""
 
     def fire(self) -> None:
         """Called after each change. It must not raise an exception."""
 
 
 class FeedbackLog:
-    """The feedback of one goal, numbered from 0. Each reader keeps the number of its next message.
+    """The feedback messages of one goal, numbered from 0.
+
+    Each reader remembers the number of the message that it reads next.
 
     Attributes:
         items: The messages still kept, oldest first.
-        dropped: How many older messages were dropped: ``items[i]`` is number ``dropped + i``.
-        read: The next number that the sender's stream reads; None while nobody reads the stream.
+        dropped: How many older messages were dropped. Message ``items[i]`` therefore has the number
+            ``dropped + i``.
+        read: The number of the message that the goal's sender reads next; None while it reads none.
         drained: The listener to fire as soon as a waiting body may go on; None if no body waits.
-        hurried: How many callers wait for the goal's end. While there are such callers, the body
-            never waits for a reader.
+        hurried: How many callers wait for the goal's end. While there is one, the goal's body does
+            not wait for readers.
     """
 
     KEPT: Final = 1024
@@ -59,14 +63,14 @@ class FeedbackLog:
 
     @property
     def is_full(self) -> bool:
-        """Whether the sender's stream is so far behind that the body should wait."""
+        """Whether the goal's sender is so far behind in reading that the goal's body must wait."""
         if self.read is None or self.hurried:
             return False
         unread = self.dropped + len(self.items) - self.read
         return unread >= self.KEPT or unread * self._weight >= self.BUDGET
 
     def relieve(self) -> None:
-        """Let a waiting body go on if it may."""
+        """Let a waiting body go on, unless the log is full."""
         if self.drained is not None and not self.is_full:
             self.drained.fire()
 
@@ -78,11 +82,11 @@ class FeedbackLog:
             self.trim()
 
     def weigh(self) -> None:
-        """Estimate the size of a message by measuring one of the newest.
+        """Update the estimated size of a message by measuring one of the newest messages.
 
-        Measuring every message would take too long. Each call measures another message. After a
-        large message the estimate falls slowly, because a body may alternate large and small
-        messages.
+        Measuring every message would take too long, so each call measures a different one of the
+        newest. After a large message, the estimate falls slowly, because a body may alternate large
+        and small messages.
         """
         if self.items:
             self._weighed += 1
@@ -90,7 +94,7 @@ class FeedbackLog:
             self._weight = max(len(_ENCODER.encode(message)), self._weight * 15 // 16)
 
     def trim(self) -> None:
-        """Drop messages that need not be kept, if there are enough of them to be worth the time."""
+        """Drop messages that need not be kept, unless they are too few to be worth the time."""
         needless = len(self.items) - self.KEPT
         if self.read is not None:
             needless = min(needless, self.read - self.dropped)

@@ -52,11 +52,11 @@ def shortest_turn(theta: float, target: float) -> float:
     If the headings are exactly opposite, the turn is to the right, as in turtlesim.
 
     Args:
-        theta: The heading now (rad), any angle.
-        target: The heading wanted (rad), any angle.
+        theta: The current heading (rad), any angle.
+        target: The wanted heading (rad), any angle.
 
     Returns:
-        Angle in [-pi, pi), positive to the left.
+        The turn (rad), in [-pi, pi), positive to the left.
 
     Example:
         >>> round(shortest_turn(3.0, -3.0), 6)
@@ -96,9 +96,9 @@ def bearing(x0: float, y0: float, x1: float, y1: float) -> float:
 def phase(way: complex) -> float:
     """Return the direction of a vector as an angle in [-pi, pi] (rad).
 
-    A zero vector gives 0, pi or -pi, depending on the signs of its zeros. This is ``cmath.phase``
-    without a flaw of CPython: ``cmath.phase`` raises OverflowError if the angle is too small for a
-    float.
+    The direction of a zero vector is 0, pi or -pi, depending on the signs of its zeros. CPython's
+    ``cmath.phase`` returns the same direction, but raises OverflowError if the angle is too small
+    for a float.
 
     Args:
         way: The vector, ``x + yj``, of any length.
@@ -137,16 +137,16 @@ def in_frame(
 def curvature(ahead: float, left: float) -> float:
     """Return the curvature of the arc that leads to a point without turning on the spot first.
 
-    The arc starts in the direction of the heading. Driving with ``omega = curvature * v`` follows
-    it, forwards or backwards.
+    The arc starts in the direction of the heading. A robot with the speed ``v`` follows the arc,
+    forwards or backwards, if it turns with ``omega = curvature * v``.
 
     Args:
         ahead: How far ahead the point is (m); see `in_frame`.
         left: How far to the left the point is (m).
 
     Returns:
-        One over the radius (1/m), positive to the left. It is 0 if the point is the current
-        position.
+        One over the radius (1/m), positive to the left. The curvature is 0 if the point is the
+        current position.
 
     Source: Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm, equation 7.
 
@@ -163,7 +163,7 @@ def saturate(value: float, limit: float) -> float:
 
     Args:
         value: Any value, in the same unit as the limit.
-        limit: Zero or more.
+        limit: The limit, zero or more.
 
     Example:
         >>> saturate(-3.0, 2.0), saturate(0.5, 2.0)

@@ -1,9 +1,10 @@
 """The interface of a journal, which keeps an action server's goals on disk.
 
-A journal is not an observer. The server waits for it twice: before it accepts a goal, and before it
-announces the end of one. When the server starts, it loads the goals that an earlier process left.
+A journal is not an observer, because the server waits for the journal: before the server accepts a
+goal, and before it announces a goal's end. When the server starts, it loads the goals that an
+earlier process left.
 
-`turtleact.journal` implements the journal with SQLite. The server knows only this interface.
+`turtleact.journal` implements the journal with SQLite. The server uses only this interface.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ OnRestart: TypeAlias = Literal["abort", "resume"]
 
 
 class Resumed(msgspec.Struct, Generic[R, F], frozen=True):
-    """What is left of a goal that an earlier process began.
+    """The progress that a goal made in an earlier process, as stored in the journal.
 
     Attributes:
         feedback: The newest feedback in the journal; None if there was none.
-        partial_result: The partial result that the body had set before; None if there was none.
+        partial_result: The newest partial result in the journal; None if there was none.
     """
 
     feedback: F | None = None
@@ -40,32 +41,32 @@ class Resumed(msgspec.Struct, Generic[R, F], frozen=True):
 
 
 class GoalRecord(msgspec.Struct, kw_only=True):
-    """A goal as a journal keeps it. Messages are kept as CDR bytes.
+    """A goal as a journal stores it. Messages are stored as CDR bytes.
 
     Attributes:
-        id: The 16 bytes of its id.
-        action: The fully qualified name of its action.
+        id: The 16 bytes of the goal's id.
+        action: The fully qualified name of the goal's action.
         type_name: The action's type, ``pkg/action/Name``.
-        type_hash: The hash of that type.
+        type_hash: The hash of the action's type.
         request: The goal message.
-        stamp: When the server accepted it (ns since the epoch, by the graph's clock).
-        accepted: When the server accepted it, by the wall clock (ns): the graph's clock may be
-            virtual.
-        status: Its state.
-        is_built_in: Whether a built-in action has accepted it.
-        is_nested: Whether the body of another goal has sent it.
-        sender: The gid of the client that sent it, if that client is in another process.
-        number: Its place in the order of acceptance. The journal assigns it.
-        crashes: How often its server has crashed since its newest feedback.
-        is_stopped: Whether its server has shut down properly since the goal last started.
-        is_paused: Whether it is paused.
+        stamp: When the server accepted the goal (ns since the epoch, by the graph's clock).
+        accepted: When the server accepted the goal (ns since the epoch, by the wall clock). The
+            graph's clock may be virtual, so ``stamp`` may be a different time.
+        status: The goal's state.
+        is_built_in: Whether a built-in action has accepted the goal.
+        is_nested: Whether the body of another goal has sent the goal.
+        sender: The gid of the client that sent the goal, if that client is in another process.
+        number: The goal's number in the order of acceptance. The journal assigns the number.
+        crashes: How often the server has crashed since the goal's newest feedback.
+        is_stopped: Whether the server has shut down properly since the goal last started.
+        is_paused: Whether the goal is paused.
         feedback: The newest feedback; empty if there is none.
-        feedback_count: How many feedback messages there have been.
+        feedback_count: How many feedback messages the goal has published.
         partial_result: The partial result; empty if there is none.
-        result: The result; empty until the end.
-        reason: Why it was aborted.
-        ended: When it ended (ns, wall clock); 0 before.
-        expires: When its result expires (ns, wall clock); 0 for never.
+        result: The result; empty until the goal's end.
+        reason: Why the goal was aborted; empty if it was not.
+        ended: When the goal ended (ns since the epoch, by the wall clock); 0 before.
+        expires: When the result expires (ns since the epoch, by the wall clock); 0 for never.
     """
 
     id: bytes
@@ -93,19 +94,19 @@ class GoalRecord(msgspec.Struct, kw_only=True):
 
 
 class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What has changed in a goal. A field that has not changed is None; see `GoalRecord` for units.
+    """What has changed in a goal; see `GoalRecord` for units. None means that a value is unchanged.
 
     Attributes:
-        status: Its new state.
-        feedback: Its newest feedback.
-        partial_result: Its partial result.
-        is_stopped: Whether its server shuts down properly.
-        is_paused: Whether it is paused.
-        crashes: How often its server has crashed since its newest feedback.
-        result: Its result, when it ends.
-        reason: Why it was aborted, when it ends.
-        ended: When it ended.
-        expires: When its result expires.
+        status: The goal's new state.
+        feedback: The goal's newest feedback.
+        partial_result: The goal's newest partial result.
+        is_stopped: Whether the server has shut down properly since the goal last started.
+        is_paused: Whether the goal is paused.
+        crashes: How often the server has crashed since the goal's newest feedback.
+        result: The goal's result, at its end.
+        reason: Why the goal was aborted.
+        ended: When the goal ended.
+        expires: When the goal's result expires.
     """
 
     status: GoalStatus | None = None
@@ -120,19 +121,19 @@ class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     expires: int | None = None
 
     def columns(self) -> dict[str, object]:
-        """Return what has changed, by the names of `GoalRecord`."""
+        """Return the values that have changed, by the names of the fields of `GoalRecord`."""
         values = ((name, getattr(self, name)) for name in self.__struct_fields__)
         return {name: value for name, value in values if value is not None}
 
 
 class GoalJournal(Protocol):
-    """Keeps goals on disk. Changes reach the disk in the order in which they were made.
+    """Stores goals on disk. Changes reach the disk in the order in which they were made.
 
     Attributes:
-        max_starts: A goal is not started again after this many crashes of its server without
-            feedback in between; None for no limit.
-        aborts_at_close: Whether closing a server ends its goals, even if they would go on after a
-            crash.
+        max_starts: If a goal's server has crashed this many times since the goal's newest feedback,
+            the goal is not started again; None for no limit.
+        aborts_at_close: Whether closing a server aborts its goals, even if they would be started
+            again after a crash.
     """
 
     max_starts: int | None
@@ -142,7 +143,7 @@ class GoalJournal(Protocol):
         """Return an action's goals that have not ended, or whose results are still kept."""
 
     async def accept(self, record: GoalRecord) -> GoalRecord | None:
-        """Put a new goal on disk. If its id is known, return the record of the known goal instead.
+        """Store a new goal. If its id is stored already, return the record of the stored goal.
 
         Raises:
             TurtleactError: if the goal cannot be written. The error's text says why.
@@ -154,13 +155,14 @@ class GoalJournal(Protocol):
     def progress(
         self, goal_id: bytes, change: GoalChange, then: Callable[[], object] | None = None
     ) -> None:
-        """Write a change soon, and call ``then`` once the change would survive a killed process.
+        """Store a change soon, and call ``then`` when the change would survive a killed process.
 
-        If the disk is full, ``then`` is called all the same, because the goal goes on.
+        If the disk is full, ``then`` is called although the change is not on disk yet, because the
+        goal must go on.
         """
 
     def end(self, goal_id: bytes, change: GoalChange, then: Callable[[], object]) -> None:
-        """Put a goal's end on disk, and call ``then`` when it is there, however long this takes."""
+        """Store a goal's end. Call ``then`` when the end is on disk, however long this takes."""
 
     async def written(self) -> None:
-        """Wait until each change so far has been written or has failed."""
+        """Wait until each change so far is on disk, or the attempt to write it has failed."""

@@ -35,7 +35,7 @@ class GoalServer(Protocol):
         ``order.cancel_timeout`` seconds for its end.
 
         Raises:
-            InvalidGoal: if the request does not fit the action; nothing was sent.
+            InvalidGoal: if the request does not fit the action. In that case, the goal is not sent.
             GoalRejected: if the server rejects the goal.
             ServerUnavailable: if nobody serves the action, or its server goes away.
         """
@@ -44,16 +44,19 @@ class GoalServer(Protocol):
         """Send a goal, and return it once it has ended. Otherwise this works like `send_goal`."""
 
     async def attach(self, goal_id: bytes) -> Goal | None:
-        """Return the goal with that id, or None. From now on, the goal's feedback is kept."""
+        """Return the goal with that id, or None if there is none.
+
+        From now on, the goal's feedback is kept.
+        """
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
-        """Answer a cancel request. The id and the stamp (ns) select the goals."""
+        """Cancel the goals that an id and a stamp (ns) select, and return the server's answer."""
 
     async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
         """Cancel one goal and return the server's answer."""
 
     def cancel_goal_nowait(self, goal: Goal) -> None:
-        """Request the cancellation of a goal without waiting for the answer."""
+        """Ask the server to cancel a goal, without waiting for the answer."""
 
     async def pause(self, goal: Goal, timeout: float) -> None:
         """Pause a goal, and return when its body stands still.
@@ -65,7 +68,7 @@ class GoalServer(Protocol):
         """
 
     async def resume(self, goal: Goal) -> None:
-        """Let a paused goal go on. The errors are those of `pause`."""
+        """Resume a paused goal. This raises the same errors as `pause`."""
 
     async def wait_for_end(self, goal: Goal) -> None:
         """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
@@ -74,7 +77,7 @@ class GoalServer(Protocol):
         """Return the signal that fires at each change of a goal."""
 
     def name_goal(self, goal: Goal) -> bytes:
-        """Return the id of a goal. A goal without an id gets one."""
+        """Return the id of a goal. A goal without an id gets a new id."""
 
     def client_lost(self, sender: object) -> None:
         """Tell the server that a client has gone."""
@@ -85,7 +88,7 @@ class GoalServer(Protocol):
 
 @runtime_checkable
 class OffersGoals(Protocol):
-    """A handler of ``send_goal`` that also offers its server to clients in its process."""
+    """Handles ``send_goal`` requests, and gives clients in its process access to the server."""
 
     goal_server: GoalServer
 
@@ -93,7 +96,7 @@ class OffersGoals(Protocol):
 async def cancel_and_wait(server: GoalServer, goal: Goal, timeout: float) -> None:
     """Cancel a goal and wait at most ``timeout`` seconds for its end, shielded from cancellation.
 
-    A failing goal or server raises nothing here, because the caller is leaving anyway.
+    Errors of the server are ignored, because the caller no longer needs the goal.
     """
     with anyio.move_on_after(timeout, shield=True):
         try:

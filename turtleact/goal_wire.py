@@ -1,4 +1,4 @@
-"""Goals on the wire: notes, pauses and reasons, and the bytes of the status topic.
+"""The extra data that turtleact sends about goals, and a fast codec for the status topic.
 
 - A note carries facts for which ROS 2 has no field. It travels as a short JSON text attached to a
   request or a response. Other ROS 2 programs do not see it.
@@ -11,12 +11,13 @@
   ``NAME/resume``           ``std_srvs/srv/Trigger``  resumes them
   ========================  ========================  =========================================
 
-- The reason of a rejection or an end is also published, as a `GoalReason` on ``…/_action/reason``,
-  so that it can be recorded.
+- The reason why a goal was rejected, or ended without success, is also published, as a `GoalReason`
+  on ``…/_action/reason``, so that it can be recorded.
 
 - A server that ends thousands of goals within its ``result_timeout`` publishes all their states at
-  each change. `write_states` takes 0.1 us per goal and `read_states` 0.3 us: a tenth of the time of
-  the general codec.
+  each change. These messages are large, so they have an encoder and a decoder of their own. Per
+  goal, `write_states` takes 0.1 us and `read_states` takes 0.3 us. The general codec takes ten
+  times as long.
 
 Source: action_msgs/msg/GoalStatusArray; OMG DDS-XTypes 1.3, 7.4.3 (plain CDR).
 """
@@ -79,7 +80,7 @@ class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
         """Return the note as text.
 
         A reason is cut after `LONGEST_REASON` characters. Characters that UTF-8 cannot encode are
-        escaped, so that a strange reason never costs the client its result.
+        escaped, so that the client receives the result whatever the reason contains.
         """
         reason = encodable(self.reason[:LONGEST_REASON])
         sent = self if reason == self.reason else msgspec.structs.replace(self, reason=reason)
@@ -121,12 +122,12 @@ FIRST: Final = struct.Struct("<16siIb")
 
 
 def pack_state(goal_id: bytes, state: State) -> bytes:
-    """Encode one goal for `write_states`."""
+    """Encode the stamp and state of one goal for `write_states`."""
     return ENTRY.pack(goal_id, *state)
 
 
 def write_states(packed: Collection[bytes]) -> bytes:
-    """Join encoded goals into a message.
+    """Join the encoded states of goals into a status message.
 
     >>> write_states([pack_state(bytes(16), (1, 2, 4))]).hex(" ", -4)
     '00010000 01000000 00000000 00000000 00000000 00000000 01000000 02000000 04'
@@ -138,7 +139,9 @@ def write_states(packed: Collection[bytes]) -> bytes:
 
 
 def read_states(data: bytes) -> dict[bytes, State] | None:
-    """Decode a message into the states by goal id; None if it is truncated or big-endian.
+    """Return the states in a status message, each under its goal's id.
+
+    The result is None if the message is truncated or big-endian.
 
     >>> read_states(write_states([pack_state(bytes(16), (1, 2, 4))]))[bytes(16)]
     (1, 2, 4)
@@ -166,9 +169,9 @@ class SetPaused(Service, type_name="turtleact_interfaces/srv/SetPaused"):
         """Which goal, and what to do with it.
 
         Attributes:
-            goal_id: The goal.
+            goal_id: The id of the goal.
             is_paused: Whether to pause the goal (true) or to resume it (false).
-            timeout: How long its body may take to stand still (s).
+            timeout: How long the goal's body may take to stand still (s).
         """
 
         goal_id: UUID = UUID()
@@ -188,7 +191,7 @@ class SetPaused(Service, type_name="turtleact_interfaces/srv/SetPaused"):
 
 
 class PausedGoals(Message, type_name="turtleact_interfaces/msg/PausedGoals"):
-    """The goals of an action that are paused.
+    """The paused goals of an action.
 
     Attributes:
         goal_ids: The ids of the goals.
@@ -201,9 +204,9 @@ class GoalReason(Message, type_name="turtleact_interfaces/msg/GoalReason"):
     """Why a goal was rejected, or ended without success.
 
     Attributes:
-        goal_id: The goal.
-        status: Its final state; 0 if it was rejected.
-        reason: The reason.
+        goal_id: The id of the goal.
+        status: The goal's final state; 0 if the goal was rejected.
+        reason: The reason as text.
     """
 
     goal_id: UUID = UUID()
@@ -222,5 +225,5 @@ def paused_topic(action: str) -> str:
 
 
 def reason_topic(action: str) -> str:
-    """Return the name of the topic with the reasons of an action's goals."""
+    """Return the name of the topic that says why goals of an action did not succeed."""
     return f"{action}/_action/reason"

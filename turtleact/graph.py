@@ -1,6 +1,7 @@
 """Lists what exists on a graph. The endpoints that make up an action appear as one action.
 
-Completion needs this list within milliseconds, so this module imports nothing heavy.
+The shell's completion needs this list within milliseconds, so this module imports nothing that is
+slow to import.
 
 Source: rclpy ``node.py``, ``get_topic_names_and_types`` and the functions beside it; ros2cli for
 the rules of hidden names.
@@ -49,9 +50,9 @@ class Graph(NamedTuple):
 
     Attributes:
         nodes: The fully qualified names of the nodes, sorted.
-        topics: Topic names and the types used on them; the hidden topics of actions are left out.
+        topics: Topic names and their types; the hidden topics of actions are left out.
         services: Service names and their types; the hidden services of actions are left out.
-        actions: Action names and the types served under them.
+        actions: Action names and their types.
     """
 
     nodes: tuple[str, ...]
@@ -61,7 +62,7 @@ class Graph(NamedTuple):
 
 
 def graph_of(transport: Transport) -> Graph:
-    """Return what exists on the graph of a transport."""
+    """Return the nodes, topics, services and actions that a transport sees."""
     endpoints = transport.endpoints()
     return Graph(
         nodes=tuple(sorted(set(transport.nodes()))),
@@ -77,12 +78,13 @@ def types_by_name(
     *kinds: EndpointKind,
     hidden: bool = False,
 ) -> dict[str, tuple[str, ...]]:
-    """The names of all actions, services or topics, with their types; both are sorted.
+    """Return the names of all actions, services or topics, sorted, each with its sorted types.
 
     Args:
-        endpoints: The endpoints of the graph, or of a node.
+        endpoints: The endpoints of the whole graph, or of one node.
         kind: What to list: actions, services or topics.
-        *kinds: The kinds of endpoints that count. If left out, they are those in `ENDPOINTS`.
+        *kinds: The kinds of endpoints to look at. If left out, they are the kinds in
+            ``ENDPOINTS[kind]``.
         hidden: Whether to include hidden names.
     """
     found: dict[str, set[str]] = {}
@@ -100,10 +102,10 @@ def types_by_name(
 
 
 def misfits(one: Endpoint, other: Endpoint) -> Iterator[Policy]:
-    """The policies in which a publisher offers less than a subscription of its topic requests.
+    """Yield the policies in which a publisher offers less than a subscription requests.
 
     Args:
-        one: One of the two endpoints.
+        one: One of the two endpoints, either the publisher or the subscription.
         other: The other endpoint.
 
     Source: DDS 1.4, section 2.2.3; the tables of "Quality of Service settings" of ROS 2.
@@ -123,7 +125,7 @@ def misfits(one: Endpoint, other: Endpoint) -> Iterator[Policy]:
 
 
 def is_hidden_node(name: str) -> bool:
-    """Whether a node is hidden. The name of a hidden node begins with an underscore.
+    """Whether a node is hidden: its name without the namespace begins with an underscore.
 
     >>> is_hidden_node("/_ros2cli"), is_hidden_node("/_lab/turtlesim")
     (True, False)
@@ -132,7 +134,7 @@ def is_hidden_node(name: str) -> bool:
 
 
 def names_like(name: str, known: Iterable[str]) -> str:
-    """The end of a message about an unknown name: the nearest known name, or some known names."""
+    """Return the end of an error about an unknown name: the nearest name, or a list of names."""
     from turtleact.interfaces.definition import did_you_mean
 
     names = sorted(set(known))
@@ -141,5 +143,5 @@ def names_like(name: str, known: Iterable[str]) -> str:
 
 
 def _is_longer(offered: int | None, requested: int | None) -> bool:
-    """Whether an offered time exceeds the requested one; None is for ever."""
+    """Whether an offered time exceeds the requested one; None is an infinite time."""
     return requested is not None and (offered is None or offered > requested)

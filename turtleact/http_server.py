@@ -1,7 +1,8 @@
-"""A web server on a port for the length of a block, for every module that offers one.
+"""Runs a web server for the length of an ``async with`` block.
 
-The server is uvicorn, which needs asyncio or uvloop. Here it leaves signals and logging to the
-program. This module knows neither the app that it serves nor the rules for access.
+The server is uvicorn, which needs asyncio or uvloop. Here, uvicorn leaves signals and logging to
+the program. Other machines can connect only with a token (`token_for`). This module does not know
+the app that it serves.
 
 Source: uvicorn ``server.py`` and ``config.py``.
 """
@@ -32,8 +33,8 @@ class Config(uvicorn.Config):
     """uvicorn's configuration, without its logging and without headers that identify uvicorn.
 
     Args:
-        app: The app.
-        **settings: More settings of uvicorn.
+        app: The ASGI app.
+        **settings: More settings of ``uvicorn.Config``.
     """
 
     def __init__(self, app: Callable[..., Awaitable[None]], **settings: Any) -> None:  # noqa: ANN401  # as uvicorn has them
@@ -50,12 +51,13 @@ class Config(uvicorn.Config):
 
 @contextmanager
 def bound(host: str, port: int, *, read_ahead: int | None = None) -> Iterator[socket.socket]:
-    """A socket that listens on a port.
+    """Open a socket that listens on a port, and close it at the end of the block.
 
     Args:
         host: The address or name to bind.
         port: The port, or 0 for any free one.
-        read_ahead: How much a client may send ahead (bytes); if left out, the system decides.
+        read_ahead: How much received data the system may keep before the server reads it (bytes);
+            if left out, the system decides.
 
     Raises:
         InvalidOption: if the host or the port cannot be bound.
@@ -80,7 +82,7 @@ def bound(host: str, port: int, *, read_ahead: int | None = None) -> Iterator[so
 
 
 async def _nothing() -> None:
-    """Close nothing."""
+    """Do nothing."""
 
 
 @asynccontextmanager
@@ -91,14 +93,14 @@ async def serving(
     *,
     is_patient: bool = True,
 ) -> AsyncIterator[None]:
-    """Run uvicorn for the length of a block; it listens when the block begins.
+    """Run uvicorn for the length of a block. It already listens when the block begins.
 
     Args:
-        config: Its configuration.
-        listener: The socket.
-        close: Awaited at the end of the block, while clients can still be answered.
-        is_patient: Whether requests under way may then run to their end, within the time that the
-            configuration sets; otherwise they are cancelled.
+        config: The configuration of uvicorn.
+        listener: The socket on which uvicorn listens.
+        close: Called and awaited at the end of the block, while uvicorn still answers clients.
+        is_patient: Whether uvicorn lets running requests finish at the end of the block, within the
+            time that the configuration sets. If false, these requests are cancelled.
 
     Raises:
         TurtleactError: if uvicorn does not start.
@@ -124,12 +126,12 @@ async def serving(
 
 
 def token_for(host: str, token: str | None) -> str:
-    """The token that clients must send; empty if none is needed.
+    """Return the token that clients must send; empty if they need none.
 
     Args:
-        host: The address or name that is bound.
-        token: The token that the user has chosen. If it is None, a loopback address needs no token,
-            and any other address gets a token for this run.
+        host: The address or name on which the server listens.
+        token: The token that the user has chosen, or None. If it is None, the result is empty for a
+            loopback host, and a new random token for any other host.
 
     Raises:
         InvalidOption: if the token is empty and other machines can connect.
@@ -142,7 +144,7 @@ def token_for(host: str, token: str | None) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host is this machine and nothing else.
+    """Whether a host is a loopback address, which only this machine can reach.
 
     >>> is_loopback("127.0.0.1"), is_loopback("localhost"), is_loopback("0.0.0.0")
     (True, True, False)
@@ -153,7 +155,7 @@ def is_loopback(host: str) -> bool:
 
 
 def is_address(host: str) -> bool:
-    """Whether a host is an IP address instead of a name."""
+    """Whether a host is an IP address rather than a name."""
     try:
         ip_address(host)
     except ValueError:
@@ -170,7 +172,7 @@ class _Server(uvicorn.Server):
         self.over = anyio.Event()
 
     async def serve(self, sockets: list[socket.socket] | None = None) -> None:
-        """Serve until ``should_exit``."""
+        """Serve until ``should_exit`` is true."""
         try:
             await super().serve(sockets)
         finally:
@@ -184,5 +186,5 @@ class _Server(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Capture none."""
+        """Leave all signals to the program."""
         yield

@@ -1,11 +1,11 @@
 """Tells observers about the goals of a server or client.
 
-The status topic, users' hooks and telemetry are observers. One list holds them all. An observer
-only watches. If an observer raises an exception, the list logs it, so that the exception never
-affects a goal.
+The status topic, users' hooks and telemetry are observers. Each server or client has one list of
+its observers. An observer only watches: if it raises an exception, the exception is logged and does
+not affect the goal.
 
-All observers hear of one change before any of them hears of the next. If an observer causes a
-change, for example by canceling a goal, all observers hear of the current change first.
+All observers hear of one change before any of them hears of the next change. If an observer causes
+a change, for example by canceling a goal, all observers still hear of the current change first.
 """
 
 from __future__ import annotations
@@ -36,26 +36,26 @@ logger = logging.getLogger("turtleact")
 
 
 class BodyFailed(msgspec.Struct, frozen=True):
-    """The body raised an exception of its own. The goal ends ABORTED next."""
+    """The body raised an unexpected exception. The goal will now end ABORTED."""
 
     error: BaseException
 
 
 class Detached(msgspec.Struct, frozen=True):
-    """The sender has left the goal's block, and the goal goes on without it."""
+    """The client has left the goal's ``async with`` block after ``detach()``. The goal goes on."""
 
 
 class FeedbackLost(msgspec.Struct, frozen=True):
-    """Some feedback messages did not reach a client, or were never sent by the server."""
+    """Some feedback messages did not reach a client, or the server never sent them."""
 
     count: int
 
 
 class Lost(msgspec.Struct, frozen=True):
-    """The server stops before the goal's end. The goal goes on when the server is back.
+    """The server stops before the goal's end. The goal goes on after the server's restart.
 
     Attributes:
-        before: The goal's state until now.
+        before: The goal's state before the server stopped.
     """
 
     before: GoalStatus
@@ -68,14 +68,14 @@ _News: TypeAlias = tuple[str, tuple[object, ...]]  # a method of observers, and 
 
 
 class GoalObserver:
-    """Watches goals. A subclass overrides the methods it needs."""
+    """Watches goals. A subclass overrides the methods that it needs."""
 
     @property
     def wants_acceptance(self) -> bool:
         """Whether the observer must hear that a goal is ACCEPTED even if the goal starts at once.
 
-        If no observer of a server wants that, such a goal goes from UNKNOWN to EXECUTING, which
-        saves a tenth of what a goal from another process costs the server.
+        If no observer of a server must hear this, such a goal goes directly from UNKNOWN to
+        EXECUTING. This saves a tenth of the server's work for a goal from another process.
         """
         return True
 
@@ -86,31 +86,35 @@ class GoalObserver:
         """Called with each feedback message. Observers must not change the message."""
 
     def pause_changed(self, goal: Goal) -> None:
-        """Called after a server has paused or resumed a goal. ``goal.is_paused`` says which."""
+        """Called after a server has paused or resumed a goal. ``goal.is_paused`` tells which."""
 
     def noted(self, goal: Goal, news: News) -> None:
-        """Called with other news of a goal: see `News`."""
+        """Called when something else happens to a goal; see `News`."""
 
     def goal_rejected(self, reason: str) -> None:
         """Called when a server rejects a goal."""
 
     def closed(self) -> None:
-        """Called when a client is closed. Goals may go on, but observers hear no more of them."""
+        """Called when the client closes.
+
+        Its goals may go on, but the client's observers no longer hear of them.
+        """
 
     def enter_body(self, goal: Goal) -> None:
-        """Called in a body's context before the body's first step, to set context variables."""
+        """Called before a body starts, in the body's context, to set context variables."""
 
     def enter_call(self, order: GoalOrder) -> None:
-        """Called before a client sends a goal, in the context in which it is sent.
+        """Called before a client sends a goal, in a copy of the sender's `contextvars` context.
 
-        An observer may set context variables for the sending, and may give the order an id by which
-        it recognises the goal later. The sender's own context does not change.
+        The goal is sent in this copy, and the observer may set context variables in it. The
+        observer may also set the goal's id in ``order``, to recognise the goal later.
         """
 
     def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
-        """Called when the sender stops waiting for the result, or for the acceptance only.
+        """Called when the call that sent a goal returns or raises.
 
-        ``error`` is the exception that ended the wait; None if there was none.
+        The call waited for the goal's result, or only for its acceptance. ``error`` is the
+        exception that the call raised; None if the call returned.
         """
 
 
@@ -122,11 +126,11 @@ _METHODS: Final = tuple(
 
 
 class Hook(GoalObserver):
-    """Calls a function of the user's at each change of a goal.
+    """Calls a user's function at each change of a goal's state.
 
     Args:
-        hook: The function; takes a handle of the goal and two states.
-        make_handle: Makes the handle.
+        hook: The function. It takes a handle of the goal, the old state and the new state.
+        make_handle: A function that makes the handle.
     """
 
     def __init__(
@@ -157,13 +161,13 @@ class Observers:
         action: The name of the action, for the log.
 
     Attributes:
-        are_any: Whether any observer wants more than `pause_changed`. A server checks this before
-            it calls any other method.
+        are_any: Whether any observer overrides `goal_changed`, `feedback_published` or `noted`.
+            If none does, these methods need not be called.
         want_feedback: Whether any observer overrides `feedback_published`.
         want_bodies: Whether any observer overrides `enter_body`.
         want_calls: Whether any observer overrides `enter_call` or `leave_call`.
-        want_goals: Whether any observer wants to hear of every goal: its changes, feedback or
-            pauses.
+        want_goals: Whether any observer overrides `goal_changed`, `feedback_published` or
+            `pause_changed`.
     """
 
     __slots__ = (
@@ -193,7 +197,7 @@ class Observers:
         self._set((*self._observers, observer))
 
     def remove(self, observer: GoalObserver) -> None:
-        """Stop telling ``observer``. An unknown observer is ignored."""
+        """Stop telling ``observer``. Do nothing if it was not added."""
         self._set(tuple(each for each in self._observers if each is not observer))
 
     @property
@@ -214,7 +218,7 @@ class Observers:
         self._tell("pause_changed", goal)
 
     def noted(self, goal: Goal, news: News) -> None:
-        """Tell all observers other news of a goal."""
+        """Tell all observers that something else has happened to a goal; see `News`."""
         self._tell("noted", goal, news)
 
     def goal_rejected(self, reason: str) -> None:
@@ -232,12 +236,12 @@ class Observers:
     def enter_call(self, order: GoalOrder) -> None:
         """Let all observers prepare the sending of a goal.
 
-        Call this in the context of the sending.
+        Call this in the context in which the goal is sent.
         """
         self._call("enter_call", (order,))
 
     def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
-        """Tell all observers that the sender of a goal has stopped waiting."""
+        """Tell all observers that the call that sent a goal returned or raised."""
         self._call("leave_call", (order, error))
 
     def _set(self, observers: tuple[GoalObserver, ...]) -> None:
@@ -267,7 +271,10 @@ class Observers:
         )
 
     def _tell(self, method: str, *news: object) -> None:
-        """Tell all observers one piece of news, and then the news that observers cause in turn."""
+        """Call a method of all observers.
+
+        If an observer causes another change meanwhile, tell all observers of it afterwards.
+        """
         if self._is_telling:  # an observer has caused this; the call below tells it next
             self._untold.append((method, news))
             return

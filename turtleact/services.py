@@ -1,14 +1,14 @@
 """The services of a node: servers that answer requests, and clients that send them.
 
-This module knows requests, responses and callers. `turtleact.transports` knows how messages travel.
+This module handles requests and responses. `turtleact.transports` carries the messages.
 A client in the same process calls the server object directly (`LocalService`). Other clients send
 their requests through a `Caller`.
 
-- The server handles each request in its own task. Several tasks run side by side.
+- The server handles each request in its own task, so it can handle several at the same time.
 - Every caller gets an answer: the response, or the reason why there is none.
-- If a caller leaves, the handler of its request is cancelled. If the server is closed, all handlers
-  are cancelled. A caller in another process counts as gone only when its client is closed or its
-  process has died.
+- If a caller is gone, the handler of its request is cancelled. A caller in another process counts
+  as gone only when its client is closed or its process has died. If the server is closed, all
+  handlers are cancelled.
 
 Source: rclpy ``service.py`` and ``client.py`` for names and behaviour.
 """
@@ -73,17 +73,17 @@ Check: TypeAlias = Callable[[object], Message]
 
 
 class ServiceType(Protocol[ReqMade, ResMade]):
-    """A subclass of `turtleact.Service` as type checkers see it."""
+    """What type checkers need to know about a subclass of `turtleact.Service`."""
 
     @property
     def type_name(self) -> str:
         """The full name of the service type: ``pkg/srv/Name``."""
 
     def Request(self, *args: Any, **kwargs: Any) -> ReqMade:  # noqa: ANN401  # any arguments
-        """Make a request."""
+        """Make a request message."""
 
     def Response(self, *args: Any, **kwargs: Any) -> ResMade:  # noqa: ANN401  # any arguments
-        """Make a response."""
+        """Make a response message."""
 
 
 @runtime_checkable
@@ -100,7 +100,7 @@ class ServiceServer(Generic[Req, Res]):
 
     Attributes:
         name: The fully qualified name of the service.
-        service_type: The service.
+        service_type: The service type.
     """
 
     def __init__(
@@ -136,18 +136,18 @@ class ServiceServer(Generic[Req, Res]):
 
 
 class LocalServiceServer(Generic[Req, Res]):
-    """Handles the requests of one service, whether they come from this process or over a wire.
+    """Handles the requests of one service, from clients in this process and in others.
 
-    Transports and clients in the same process get this object.
+    Transports, and clients in the same process, call this object.
 
     Raises:
         InvalidOption: if the handler is not a function, or is a generator function.
 
     Attributes:
         name: The fully qualified name of the service.
-        service_type: The service.
-        is_open: Whether it accepts requests.
-        observer: Watches the calls; None for no observer.
+        service_type: The service type.
+        is_open: Whether the server accepts requests.
+        observer: The observer that is told of each call; None if there is none.
     """
 
     def __init__(
@@ -175,9 +175,9 @@ class LocalServiceServer(Generic[Req, Res]):
         return not self._calls
 
     async def answer(self, request: object, caller: bytes = b"") -> Res:
-        """Handle a request and return its response. `ServiceClient.call` calls this.
+        """Handle a request and return its response.
 
-        ``caller`` is the gid of a client in another process.
+        ``caller`` is the gid of the client if it is in another process, and empty otherwise.
         Cancelling: cancels the handler and waits at most `GRACE` seconds for its end.
 
         Raises:
@@ -249,7 +249,10 @@ class LocalServiceServer(Generic[Req, Res]):
             self._end(call, checked)
 
     def _reason(self, error: BaseException) -> str:
-        """Describe a handler's exception for a caller that is still waiting."""
+        """Describe a handler's exception for the caller.
+
+        The exception is also logged, unless it is a cancellation.
+        """
         if is_cancellation(error, self._tasks):
             return "the handler was canceled from within"
         logger.error("the handler of service %s failed", self.name, exc_info=loggable(error))
@@ -272,7 +275,7 @@ class ServiceClient(Generic[Req, Res]):
 
     Attributes:
         name: The fully qualified name of the service.
-        service_type: The service.
+        service_type: The service type.
     """
 
     def __init__(
@@ -299,9 +302,12 @@ class ServiceClient(Generic[Req, Res]):
     async def call(self, request: Req, timeout: float | None = None) -> Res:
         """Send a request and wait for its response.
 
-        Request and response are checked and copied. Any number of calls may run at the same time.
-        Cancelling: cancels the handler and waits a limited time for its end. A handler in another
-        process continues until this client is closed, because ROS 2 cannot cancel a request.
+        The request and the response are checked and copied. Any number of calls may run at the same
+        time.
+
+        Cancelling: cancels the handler if it is in this process, and waits at most 5 seconds for
+        its end. A handler in another process continues until this client is closed, because ROS 2
+        cannot cancel a request.
 
         Args:
             request: The request message.
@@ -315,7 +321,7 @@ class ServiceClient(Generic[Req, Res]):
             ServerUnavailable: if nobody serves the service, or its server is closed before it
                 responds. See `open_zenoh` for how long the call looks for servers in other
                 processes.
-            ServiceError: if the handler failed. The server's log has its traceback.
+            ServiceError: if the handler failed. The server's log has the traceback.
             ServiceTimeout: if there was no response within ``timeout``.
         """
         self._home.check()
@@ -343,9 +349,9 @@ class ServiceClient(Generic[Req, Res]):
         return await wait_until_served(self._transport, self._find, timeout)
 
     async def aclose(self) -> None:
-        """Leave the graph as soon as all calls under way have ended.
+        """Close the client, without waiting for calls under way.
 
-        Such calls are not cancelled.
+        These calls continue. The client leaves the graph when they have ended.
         """
         self._is_open = False
         self._membership.close()
@@ -357,7 +363,7 @@ class ServiceClient(Generic[Req, Res]):
             self._caller.observer.close()
 
     async def _answer(self, request: object) -> object:
-        """Ask a server in this process, or else one in another process."""
+        """Send a request to the server in this process, or to another process if there is none."""
         server = self._found
         if server is None or not server.is_open:
             await find_server(self._transport, self._find)
@@ -417,10 +423,10 @@ class _Call:
         request: A checked copy of the request.
         caller: The gid of the request's client in another process; empty for a client in this
             process.
-        changed: Fires when the call is answered, and when its handler has ended.
-        is_answered: Whether the caller has its answer.
-        is_canceled: Whether its handler must be cancelled.
-        has_ended: Whether its handler has ended.
+        changed: A signal that fires when the call is answered, and when the handler has ended.
+        is_answered: Whether the caller has got its answer.
+        is_canceled: Whether `cancel` was called.
+        has_ended: Whether the handler has ended.
     """
 
     __slots__ = (
@@ -447,7 +453,7 @@ class _Call:
         self._error: TurtleactError | None = None
 
     def run_in(self, task: Cancelable) -> None:
-        """Remember the handler's task."""
+        """Set the task of the handler."""
         # The task may have taken its first step before this call. If that step led to a cancel,
         # there was no task to cancel yet, so it is done here.
         self._task = task
@@ -461,7 +467,7 @@ class _Call:
             self._task.cancel()
 
     def answer(self, response: object = None, *, error: TurtleactError | None = None) -> None:
-        """Give the caller its answer and wake it, unless it has an answer already."""
+        """Set the answer, unless the call has one already, and wake the caller."""
         if not self.is_answered:
             self.is_answered = True
             self._response = response

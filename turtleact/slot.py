@@ -1,21 +1,26 @@
 """Policies: decide which goals may run at the same time, and what happens to the others.
 
-Goals run in the places of a `Slot`. Several actions can share one slot. The policies:
+A `Slot` has one or more places in which goals run. Several actions can share one slot. Each slot
+follows one of these policies:
 
-- ``parallel``: every goal starts. With ``max_active``, only that many run and the others queue.
+- ``parallel``: every goal starts at once. With ``max_active``, at most that many goals run at a
+  time, and the others wait in a queue.
 - ``reject``: while a goal runs, a new goal is rejected.
-- ``queue``: while a goal runs, new goals wait, first come, first served.
-- ``preempt``: the running goal is canceled. The new goal waits until the old one's clean-up has
-  ended. Only one goal waits: a newer one replaces it.
+- ``queue``: while a goal runs, new goals wait in a queue. They start in the order in which they
+  came.
+- ``preempt``: a new goal cancels the running goal, and waits until that goal's clean-up has ended.
+  Only one goal waits. If another goal comes, it replaces the waiting goal.
 
-Two more rules concern goals that a body sends:
+If the body of one goal sends another goal, the first goal is the parent, and the second is its
+child. Two more rules concern children:
 
-- If the parent belongs to another action and holds a place in this slot, the child runs in the same
-  place. The place is free when both have ended.
-- A goal that would have to wait for its own parent is rejected, because that is a deadlock. A goal
-  is also rejected if every running goal would then wait for a child in the queue.
+- If the parent belongs to another action and runs in the same slot, the child runs in the parent's
+  place. The place becomes free when both goals have ended.
+- If a child would have to wait for the end of its own parent, the child is rejected, because each
+  of the two would wait for the other. A child is also rejected if its waiting would block the
+  slot: no place can become free once every place holds an ancestor of a waiting goal.
 
-A `Slot` only decides what must happen; its caller does it.
+A `Slot` only makes these decisions. Its caller starts, cancels and rejects the goals.
 
 Source: nav2 ``SimpleActionServer`` for preempting with one pending goal.
 """
@@ -71,21 +76,21 @@ class Rules(msgspec.Struct, frozen=True):
 
     @property
     def is_free(self) -> bool:
-        """Whether every goal may start, whichever other goals run."""
+        """Whether every goal may start at once, no matter which other goals run."""
         return self.policy == "parallel" and self.max_active is None
 
     @property
     def has_queue(self) -> bool:
-        """Whether goals may wait for running ones to end by themselves."""
+        """Whether new goals may wait in a queue until running goals end."""
         return self.policy == "queue" or self.max_active is not None
 
 
 class Claim(Protocol):
-    """A goal that wants to run.
+    """A goal that asks to run in a slot.
 
     Attributes:
         goal: The goal.
-        action: The fully qualified name of its action.
+        action: The fully qualified name of the goal's action.
     """
 
     goal: Goal
@@ -93,7 +98,7 @@ class Claim(Protocol):
 
     @property
     def label(self) -> str:
-        """The goal's name in messages."""
+        """The goal's name in error messages and reasons."""
 
 
 C = TypeVar("C", bound=Claim)
@@ -110,12 +115,13 @@ class Admission(Enum):
 
 
 class Entry(msgspec.Struct, Generic[C], frozen=True):
-    """The answer to a new goal: what the server must do with it and with other goals.
+    """The answer to a new goal: what the server must do with the goal and with other goals.
 
     Attributes:
         admission: Whether the goal starts, waits or is rejected.
-        reason: Why the new goal is rejected, or why other goals end because of it.
-        displaced: The waiting goal that the new goal replaces. The server must end it now.
+        reason: Why the new goal is rejected, or why other goals must end.
+        displaced: The waiting goal that the new goal replaces. The server must end the replaced
+            goal now.
         evicted: The running goals that the server must cancel now.
     """
 
@@ -126,7 +132,7 @@ class Entry(msgspec.Struct, Generic[C], frozen=True):
 
 
 class Slot(Generic[C]):
-    """One or more places in which goals run.
+    """A number of places in which goals run.
 
     Args:
         rules: How goals share the slot.
@@ -143,11 +149,11 @@ class Slot(Generic[C]):
 
     @property
     def is_empty(self) -> bool:
-        """Whether no goal runs or waits here."""
+        """Whether no goal runs or waits in this slot."""
         return not (self._places or self._waiting or self._taken)
 
     def holds(self, goal: Goal) -> bool:
-        """Whether a goal runs here, or is about to start."""
+        """Whether this goal runs in the slot, or is about to start in it."""
         return goal in self._places
 
     def enter(self, claim: C) -> Entry[C]:
@@ -175,7 +181,7 @@ class Slot(Generic[C]):
         return Entry(Admission.WAIT)
 
     def leave(self, goal: Goal) -> C | None:
-        """Remove a running or waiting goal that has ended; return the goal to start now, if any."""
+        """Remove a goal that has ended; return the waiting goal that must start now, if any."""
         self._waiting.pop(goal, None)
         place = self._places.pop(goal, None)
         if place is None:
@@ -191,10 +197,10 @@ class Slot(Generic[C]):
         return claim
 
     def overdue(self) -> Entry[C] | None:
-        """Return the goals that must give way to a preempting goal; None if there are none.
+        """Return which running goals must be canceled for the waiting goal; None if there are none.
 
-        Call this whenever a goal has left. A detached child survives its parent and must give way
-        too.
+        Only the policy ``preempt`` cancels goals. Call this method after each `leave`: if the ended
+        goal has detached a child, the child still runs, so it must be canceled now.
         """
         if self.rules.policy != "preempt" or not self._waiting:
             return None
@@ -220,21 +226,24 @@ class Slot(Generic[C]):
         return Entry(Admission.WAIT, reason, displaced, self._families())
 
     def _families(self) -> tuple[C, ...]:
-        """The running goals without a parent in this slot.
+        """Return the running goals that have no parent in this slot.
 
-        Canceling them also cancels their children.
+        Canceling these goals also cancels their children.
         """
         running = (place[goal] for goal, place in self._places.items())
         return tuple(claim for claim in running if not self._kin(claim.goal))
 
     def _is_deadlock(self, claim: C) -> bool:
-        """Whether no place could ever become free: each would hold the parent of a waiting goal."""
+        """Whether the slot would be blocked if this goal waited.
+
+        A slot is blocked if every place holds an ancestor of a waiting goal.
+        """
         waiting = (claim, *self._waiting.values())
         parents = (parent.goal for each in waiting for parent in self._kin(each.goal))
         return len({id(self._places[parent]) for parent in parents}) == self._taken
 
     def _kin(self, goal: Goal) -> list[C]:
-        """The ancestors of a goal that run here, nearest first."""
+        """Return the goal's ancestors that run in this slot, from its parent upwards."""
         kin = []
         parent = goal.parent
         while parent is not None:
@@ -245,21 +254,22 @@ class Slot(Generic[C]):
 
 
 class Slots(Generic[C]):
-    """Slots that several actions share, by name. A slot exists as long as somebody uses it."""
+    """The slots that several actions share, by name. A slot exists as long as an action uses it."""
 
     def __init__(self) -> None:
         self._named: WeakValueDictionary[str, Slot[C]] = WeakValueDictionary()
 
     def find(self, rules: Rules, name: str | None) -> Slot[C] | None:
-        """Return the slot for goals under these rules; None if the rules need no slot.
+        """Return a slot with these rules; None if the rules let every goal start at once.
 
         Args:
             rules: How the goals share the slot.
-            name: The slot's name; None for a slot of this action only.
+            name: The name of a slot that several actions share; None for a new slot that is not
+                shared.
 
         Raises:
-            InvalidOption: if the named slot has other rules, or if there is a name but these rules
-                need no slot.
+            InvalidOption: if the slot of this name has other rules, or if a name is given but the
+                rules need no slot.
         """
         if name is None:
             return None if rules.is_free else Slot(rules)

@@ -1,7 +1,7 @@
 """The publishers and subscriptions of a node.
 
-A publisher checks each message that it sends. You read a subscription with ``async for``. This
-module knows messages and queues. `turtleact.transports` knows how messages travel.
+A publisher checks each message that it sends. With ``async for``, you read the messages of a
+subscription. This module checks and queues messages; `turtleact.transports` carries them.
 
 Source: rclpy ``publisher.py`` and ``subscription.py`` for names and behaviour.
 """
@@ -23,7 +23,7 @@ M = TypeVar("M", bound=Message)
 
 
 class Publisher(Generic[M]):
-    """Sends messages to a topic. `turtleact.Node.publisher` makes one.
+    """Sends messages to a topic. Open a publisher with `turtleact.Node.publisher`.
 
     Attributes:
         topic: The fully qualified name of the topic.
@@ -42,9 +42,10 @@ class Publisher(Generic[M]):
 
     @property
     def has_subscriptions(self) -> bool:
-        """Whether a message published now has a reader.
+        """Whether a message published now reaches a subscription.
 
-        On a latched topic, it may get one later.
+        On a latched topic, this is True until the publisher is closed, because a later subscription
+        gets the message, too.
         """
         return self._publication.has_readers
 
@@ -64,7 +65,7 @@ class Publisher(Generic[M]):
             self._publication.publish(snapshot)
 
     async def aclose(self) -> None:
-        """Leave the topic. A second call does nothing."""
+        """Close the publisher. A second call does nothing."""
         self.is_open = False
         self._membership.close()
 
@@ -80,7 +81,7 @@ def publish_unchecked(publisher: Publisher[M], message: M) -> None:
 
 
 class Matching(Source):
-    """Calls a function when a topic gets its first reader and when the last one has left."""
+    """Calls a function when a topic gets its first reader or loses its last one."""
 
     def __init__(self, on_matched: Callable[[], object]) -> None:
         self._on_matched = on_matched
@@ -91,20 +92,22 @@ class Matching(Source):
 
 
 class Subscription(Generic[M]):
-    """Receives messages from a topic. `turtleact.Node.subscription` makes one.
+    """Receives messages from a topic. Open a subscription with `turtleact.Node.subscription`.
 
-    ``async for message in subscription`` gives the messages in order. If a reader lags behind, the
-    newest ``depth`` messages are kept, and `missed` counts the dropped ones. If a subscription has
-    several readers, each message goes to only one of them. Messages are shared with other
-    subscriptions: do not change them. Cancelling: safe, nothing is lost.
+    ``async for message in subscription`` gives the messages in order. If a reader lags behind, only
+    the newest messages are kept, as many as the QoS depth, and `missed` counts the dropped ones. If
+    several tasks read the same subscription, each message goes to only one of them. Other
+    subscriptions get the same message objects, so do not change the messages. Cancelling: safe,
+    nothing is lost.
 
     Attributes:
         topic: The fully qualified name of the topic.
-        latest: The newest message, read or not; None before the first.
-        missed: How many messages were dropped unread.
-        notify: Called when a message has arrived, in addition to waking readers.
-        taker: Called with each message first. If it returns True, the message is not kept and wakes
-            nobody.
+        latest: The newest message, even if it has been read; None if no message has arrived.
+        missed: How many messages were dropped before they were read.
+        notify: A function that is called, without arguments, after each message that is queued.
+        taker: A function that is called with each message before the message is queued. If the
+            function returns True, the message is not queued, no reader wakes, and ``notify`` is not
+            called.
     """
 
     def __init__(
@@ -130,7 +133,7 @@ class Subscription(Generic[M]):
         self._membership = owner.add(self, subscribed)
 
     def _deliver(self, message: M) -> None:
-        """Receive a message from the transport, which calls this."""
+        """Queue a message. The transport calls this for each message."""
         if self.taker is not None and self.taker(message):
             self.latest = message
             return
@@ -162,14 +165,15 @@ class Subscription(Generic[M]):
         return self._kept.popleft()
 
     def close(self) -> None:
-        """Leave the topic. Readers still get the messages that have arrived; then their loops end.
+        """Close the subscription. A second call does nothing.
 
-        A second call does nothing.
+        Readers still get the messages that have already arrived. After that, their ``async for``
+        loops end.
         """
         self._is_open = False
         self._membership.close()
         self._signal.fire()
 
     async def aclose(self) -> None:
-        """Leave the topic, as `close` does."""
+        """Close the subscription, as `close` does."""
         self.close()

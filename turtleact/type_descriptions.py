@@ -1,7 +1,7 @@
 """Serves ``NODE/get_type_description``, which describes the types that a node uses.
 
-Nodes of ROS 2 offer this service too. In turtleact, the service is opened only when another process
-looks for it, so it costs nothing before that.
+Nodes of ROS 2 offer this service too. In turtleact, a node opens the service only when another
+process looks for it. Until then, the service costs nothing.
 
 Source: ``type_description_interfaces/srv/GetTypeDescription``; REP 2016.
 """
@@ -23,17 +23,17 @@ TYPE_HASH: Final = "RIHS01_69b9c19c1021405984cc60dbbb1edceb147a6538b411d812ba6af
 
 
 def offer_descriptions(transport: Transport, node: str) -> Closeable:
-    """Offer the service for a node. ``node`` is the node's fully qualified name."""
+    """Offer ``get_type_description`` for the node with the fully qualified name ``node``."""
     name = _service_name(node)
     endpoint = Endpoint("service", name, GET_TYPE_DESCRIPTION, node, is_unlisted=True)
     return transport.serve(endpoint, _Format(), _Describer())
 
 
 def offer_when_sought(transport: Transport, node: str) -> Closeable:
-    """Offer the service for a node once another process looks for it.
+    """Offer a node's ``get_type_description`` once another process looks for the service.
 
-    Within one process, nobody needs the service. A transport that reaches no other process
-    therefore never offers it.
+    Programs in the same process do not need the service. So a transport that reaches no other
+    process never offers the service.
     """
     if not isinstance(transport, Lazy):
         return _Nothing()
@@ -43,14 +43,14 @@ def offer_when_sought(transport: Transport, node: str) -> Closeable:
 
 
 class _Nothing:
-    """Stands in for the service if no other process can look for it."""
+    """Takes the place of the service if the transport reaches no other process."""
 
     def close(self) -> None:
         """Do nothing."""
 
 
 class _Format(WireFormat):
-    """The wire format of the service. Its classes are loaded with the first request."""
+    """The wire format of the service. The service's classes are loaded at the first request."""
 
     type_hash: str = TYPE_HASH
 

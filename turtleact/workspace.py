@@ -1,12 +1,17 @@
-"""Looks for ROS packages and their interface files near a folder, without any index.
+"""Finds ROS packages and their interface files near a folder, without an index of packages.
 
-A package is found in the folder itself, one level below it, one or two levels below its ``src``,
-and where colcon installs packages: ``install/PACKAGE/share/PACKAGE`` or ``install/share/PACKAGE``.
-In a folder below a ``src``, the other packages in that ``src`` are found as well.
+These folders may hold a package:
 
-The search is limited, so that it is quick even in a home folder. It goes no deeper than that, looks
-at no more than `MOST_FOLDERS` folders, and opens only ``package.xml``. Folders that cannot be read
-are skipped.
+- the folder itself, and the folders in it
+- the folders one or two levels below the folder's ``src``
+- the folders one or two levels below the nearest folder ``src`` that contains the folder or is the
+  folder itself
+- the folders where colcon installs packages: ``install/PACKAGE/share/PACKAGE`` or
+  ``install/share/PACKAGE``
+
+The search is limited, so that it is quick even in a home folder. It looks at no more than
+`MOST_FOLDERS` folders, and opens no file except ``package.xml``. Folders that cannot be read are
+skipped.
 """
 
 from __future__ import annotations
@@ -40,10 +45,10 @@ _INTERFACE = re.compile(r"[A-Z][A-Za-z0-9]*(?:_[A-Z][A-Za-z0-9]*)*")
 
 
 def find_interfaces(root: Path) -> dict[str, Path]:
-    """Find the interface files of the packages near a folder, by type name.
+    """Return the paths of the interface files near a folder, by type name.
 
-    If two packages have the same interface, the nearer package wins, and sources win over installed
-    files.
+    If several folders hold an interface with the same type name, the nearest folder is used.
+    Sources are preferred to installed files.
     """
     found: dict[str, Path] = {}
     for folder in folders_near(root):
@@ -53,9 +58,9 @@ def find_interfaces(root: Path) -> dict[str, Path]:
 
 
 def interface_files(folder: Path) -> dict[str, Path]:
-    """The interface files of the package in a folder, by type name.
+    """Return the paths of the interface files of the package in a folder, by type name.
 
-    The result is empty if there are none, or if the package has no name; see `package_name`.
+    The result is empty if the folder has no interface files, or if `package_name` finds no name.
     """
     kinds = [(kind, path) for kind in KINDS if _is_folder(path := folder / kind)]
     package = package_name(folder) if kinds else ""
@@ -70,9 +75,10 @@ def interface_files(folder: Path) -> dict[str, Path]:
 
 
 def misnamed(root: Path, type_name: str) -> tuple[Path, Path] | None:
-    """A misnamed or misplaced interface file near a folder, and the path that it should have.
+    """Find a misnamed or misplaced file of an interface near a folder.
 
-    For example, ``action/count.action`` and ``actions/Count.action`` are not found as interfaces.
+    Return the file's path, and the path that it should have; None if there is no such file. For
+    example, ``action/count.action`` and ``actions/Count.action`` should be ``action/Count.action``.
     """
     package, _, rest = type_name.partition("/")
     name = rest.rpartition("/")[2]
@@ -91,7 +97,7 @@ def misnamed(root: Path, type_name: str) -> tuple[Path, Path] | None:
 
 
 def proper_name(name: str) -> str:
-    """Turn a name that is not spelled as ROS 2 demands into the name of an interface.
+    """Turn a name into the spelling that ROS 2 demands for interfaces.
 
     >>> proper_name("count_down"), proper_name("GoTo")
     ('CountDown', 'GoTo')
@@ -105,9 +111,9 @@ def _alike(one: str, other: str) -> bool:
 
 
 def package_name(folder: Path) -> str:
-    """The name of the package in a folder: that in its ``package.xml``, or else the folder's name.
+    """Return the package name in a folder's ``package.xml``, or else the folder's name.
 
-    The result is empty if neither is a valid name of a ROS package.
+    The result is empty if that name is not valid for a ROS package.
     """
     try:
         with (folder / "package.xml").open(encoding="utf-8", errors="replace") as file:
@@ -119,7 +125,7 @@ def package_name(folder: Path) -> str:
 
 
 def folders_near(root: Path) -> Iterator[Path]:
-    """The folders in which a package may be, nearest first, at most `MOST_FOLDERS`."""
+    """Yield the folders that may hold a package, nearest first, at most `MOST_FOLDERS`."""
     return islice(_folders_near(root), MOST_FOLDERS)
 
 
@@ -137,7 +143,7 @@ def _folders_near(root: Path) -> Iterator[Path]:
 
 
 def _parents(folder: Path) -> tuple[Path, ...]:
-    """A folder and all its parent folders, nearest first; nothing if the folder is gone."""
+    """Return a folder and its parents, nearest first; nothing if the current folder is gone."""
     try:
         whole = folder.absolute()
     except OSError:
@@ -146,10 +152,10 @@ def _parents(folder: Path) -> tuple[Path, ...]:
 
 
 def _folders(folder: Path) -> Iterator[Path]:
-    """The folders in a folder, in the order of their names.
+    """Return the folders in a folder, sorted by name.
 
-    Names with a dot are left out, because they are hidden or belong to files. In a folder full of
-    files, the files are therefore not looked at one by one.
+    Names with a dot are left out, because most belong to files or hidden folders. So most files
+    need no check whether they are folders.
     """
     found = [path for path in _entries(folder) if "." not in path.name]
     return (path for path in _sorted(found)[:MOST_FOLDERS] if _is_folder(path))
@@ -163,9 +169,9 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _sorted(paths: list[Path]) -> list[Path]:
-    """Sort the paths of one folder by name.
+    """Sort paths in one folder by name.
 
-    Comparing the paths themselves is five times as slow.
+    Comparing whole paths would take five times as long.
     """
     return sorted(paths, key=lambda path: path.name)
 

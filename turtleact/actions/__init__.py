@@ -1,6 +1,6 @@
 """The built-in actions.
 
-The built-in actions drive turtles through a node's topics and actions only.
+They reach turtles only through the topics of a node, and import nothing from the simulator.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ The actions drive `Turtles` of any kind of `Robot`, in any `Area`.
 def serve_built_ins(node: Node, *, side: float, **options: Unpack[ServerOptions]) -> None:
     """Serve all built-in actions on a node.
 
-    Each built-in action makes way for another server of the same action, in any process. As soon as
-    discovery shows the other server, the built-in action takes no more goals; its running goals
-    finish. When the other server has gone, the built-in action comes back. The log reports both
-    changes.
+    A built-in action is withdrawn if another server, in any process, serves an action of the same
+    name. As soon as discovery shows that server, the built-in action accepts no more goals, but its
+    running goals finish. When the other server has gone, the built-in action is served again. Both
+    changes are logged.
 
     Args:
-        node: The node that serves them.
-        side: The side of the square in which targets must lie (m).
+        node: The node that serves the actions.
+        side: The side length of the square in which targets must lie (m).
         **options: Options of `Node.action_server` for every action, such as ``journal``.
     """
     fibonacci.serve(node, on_conflict="withdraw", **options)

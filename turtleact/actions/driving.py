@@ -1,24 +1,26 @@
-"""The turtles that actions can drive, and the way of one turtle to its targets.
+"""Drives turtles to the targets of goals.
 
-`Turtles` knows the turtles of the graph, the area in which they may move, and the goals that drive
-them. Only one goal at a time drives a turtle. A `Drive` takes a turtle from target to target: it
-reads poses from one topic and publishes twists on another. A drive needs nothing else, so it can
-drive any `Robot`.
+`Turtles` knows the area in which the turtles of a graph may move, and which turtles are being
+driven. Only one goal at a time drives a turtle. A `Drive` takes a turtle from target to target: it
+reads poses from one topic and publishes twists on another. A drive needs only these two topics, so
+it can drive any `Robot`.
 
 What can go wrong on the way:
 
-- If somebody else moves the turtle, the drive continues from its new place.
+- If somebody else moves the turtle, the drive continues from the turtle's new place.
 - If no pose arrives for half a second, the drive stops the turtle and continues with the next pose.
-  The drive gives up after two seconds, or once nobody publishes the pose any more.
-- A pose that is too old, or older than one seen before, is ignored.
-- If poses arrive faster or slower than ``Robot.dt`` says, each command is calculated for the actual
-  time until the next pose.
+  After two seconds without poses, or once nobody publishes the poses any more, the drive fails.
+- A pose is ignored if its stamp is too old, or older than the stamp of an earlier pose.
+- If poses arrive faster or slower than ``Robot.dt`` says, commands are calculated for the measured
+  time between two poses.
 
-A robot that keeps its last command gets another one only when the command changes. While such a
-robot's poses are as expected, they do not wake the driver.
+If a robot keeps its commands (see `Robot.keeps_commands`), the drive publishes a command only if it
+differs from the last one, or if the last one would soon expire. While the poses of this robot are
+as expected, they do not wake the task that drives the robot.
 
 While a goal is paused, its drive is held: the turtle stands still, its poses are ignored, and the
-time of the drive stands still. A pause therefore changes nothing but the duration.
+time of the drive does not advance. A pause therefore delays the goal, but uses up none of its time
+limits.
 """
 
 from __future__ import annotations
@@ -70,10 +72,10 @@ LEARNING: Final = 0.3
 
 
 class Drive:
-    """The way of one turtle to the targets of a goal.
+    """Drives one turtle to the targets of a goal.
 
     Attributes:
-        travelled: How far it has gone (m).
+        travelled: How far the turtle has gone (m).
     """
 
     def __init__(
@@ -107,7 +109,7 @@ class Drive:
 
     @property
     def seen(self) -> Sighting:
-        """The place and heading of the newest pose."""
+        """Where the turtle is and how fast it moves, as its newest pose says."""
         if self._taken is not None:
             self._seen, self._taken = self._robot.read(self._taken), None
         return self._seen
@@ -118,30 +120,30 @@ class Drive:
 
     @property
     def pose(self) -> TurtlePose:
-        """The newest pose, as turtlesim's message."""
+        """The newest pose as a message of turtlesim."""
         return TurtlePose(*self.seen.pose, *self.seen.speeds)
 
     def has_reached(self, target: Point, *, theta: float | None = None) -> bool:
-        """Whether the turtle has reached a target and, if given, the heading ``theta`` (rad)."""
+        """Whether the turtle is at a target and, if ``theta`` is given, has that heading (rad)."""
         return self._helm.steering.is_reached(self.seen.pose, (target.x, target.y), theta=theta)
 
     def distance_to(self, targets: Sequence[Point]) -> float:
-        """The length of the straight lines from here through the targets (m)."""
+        """Return the length of the straight lines from the turtle through all targets (m)."""
         stops = [self.seen.pose[:2], *((target.x, target.y) for target in targets)]
         return sum(distance(*a, *b) for a, b in pairwise(stops))
 
     def time(self) -> float:
-        """The time of the drive (s): that of the node's clock, minus the time during pauses.
+        """Return the time of the drive (s): the time of the node's clock without the pauses.
 
-        The time advances with each pose. A pause therefore takes out exactly the ticks that it
-        lasts, no matter when between two ticks it begins and ends. The time is rounded to
-        nanoseconds, because the rounding errors of added pauses could otherwise put a moment after
-        its tick.
+        The length of a pause is the time from the last pose before the pause to the last pose
+        during the pause. The length is therefore a whole number of ticks, no matter when between
+        two ticks the pause begins and ends. The time is rounded to nanoseconds, to remove the
+        rounding errors that arise when the lengths of pauses are added up.
         """
         return round(self._clock.time() - self._passed_over, 9)
 
     def hold(self) -> None:
-        """Let the turtle stand still from the next tick on, until `release`."""
+        """Stop the turtle from the next tick on, until `release` is called."""
         if self._held is None:
             self._held = anyio.Event()
             if self._helm.steering.limits.is_eased:
@@ -149,10 +151,10 @@ class Drive:
             self._publish(STILL)
 
     def release(self) -> None:
-        """Let the turtle go on.
+        """Let the turtle go on after `hold`.
 
-        With limited accelerations, the turtle starts from rest. Otherwise it moves at its earlier
-        speeds at once.
+        With limited accelerations, the turtle starts from rest. Otherwise it continues at once at
+        the speeds that it had before `hold`.
         """
         if self._held is None:
             return
@@ -164,21 +166,21 @@ class Drive:
             self._publish(self._helm.speeds)
 
     async def checkpoint(self) -> None:
-        """Let other tasks run, and wait while the turtle is held."""
+        """Let other tasks run, and wait until the turtle is not held."""
         await anyio.lowlevel.checkpoint()
         await self._stand()
 
     def deadline(self, target: Point, *, theta: float | None = None) -> float:
-        """When to give up a target, by the time of the drive (s)."""
+        """Return when to give up a target, in seconds on the drive's clock (see `time`)."""
         stops = [(target.x, target.y)]
         bound = time_bound(self.seen.pose, stops, self._helm.steering, theta=theta)
         return self.time() + PATIENCE * bound
 
     async def shortest_time(self, targets: Sequence[Point], *, theta: float | None = None) -> float:
-        """The shortest possible time (s) from here through the targets.
+        """Return the shortest possible time (s) in which the turtle can drive through the targets.
 
-        The calculation runs step by step, for one turtle at a time, so that other tasks can run in
-        between.
+        The calculation runs in small steps, so that other tasks can run in between. Only one drive
+        at a time runs this calculation.
         """
         stops, least = [(target.x, target.y) for target in targets], 0.0
         async with self._proving:
@@ -189,7 +191,7 @@ class Drive:
         return least
 
     def too_late(self, target: str) -> Abort:
-        """The error for a target that was not reached in time, with a possible cause."""
+        """Return the error for a target that was not reached in time, with a possible reason."""
         others = self._node.count_publishers(self._twist_topic) > 1
         hint = f": somebody else publishes {self._twist_topic} too" if others else ""
         return Abort(f"{target} was not reached in time{hint}")
@@ -202,13 +204,14 @@ class Drive:
         theta: float | None = None,
         until: float = math.inf,
     ) -> None:
-        """Drive for one tick, or for longer while the same command stays right.
+        """Drive for one tick, or for several ticks that need the same command.
 
         Args:
-            target: The target to drive to.
-            next_target: The target after that.
-            theta: The heading at the target (rad). If left out, any heading will do.
-            until: This returns no later than the first tick at or after this time of the drive (s).
+            target: The target to drive to (m).
+            next_target: The target after ``target`` (m).
+            theta: The wanted heading at the target (rad). If left out, any heading will do.
+            until: A time of the drive (s, see `time`). The method returns at the first tick at or
+                after this time, or earlier.
 
         Raises:
             Abort: if no pose of the turtle arrives.
@@ -219,7 +222,9 @@ class Drive:
         await self.wait_for_pose()
 
     async def rest(self) -> None:
-        """Stop as fast as the accelerations allow. If they are not limited, this takes no tick.
+        """Brake until the turtle stands still.
+
+        With unlimited accelerations, this does nothing, because `aclose` stops the turtle at once.
 
         Raises:
             Abort: if no pose of the turtle arrives.
@@ -228,7 +233,7 @@ class Drive:
             await self.stay()
 
     async def stay(self) -> None:
-        """Come to rest for one tick.
+        """Brake, or stand still, for one tick.
 
         Raises:
             Abort: if no pose of the turtle arrives.
@@ -239,12 +244,12 @@ class Drive:
         await self.wait_for_pose()
 
     async def wait_for_pose(self) -> None:
-        """Wait for the next pose. If poses have already come, take the newest.
+        """Wait for the next pose. If several poses have already come, use only the newest.
 
-        While the turtle is held, this does not return.
+        While the turtle is held, the method does not return.
 
         Raises:
-            Abort: if no pose arrives, or it is not valid.
+            Abort: if no pose arrives, or if a pose is not valid.
         """
         while True:
             try:
@@ -280,7 +285,7 @@ class Drive:
         await self._poses.aclose()
 
     def _take(self, message: TurtlePose) -> bool:
-        """Take a pose if it needs no new command; return whether the driver can sleep on."""
+        """Record a pose; return False if the task that drives must wake up for a new command."""
         # This is called while a pose is being published, 62 times a second for each turtle. It must
         # be short and must not await. It reads the whole message only if somebody asks for it.
         if self._held is not None:
@@ -296,7 +301,7 @@ class Drive:
         return True
 
     def _pass_over(self) -> None:
-        """Ignore a pose that came while the turtle was held: for the turtle, no time has passed."""
+        """Ignore a pose of a held turtle, and leave the time since the last pose out of `time`."""
         now = self._clock.time()
         self._passed_over += now - self._heard
         self._heard = now
@@ -313,8 +318,8 @@ class Drive:
     def _keep_pace(self, *, is_a_tick: bool) -> None:
         """Measure the time between poses, which may differ from ``Robot.dt``.
 
-        If the turtle has moved by exactly one tick, one tick has passed for it, however late the
-        machine is.
+        If the turtle has moved exactly as far as in one tick, the time counts as ``Robot.dt``,
+        however late the pose has come.
         """
         before, self._decided = self._decided, self.time()
         poses, self._taken_since = 1 + self._taken_since, 0
@@ -351,9 +356,10 @@ class Drive:
         self._twists.publish(self._robot.write(speeds, self._clock.now()))
 
     async def _keep_watch(self) -> None:
-        """Stop the turtle when its poses stop arriving.
+        """Stop the turtle when no more poses arrive.
 
-        If they do not come back, fail the waiting goal.
+        If still no pose arrives for `SILENCE` seconds, or nobody publishes poses any more, make the
+        goal that waits for poses fail.
         """
         last: Message | None = None
         silence = 0.0
@@ -375,7 +381,7 @@ class Drive:
         self.release()  # a driver that waits for the release gives up, too
 
     def _is_heard(self, message: Message) -> bool:
-        """Return whether a pose can be used. If not, keep the reason for the error."""
+        """Return whether a pose can be used. If it cannot, record why, for the error message."""
         try:
             seen = self._robot.read(message)
         except InvalidMessage:  # the driver reads it again and reports the error
@@ -385,7 +391,7 @@ class Drive:
         return not objection
 
     def _objection(self, seen: Sighting) -> str:
-        """Why a pose must not be used; empty if it may."""
+        """Return why a pose must not be used, or an empty string if it may be used."""
         if seen.stamp is None:
             return ""
         age = (self._clock.now() - seen.stamp) / 1e9
@@ -400,9 +406,9 @@ class Turtles:
     """The turtles of a graph, and which of them are being driven.
 
     Args:
-        node: The node that opens their topics.
+        node: The node that opens the topics of the turtles.
         area: The area in which targets must lie (m).
-        robot: The kind of robot they are; turtlesim's turtles if left out.
+        robot: What kind of robot the turtles are. If left out, they are turtlesim's turtles.
     """
 
     def __init__(self, node: Node, area: Area, robot: Robot | None = None) -> None:
@@ -422,10 +428,10 @@ class Turtles:
         tolerance: float,
         heading_tolerance: float = Limits().heading_tolerance,
     ) -> Steering:
-        """The steering law for these robots, with the options of a goal.
+        """Return the steering law for these turtles with the options of a goal.
 
         Raises:
-            Reject: if there is no such style, or a number is out of its range.
+            Reject: if the style does not exist, or a number is out of its range.
         """
         robot = self._robot
         if max_angular > robot.fastest:
@@ -450,7 +456,8 @@ class Turtles:
         """Check that a turtle can be driven.
 
         Raises:
-            Reject: if nobody publishes its pose, or another goal drives it.
+            Reject: if the name is not valid, nobody publishes the turtle's pose, or another goal
+                drives the turtle.
         """
         poses, _ = self._robot.topics(turtle)
         try:
@@ -468,11 +475,12 @@ class Turtles:
         """Check that a target is inside the area.
 
         Args:
-            target: The target.
+            target: The target (m).
             path: A prefix for the coordinate's name in the error, such as ``targets[2].``.
 
         Raises:
-            Reject: if the target is outside. The error names the first coordinate that is.
+            Reject: if the target is outside the area. The error names the first coordinate that is
+                outside.
         """
         area = self._area
         ranges = {"x": (area.left, area.right), "y": (area.bottom, area.top)}
@@ -486,15 +494,16 @@ class Turtles:
     async def drive(
         self, turtle: str, steering: Steering, goal: ServerGoalHandle[Any, Any, Any] | None = None
     ) -> AsyncIterator[Drive]:
-        """Give a block the drive of a turtle. However the block ends, the turtle then stands still.
+        """Open a `Drive` of a turtle. However the ``async with`` block ends, the turtle then stops.
 
         Args:
-            turtle: Its name.
-            steering: The law of steering.
-            goal: The goal that needs the turtle. While the goal is paused, the turtle is held.
+            turtle: The name of the turtle.
+            steering: The steering law.
+            goal: The goal for which the turtle is driven. While the goal is paused, the turtle is
+                held.
 
         Raises:
-            Abort: if the turtle reports no pose, or another goal drives it already.
+            Abort: if no pose of the turtle arrives, or another goal drives the turtle already.
         """
         topic = self._topic(turtle)
         # Two goals may have been accepted before either has begun: `check_turtle` saw neither.
@@ -518,19 +527,19 @@ class Turtles:
             await drive.aclose()
 
     async def hold(self, goal: ServerGoalHandle[Any, Any, Any]) -> None:
-        """Hold the turtle of a goal that is paused. This is an ``on_pause`` callback."""
+        """Stop the turtle of a paused goal. This is an ``on_pause`` callback."""
         if goal.goal_id in self._drives:
             self._drives[goal.goal_id].hold()
 
     async def release(self, goal: ServerGoalHandle[Any, Any, Any]) -> None:
-        """Release the turtle of a goal that is resumed. This is an ``on_resume`` callback."""
+        """Let the turtle of a resumed goal go on. This is an ``on_resume`` callback."""
         if goal.goal_id in self._drives:
             self._drives[goal.goal_id].release()
 
     def _topic(self, turtle: str) -> str:
-        """The full name of a turtle's pose topic.
+        """Return the full name of a turtle's pose topic.
 
-        The topic is the same for all names of the turtle.
+        The full name is the same whether the name of the turtle is relative or absolute.
         """
         poses, _ = self._robot.topics(turtle)
         return resolve_name(poses, self._node.namespace, self._node.name)

@@ -28,7 +28,7 @@ LARGEST: Final = 46
 
 
 def check(goal: Fibonacci.Goal | ExampleFibonacci.Goal) -> GoalResponse:
-    """Reject a goal if its numbers do not fit the result."""
+    """Reject a goal if its sequence has a number that does not fit into an int32."""
     if goal.order > LARGEST:
         raise Reject(f"order {goal.order} is too large: number {LARGEST + 1} does not fit an int32")
     return GoalResponse.ACCEPT
@@ -39,7 +39,7 @@ async def fibonacci(
     goal: Fibonacci.Goal,
     handle: ServerGoalHandle[Fibonacci.Goal, Fibonacci.Result, Fibonacci.Feedback],
 ) -> AsyncIterator[Fibonacci.Feedback | Fibonacci.Result]:
-    """Calculate the sequence up to number ``order``, one number per second."""
+    """Calculate the sequence up to the number with index ``order``, one number per second."""
     left = handle.resumed
     sequence = list(left.feedback.partial_sequence) if left and left.feedback else [0, 1]
     while len(sequence) <= goal.order:
@@ -57,7 +57,7 @@ async def example_fibonacci(
         ExampleFibonacci.Goal, ExampleFibonacci.Result, ExampleFibonacci.Feedback
     ],
 ) -> AsyncIterator[ExampleFibonacci.Feedback | ExampleFibonacci.Result]:
-    """The same sequence, served with the name and fields of example_interfaces."""
+    """Calculate the same sequence as `fibonacci`, for the action type of example_interfaces."""
     left = handle.resumed
     sequence = list(left.feedback.sequence) if left and left.feedback else [0, 1]
     while len(sequence) <= goal.order:
@@ -71,14 +71,14 @@ async def example_fibonacci(
 def serve(
     node: Node, *, on_conflict: OnConflict = "refuse", **options: Unpack[ServerOptions]
 ) -> None:
-    """Serve ``/fibonacci`` with each of the two types that ROS 2 has for it.
+    """Serve ``/fibonacci`` with each of the two types that ROS 2 has for the action.
 
-    After a restart, a goal in a journal continues where it stopped.
+    After a restart, a goal from a journal continues where it stopped.
 
     Args:
-        node: The node that serves it.
-        on_conflict: As for `Node.action_server`.
-        **options: As for `Node.action_server`.
+        node: The node that serves the action.
+        on_conflict: See `Node.action_server`.
+        **options: See `Node.action_server`.
     """
     options = {"goal_callback": check, **options}
     node.action_server(

@@ -1,7 +1,8 @@
-"""The kinds of robot that actions can drive: their two topics and what they are able to do.
+"""The kinds of robot that actions can drive: their topics and what they are able to do.
 
-A `Robot` gets its speeds on one topic and publishes its pose on another. Two tables hold the types
-that these topics may have; the defaults are those of turtlesim.
+A `Robot` receives its speeds on one topic and publishes its pose on another. `POSE_TYPES` and
+`TWIST_TYPES` list the types that these topics may have. The default topics and types are those of
+turtlesim.
 
 Source: the message definitions of ROS 2 Jazzy; Diebel, Representing Attitude, 2006, equation 290
 (the heading of a quaternion).
@@ -44,7 +45,7 @@ class Sighting(NamedTuple):
 
 
 class _Fields(NamedTuple):
-    """The names of the fields of a message that hold the pose and the twist."""
+    """The names of the message fields that hold the pose and the twist."""
 
     pose: str
     twist: str = ""
@@ -67,22 +68,24 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     """A kind of robot: its topics and what it can do.
 
     Attributes:
-        pose_topic: The topic of its pose; ``{turtle}`` is replaced by the goal's turtle.
+        pose_topic: The topic of the robot's pose. ``{turtle}`` is replaced by the goal's turtle.
         pose_type: One of `POSE_TYPES`.
-        twist_topic: The topic of its commands; ``{turtle}`` is replaced by the goal's turtle.
+        twist_topic: The topic of the robot's commands. ``{turtle}`` is replaced by the goal's
+            turtle.
         twist_type: One of `TWIST_TYPES`.
-        frame_id: The frame of a stamped twist.
-        dt: The approximate time between two poses (s). The robot gets a command after each pose,
-            unless it keeps its commands. If poses come at another rate, the drive adapts to that
-            rate.
-        max_age: Stamped poses older than this (s) are ignored.
-        max_acceleration: How fast its speed may change (m/s²), above zero; may be infinite.
-        max_angular_acceleration: How fast its turn rate may change (rad/s²), above zero; may be
-            infinite.
+        frame_id: The ``frame_id`` in the header of a stamped twist.
+        dt: The approximate time between two poses (s). Unless the robot keeps its commands (see
+            `keeps_commands`), it gets a command after each pose. If poses come at another rate, the
+            drive adapts to that rate.
+        max_age: Poses with a stamp older than this (s) are ignored.
+        max_acceleration: How fast the robot's speed may change (m/s²), above zero; may be infinite.
+        max_angular_acceleration: How fast the robot's turn rate may change (rad/s²), above zero;
+            may be infinite.
 
     Raises:
-        InvalidOption: if a type is not in its table, or a number is out of its range.
-        InvalidName: if a topic breaks ROS 2's rules.
+        InvalidOption: if a type is not in `POSE_TYPES` or `TWIST_TYPES`, or a number is out of
+            range.
+        InvalidName: if the name of a topic breaks ROS 2's rules.
 
     Example:
         >>> Robot().topics("turtle1")
@@ -116,14 +119,15 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def fastest(self) -> float:
-        """The highest turn rate (rad/s) that the steering law supports."""
+        """The highest turn rate (rad/s) that the steering law supports for this robot."""
         return math.pi / 2.0 / self.dt
 
     @property
     def keeps_commands(self) -> bool:
         """Whether the robot follows each command for a second, so that commands need no repetition.
 
-        turtlesim's turtles do. Other robots may stop at any time after a command.
+        turtlesim's turtles keep their commands. Other robots may stop sooner, so they get a command
+        after each pose.
         """
         return POSE_TYPES[self.pose_type] is None
 
@@ -138,14 +142,14 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         return cast("type[Message]", get_interface(self.twist_type))
 
     def topics(self, turtle: str) -> tuple[str, str]:
-        """The names of a turtle's pose topic and twist topic."""
+        """Return the names of a turtle's pose topic and twist topic."""
         pose, twist = (
             topic.replace("{turtle}", turtle) for topic in (self.pose_topic, self.twist_topic)
         )
         return pose, twist
 
     def read(self, message: Message) -> Sighting:
-        """The robot's place and speeds in a message.
+        """Return the robot's pose and speeds from a pose message.
 
         Raises:
             InvalidMessage: if the message holds no valid place or heading.
@@ -158,11 +162,11 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         return seen
 
     def write(self, speeds: Speeds, now: int) -> Message:
-        """The message that makes the robot drive at some speeds.
+        """Return the message that makes the robot drive at some speeds.
 
         Args:
             speeds: Linear (m/s) and angular (rad/s).
-            now: ROS time (ns), for the stamp.
+            now: The ROS time (ns) for the stamp of the message.
         """
         if self.twist_type == TWIST_TYPES[0]:
             return Twist(linear=Vector3(x=speeds[0]), angular=Vector3(z=speeds[1]))
@@ -197,7 +201,7 @@ def _read_stamped(message: Message, fields: _Fields) -> Sighting:
 
 
 def _heading(x: float, y: float, z: float, w: float, *, path: str) -> float:
-    """The heading (rad) of a quaternion of any length, seen from above."""
+    """Return the heading of a quaternion (rad). The quaternion may have any length above zero."""
     # Some drivers send quaternions that are not quite of length 1, and zeros before they know where
     # they are. A quaternion of any length has a heading, except one of length zero.
     if not x * x + y * y + z * z + w * w > 0.0:

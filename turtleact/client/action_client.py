@@ -1,8 +1,8 @@
 """Action clients: send goals, attach to other clients' goals, and cancel goals.
 
-`turtleact.client.goal_handle` is the client's view of one goal. A client uses a server in the same
-process directly, and a server in another process through messages. To the client, both are a
-`turtleact.goal_server.GoalServer`.
+`turtleact.client.goal_handle` defines the client's handle of a goal. A client calls a server in the
+same process directly, and sends messages to a server in another process. The client uses both kinds
+of server through the interface `turtleact.goal_server.GoalServer`.
 
 Source: rclpy ``action/client.py`` for names and behaviour.
 """
@@ -64,9 +64,10 @@ class ActionClient(Generic[G, R, F]):
 
     Attributes:
         name: The fully qualified name of the action.
-        action_type: The action.
+        action_type: The action, a subclass of `turtleact.Action`.
         is_open: Whether the client can send goals.
-        observers: The objects that hear of each change and feedback of this client's goals.
+        observers: The observers of this client's goals. They are told of each change of state and
+            of each feedback message.
     """
 
     def __init__(
@@ -98,30 +99,32 @@ class ActionClient(Generic[G, R, F]):
     ) -> SendGoal[G, R, F]:
         """Send a goal: ``await`` it for the result, or use ``async with`` for a handle.
 
-        If the Zenoh session was opened a moment ago, this first waits for a server in another
-        process to be discovered; see `turtleact.transports.open_zenoh`.
+        If the Zenoh session was opened a moment ago, sending first waits until servers in other
+        processes have been discovered; see `turtleact.transports.open_zenoh`.
 
         Args:
             goal: The goal message.
-            goal_id: 16 bytes or a UUID. If left out, the goal gets a new id.
-            feedback_callback: A plain function, called with each feedback message while the server
-                publishes it. If it raises an exception, that is logged, and the goal goes on.
-            reattach: If the server goes away, wait this long (s, event loop time) for the server to
-                return, and go on with the goal. If nobody serves the action yet, wait this long for
-                a server. Use this with servers that have a journal: they still have the goal after
-                a restart. If the server is in this process, the handle of its goal ends with the
-                server.
+            goal_id: The id of the goal, 16 bytes or a UUID. If left out, the goal gets a new id.
+            feedback_callback: A plain function that is called with each feedback message. A server
+                in this process calls the function while it publishes the message. If the function
+                raises an exception, the exception is logged, and the goal goes on.
+            reattach: How long to wait for a server (s, event loop time). If the server goes away,
+                the client waits this long for the server to return, and attaches to the goal again.
+                If nobody serves the action yet, the client waits this long for a server. Use this
+                with servers that have a journal, because they still have the goal after a restart.
+                If the server is in this process, ``await`` attaches to the goal again, but a handle
+                from ``async with`` raises ServerUnavailable.
 
         Raises:
             InvalidOption: if the ``feedback_callback`` is a coroutine function, or ``reattach`` is
                 not a number.
-            InvalidGoal: (when awaited or entered) if a value does not fit its type. Nothing was
-                sent.
-            ServerUnavailable: if nobody serves the action.
-            GoalRejected: if the server rejects the goal.
-            GoalAborted, GoalCanceled: (when awaited) if the goal ends that way.
-            TurtleactError: if the client is closed or belongs to another event loop, or if the
-                returned object is awaited or entered twice.
+            InvalidGoal: (when awaited or entered) if a value of the goal does not fit its type. The
+                goal is not sent.
+            ServerUnavailable: (when awaited or entered) if nobody serves the action.
+            GoalRejected: (when awaited or entered) if the server rejects the goal.
+            GoalAborted, GoalCanceled: (when awaited) if the goal ends as ABORTED or CANCELED.
+            TurtleactError: (when awaited or entered) if the client is closed or belongs to another
+                event loop, or if the returned object was awaited or entered before.
         """
         if feedback_callback is not None and _is_coroutine_function(feedback_callback):
             problem = "must be a plain function: it is called, not awaited, for each message"
@@ -139,17 +142,18 @@ class ActionClient(Generic[G, R, F]):
     def attach(self, goal_id: bytes | uuid.UUID) -> Attach[R, F]:
         """Attach to a goal that somebody else sent: ``await`` this or use ``async with``.
 
-        Either way, you get a handle. Leaving the block never cancels the goal.
+        Both ``await`` and ``async with`` give you a handle. Leaving the block of ``async with``
+        never cancels the goal.
 
         Args:
-            goal_id: 16 bytes or a UUID.
+            goal_id: The id of the goal, 16 bytes or a UUID.
 
         Raises:
             ServerUnavailable: (when awaited or entered) if nobody serves the action.
             TurtleactError: (when awaited or entered) if the client is closed or belongs to another
                 event loop.
-            UnknownGoal: (when awaited or entered) if the server does not hold the goal, or no
-                longer holds it.
+            UnknownGoal: (when awaited or entered) if the server has no goal with this id, or has
+                already forgotten it.
         """
         return Attach(self, goal_id_bytes(goal_id))
 
@@ -181,7 +185,10 @@ class ActionClient(Generic[G, R, F]):
         return await (await self._find_server()).cancel(None, nanoseconds(stamp))
 
     async def aclose(self) -> None:
-        """Leave the graph. The client's goals go on, unless ``on_client_lost`` cancels them."""
+        """Remove the client from the graph.
+
+        The client's goals go on, unless the server has the option ``on_client_lost="cancel"``.
+        """
         self._home.check()
         self.is_open = False
         self.observers.closed()
@@ -194,7 +201,9 @@ class ActionClient(Generic[G, R, F]):
     # the server
 
     def _known_server(self) -> GoalServer | None:
-        """Return the server that was used before, if it is still open.
+        """Return the server that the client used last.
+
+        Return None if the client has used no server yet, or if that server is closed.
 
         Raises:
             TurtleactError: if the client is used in another event loop.
@@ -204,13 +213,14 @@ class ActionClient(Generic[G, R, F]):
         return server if server is not None and server.is_open else None
 
     async def _find_server(self, patience: float = 0.0) -> GoalServer:
-        """Return the action's server, waiting for discovery if the graph is new.
+        """Return the action's server. If the graph is new, wait for discovery first.
 
-        If nobody serves the action, wait ``patience`` seconds longer (event loop time).
+        If nobody serves the action even then, wait up to ``patience`` seconds longer (event loop
+        time).
 
         Raises:
-            ServerUnavailable: if nobody serves it.
-            TurtleactError: if the client is closed, or used in another event loop.
+            ServerUnavailable: if nobody serves the action.
+            TurtleactError: if the client is closed, or is used in another event loop.
         """
         server = self._known_server()
         if server is not None:
@@ -234,7 +244,7 @@ class ActionClient(Generic[G, R, F]):
         return server
 
     def _hint(self) -> str:
-        """Suggest what the graph offers instead of the action."""
+        """Return a hint for the user: which actions the graph has, or why this node sees none."""
         transport = self._endpoints.transport
         actions = [action for action in graph_of(transport).actions if action != self.name]
         if near := nearest(self.name, actions):
@@ -262,9 +272,9 @@ class ActionClient(Generic[G, R, F]):
     # goals
 
     def _send(self, order: GoalOrder, send: Callable[[GoalOrder], _Sending[T]]) -> _Sending[T]:
-        """Send a goal with `_run` or `_enter`.
+        """Send a goal with ``send``, which is `_run` or `_enter`.
 
-        If observers hear of calls, use a separate context.
+        If an observer wants to be told of calls, send the goal in a copy of the caller's context.
         """
         if not self.observers.want_calls:
             return send(order)
@@ -301,9 +311,10 @@ class ActionClient(Generic[G, R, F]):
     async def _reattach(
         self, order: GoalOrder, error: ServerUnavailable
     ) -> tuple[GoalServer, Goal]:
-        """Wait until a server of this process is back, and attach to the goal again.
+        """Wait until a server in this process is back, and attach to the goal again.
 
-        `RemoteActionServer` waits for servers in other processes.
+        If the server was in another process, raise ``error``, because `RemoteActionServer` has
+        already waited.
         """
         if self._server is self._remote:
             raise error
@@ -335,28 +346,29 @@ class ActionClient(Generic[G, R, F]):
 if TYPE_CHECKING:
 
     class _Calling(Coroutine[Any, Any, R], Generic[R]):
-        """The base of `SendGoal` as type checkers see it."""
+        """The base class of `SendGoal` for type checkers."""
 
         def __init__(self, *parts: object) -> None: ...
 
 else:
 
     class _Calling(msgspec.Struct, Generic[R], eq=False):
-        """The base of `SendGoal` at runtime. A struct cannot inherit from an abstract class."""
+        """The base class of `SendGoal` at runtime: a struct cannot have an abstract base."""
 
 
 class SendGoal(_Calling[R], Generic[G, R, F]):
-    """A goal that is about to be sent. You can send it once.
+    """A goal that is about to be sent. You can send it only once.
 
-    ``await`` sends the goal and gives the result. If the waiting task is cancelled, the goal is
-    canceled too. The task waits for the goal's end, and then ends cancelled.
+    ``await`` sends the goal and returns its result. If the waiting task is cancelled, the goal is
+    canceled too. The task then waits for the goal's end before the task itself ends as cancelled.
 
-    ``async with`` sends the goal and gives a handle. If you leave the block while the goal is
-    active, the goal is canceled and you wait for its end, unless you have detached it.
+    ``async with`` sends the goal and gives you a handle. If you leave the block while the goal is
+    active, the goal is canceled, and leaving waits for the goal's end. A goal that you have
+    detached is not canceled.
 
     The object is also a coroutine: you can pass it to ``create_task``, or pass
-    `ActionClient.send_goal` to ``start_soon``. If you neither await nor enter it, Python warns as
-    it does for a forgotten coroutine.
+    `ActionClient.send_goal` to ``start_soon``. If you neither await nor enter the object, Python
+    warns as it does for a forgotten coroutine.
     """
 
     _client: ActionClient[G, R, F]
@@ -373,13 +385,13 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
         return self._start().__await__()
 
     def send(self, value: object) -> object:
-        """Run to the next wait. Event loops call this."""
+        """Run the coroutine up to its next wait. Event loops call this."""
         if self._calling is None:
             self._calling = self._start()
         return self._calling.send(value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
-        """Raise an exception at the current wait. Event loops call this."""
+        """Raise an exception in the coroutine, at its current wait. Event loops call this."""
         if self._calling is None:
             self.close()
             raise error
@@ -445,8 +457,8 @@ Coroutine.register(SendGoal)
 class _InOwnContext(Coroutine[object, object, T]):
     """Runs a coroutine of the caller's task in a copy of the task's context.
 
-    The coroutine never changes the caller's context. Tokens of context variables could not
-    guarantee that, because a coroutine may be closed in another context.
+    The coroutine therefore never changes the caller's context. It would not be enough to reset
+    context variables with their tokens, because a coroutine may be closed in another context.
     """
 
     __slots__ = ("_context", "_running")
@@ -456,11 +468,11 @@ class _InOwnContext(Coroutine[object, object, T]):
         self._running = running
 
     def send(self, value: object) -> object:
-        """Run to the next wait."""
+        """Run the coroutine up to its next wait."""
         return self._context.run(self._running.send, value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
-        """Raise an exception at the current wait."""
+        """Raise an exception in the coroutine, at its current wait."""
         return self._context.run(self._running.throw, error)
 
     def close(self) -> None:
@@ -478,7 +490,7 @@ class _InOwnContext(Coroutine[object, object, T]):
 
 
 class Attach(msgspec.Struct, Generic[R, F], eq=False):
-    """An attempt to attach to a goal. ``await`` or enter it to get a handle."""
+    """An attempt to attach to a goal. ``await`` it or use ``async with`` to get a handle."""
 
     _client: ActionClient[Any, R, F]
     _goal_id: bytes
@@ -501,10 +513,11 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
 class _ClientObservers(Observers):
     """The observers of one client.
 
-    The client follows goals in other processes itself and reports on them. A server in the same
-    process reports on its goals through its own observers. While the client has observers of goals,
-    a relay that is registered with the server's observers passes on the reports about this client's
-    goals.
+    If the server is in another process, the client itself reports on its goals to these observers.
+    If the server is in the same process, the server reports on the goals to the server's own
+    observers. Therefore, if an observer of the client wants reports about goals, the client adds a
+    relay to the server's observers. The relay passes the reports about this client's goals on to
+    the client's observers.
     """
 
     __slots__ = ("_relay", "_relayed", "_theirs")
@@ -516,23 +529,23 @@ class _ClientObservers(Observers):
         self._relayed: Observers | None = None
 
     def add(self, observer: GoalObserver) -> None:
-        """Tell ``observer`` of every change from now on."""
+        """From now on, tell ``observer`` of every change of the client's goals."""
         super().add(observer)
         self._set_relay()
 
     def remove(self, observer: GoalObserver) -> None:
-        """Stop telling ``observer``. An unknown observer is ignored."""
+        """Stop telling ``observer`` of changes. An unknown observer is ignored."""
         super().remove(observer)
         self._set_relay()
 
     def watch(self, server: object | None) -> None:
-        """Relay the reports of ``server`` from now on. If it is None, relay nothing."""
+        """From now on, relay the reports of ``server``. If ``server`` is None, relay nothing."""
         theirs = getattr(server, "observers", None)
         self._theirs = theirs if isinstance(theirs, Observers) else None
         self._set_relay()
 
     def _set_relay(self) -> None:
-        """Register the relay with the server's observers if needed; otherwise remove the relay."""
+        """Add the relay to the server's observers if it is needed; otherwise remove the relay."""
         wanted = self._theirs if self.want_goals else None
         if wanted is not self._relayed:
             if self._relayed is not None:
@@ -543,7 +556,7 @@ class _ClientObservers(Observers):
 
 
 class _Relay(GoalObserver):
-    """Passes on a local server's reports about one client's goals."""
+    """Passes on what a server in this process reports about one client's goals."""
 
     def __init__(self, client: ActionClient[Any, Any, Any], observers: Observers) -> None:
         self._client = client
@@ -551,7 +564,7 @@ class _Relay(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """Whether an observer of the client wants the ACCEPTED state."""
+        """Whether an observer of the client wants to be told of the ACCEPTED state."""
         return self._observers.want_acceptance
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
@@ -560,7 +573,7 @@ class _Relay(GoalObserver):
             self._observers.goal_changed(goal, before, after)
 
     def feedback_published(self, goal: Goal, feedback: object) -> None:
-        """Called with each feedback message."""
+        """Called with each feedback message of a goal."""
         if goal.sender is self._client:
             self._observers.feedback_published(goal, feedback)
 
@@ -570,7 +583,7 @@ class _Relay(GoalObserver):
             self._observers.pause_changed(goal)
 
     def noted(self, goal: Goal, news: News) -> None:
-        """Called when something else happens to a goal."""
+        """Called with other news of a goal; see `turtleact.observers.News`."""
         if goal.sender is self._client:
             self._observers.noted(goal, news)
 

@@ -1,9 +1,8 @@
-"""A client's handle of one goal: reads its feedback, events and end, and cancels it.
+"""Provides a client's handle of a goal, which gives feedback and result, and can cancel the goal.
 
-The handle reads a `Goal` object. If the server is in the same process, that is the server's own
-object. Otherwise messages keep the object up to date (`turtleact.goal_server`). The goal's sender
-loses no feedback: if the sender is far behind with reading, the body waits for it. Clients that
-have attached to the goal read the messages that are kept.
+The handle reads a `Goal` object. If the server is in the same process, the handle reads the
+server's own object. Otherwise the client has a `Goal` object of its own, and messages from the
+server keep the object up to date (`turtleact.client.remote_goals`).
 
 Source: rclpy ``action/client.py`` for names and behaviour.
 """
@@ -43,8 +42,9 @@ class Outcome(msgspec.Struct, Generic[R], frozen=True):
 
     Attributes:
         status: SUCCEEDED, CANCELED or ABORTED.
-        result: The result. If the goal did not succeed, it is the partial or default result.
-        reason: Why it was aborted; empty otherwise.
+        result: The result. If the goal did not succeed, the result may be partial, or have default
+            values.
+        reason: Why the goal was aborted; empty if it was not aborted.
     """
 
     status: GoalStatus
@@ -57,7 +57,7 @@ class Accepted(msgspec.Struct, frozen=True):
 
     Attributes:
         goal_id: The goal's id, 16 bytes.
-        stamp: When the server accepted it.
+        stamp: When the server accepted the goal.
     """
 
     kind: ClassVar[Literal["accepted"]] = "accepted"
@@ -79,10 +79,10 @@ class StatusChanged(msgspec.Struct, frozen=True):
 
 
 class FeedbackReceived(msgspec.Struct, Generic[F], frozen=True):
-    """The body has published feedback.
+    """The goal's body has published a feedback message.
 
     Attributes:
-        feedback: The message.
+        feedback: The feedback message.
     """
 
     kind: ClassVar[Literal["feedback"]] = "feedback"
@@ -91,10 +91,10 @@ class FeedbackReceived(msgspec.Struct, Generic[F], frozen=True):
 
 
 class ResultReceived(msgspec.Struct, Generic[R], frozen=True):
-    """The last event of a goal: how it ended.
+    """The last event of a goal: the goal has ended.
 
     Attributes:
-        outcome: Status, result and reason.
+        outcome: How the goal ended: status, result and reason.
     """
 
     kind: ClassVar[Literal["result"]] = "result"
@@ -109,12 +109,14 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     """A client's handle of a goal.
 
     ``async for feedback in handle`` gives each feedback message once, in order, and ends when the
-    goal ends. It includes messages published before the loop began. The sender loses nothing while
-    it iterates, because a generator that is far ahead waits for it. Otherwise, and for clients that
-    have attached to the goal, only the newest 1,024 messages are kept, and `missed` counts the
-    others.
+    goal ends. The loop also gives messages that were published before it began, if they are still
+    kept. While the sender of the goal iterates, unread messages are kept. If the server is in the
+    same process and the sender is far behind, the goal's body waits for the sender. If the server
+    is in another process, at most 65,536 unread messages are kept. For a sender that does not
+    iterate, and for clients that have attached to the goal, only the newest 1,024 messages are
+    certain to be kept. `missed` counts the messages that were dropped unread.
 
-    `done`, `status`, `last_feedback` and `cancel_nowait` are for callers that cannot await.
+    Callers that cannot await use `done`, `status`, `last_feedback` and `cancel_nowait`.
     """
 
     _reader: GoalReader
@@ -126,12 +128,12 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
     @property
     def stamp(self) -> Time:
-        """When the goal was accepted."""
+        """When the server accepted the goal."""
         return stamp_of(self._reader.goal.stamp)
 
     @property
     def request(self) -> Message | None:
-        """The goal message; None for a goal in another process that another client sent."""
+        """The goal message; None if another client sent it to a server in another process."""
         return cast("Message | None", self._reader.goal.request)
 
     @property
@@ -143,7 +145,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     def accepted(self) -> bool:
         """Whether the server accepted the goal.
 
-        It is always true: only accepted goals have handles.
+        This is always True, because only accepted goals have handles.
         """
         return True
 
@@ -154,12 +156,12 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
     @property
     def last_feedback(self) -> F | None:
-        """The newest feedback, read or not."""
+        """The newest feedback message, whether or not it was read; None before the first."""
         return cast("F | None", self._reader.goal.last_feedback)
 
     @property
     def missed(self) -> int:
-        """How many feedback messages this handle has missed."""
+        """How many feedback messages were dropped before this handle read them."""
         return self._reader.missed
 
     def __aiter__(self) -> AsyncIterator[F]:
@@ -173,21 +175,21 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     def events(self) -> AsyncIterator[Event[F, R]]:
         """Iterate over the goal's events, from its acceptance to its result.
 
-        Each event has a ``kind``.
+        Each event has an attribute ``kind``, such as ``"feedback"``.
 
-        Events share the feedback with ``async for feedback in handle``: a message given by one of
-        the two loops does not appear in the other.
+        This loop shares the feedback with ``async for feedback in handle``: each message appears in
+        only one of the two loops.
         """
         self._reader.start_iteration()
         return _Events(self._reader)
 
     async def result(self) -> R:
-        """Wait for the result. Cancelling: safe, the goal goes on.
+        """Wait for the result, and return it. Cancelling: safe, the goal goes on.
 
         Raises:
             GoalAborted: if the goal was aborted.
             GoalCanceled: if the goal was canceled.
-            ServerUnavailable: if the server has gone.
+            ServerUnavailable: if the server goes away before the goal has ended.
         """
         goal = await self._reader.wait_for_end()
         if goal.status is GoalStatus.SUCCEEDED:
@@ -195,10 +197,10 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         raise failure(goal)
 
     async def outcome(self) -> Outcome[R]:
-        """Wait for the end, and report it without raising if it failed. Cancelling: safe.
+        """Wait for the goal's end, and return how it ended, even if it failed. Cancelling: safe.
 
         Raises:
-            ServerUnavailable: if the server has gone.
+            ServerUnavailable: if the server goes away before the goal has ended.
         """
         goal = await self._reader.wait_for_end()
         if goal.error is not None:
@@ -206,36 +208,45 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         return Outcome(goal.status, cast("R", goal.result), goal.reason)
 
     async def cancel(self) -> CancelGoal.Response:
-        """Ask the server to cancel the goal and return its answer."""
+        """Ask the server to cancel the goal, and return the server's answer."""
         return await self._reader.cancel()
 
     def cancel_nowait(self) -> None:
-        """Ask the server to cancel the goal, without waiting. `status` shows later if it agreed."""
+        """Ask the server to cancel the goal, without waiting for the server's answer.
+
+        If the server agrees, `status` becomes CANCELING.
+        """
         self._reader.cancel_nowait()
 
     @property
     def is_paused(self) -> bool:
-        """Whether the goal is paused. ROS 2 has no state for this: `status` stays EXECUTING."""
+        """Whether the goal is paused.
+
+        ROS 2 has no state for pauses, so `status` stays EXECUTING.
+        """
         return self._reader.goal.is_paused
 
     @property
     def is_resumed(self) -> bool:
-        """Whether an earlier process began the goal. False for a server in another process."""
+        """Whether the goal began in an earlier process, and this process resumed it.
+
+        This is always False if the server is in another process.
+        """
         return self._reader.goal.resumed is not None
 
     async def pause(self, timeout: float = 5.0) -> None:
         """Pause the goal, and return when its body stands still.
 
-        Pausing a paused goal does nothing. Cancelling: withdraws the request.
+        Pausing a paused goal does nothing. Cancelling: the request is withdrawn.
 
         Args:
-            timeout: How long to wait for the body to stand still (s, event loop time). Then the
-                request is withdrawn, and the goal goes on.
+            timeout: How long to wait for the body to stand still (s, event loop time). After this
+                time, the request is withdrawn, and the goal goes on.
 
         Raises:
-            PauseRefused: if the goal cannot be paused, or its body takes too long. The reason says
-                which.
-            ServerUnavailable: if the server has gone.
+            PauseRefused: if the goal cannot be paused, or its body takes too long. The error gives
+                the reason.
+            ServerUnavailable: if the server goes away.
         """
         await self._reader.pause(timeout)
 
@@ -243,13 +254,13 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         """Let a paused goal go on. Resuming a goal that is not paused does nothing.
 
         Raises:
-            PauseRefused: if the server's ``on_resume`` fails. The goal stays paused.
-            ServerUnavailable: if the server has gone.
+            PauseRefused: if the server's ``on_resume`` fails. The goal then stays paused.
+            ServerUnavailable: if the server goes away.
         """
         await self._reader.resume()
 
     def detach(self) -> None:
-        """Let the goal continue when the ``async with`` block is left."""
+        """Let the goal continue after the ``async with`` block of this handle."""
         self._reader.is_detached = True
 
 
@@ -264,8 +275,8 @@ class GoalReader:
 
     Attributes:
         goal: The argument ``goal``.
-        missed: How many feedback messages this reader has missed.
-        is_detached: Whether the goal continues when the handle's block is left.
+        missed: How many feedback messages were dropped before this reader read them.
+        is_detached: Whether the goal continues after the ``async with`` block of its handle.
     """
 
     __slots__ = (
@@ -297,7 +308,7 @@ class GoalReader:
         return self.goal.id or self._server.name_goal(self.goal)
 
     def check_home(self) -> None:
-        """Check that this is called in the client's event loop; otherwise raise an error."""
+        """Raise an error unless this is called in the client's event loop."""
         self._home.check()
 
     # feedback
@@ -308,12 +319,12 @@ class GoalReader:
 
     @property
     def next_unread(self) -> int | None:
-        """The number of the next feedback message if it is already there; otherwise None."""
+        """The index (from 0) of the next unread feedback message; None if no message is unread."""
         log = self.goal.feedback
         return None if log is None or self._next >= log.count else max(self._next, log.dropped)
 
     def start_iteration(self) -> None:
-        """Begin an iteration. If the sender reads, all feedback is kept from now on."""
+        """Begin an iteration. If this client sent the goal, unread feedback is kept from now on."""
         self._home.check()
         log = self.goal.feedback
         if log is None:
@@ -324,9 +335,13 @@ class GoalReader:
             log.hurried = self._hurried
 
     def end_iteration(self, thread: int) -> None:
-        """Record that an iterator made in ``thread`` is gone. Any thread may call this.
+        """Record that an iterator is gone. Any thread may call this.
 
-        Only the end of the last iteration counts, so an abandoned loop does not disturb later ones.
+        Reading stops only when the last iterator is gone. So the late end of an abandoned loop does
+        not stop the reading of a newer loop.
+
+        Args:
+            thread: The id of the thread in which the iterator was made.
         """
         if get_ident() != thread:
             self._server.from_anywhere(lambda: self.end_iteration(thread))
@@ -336,7 +351,7 @@ class GoalReader:
             self._stop_reading()
 
     def _stop_reading(self) -> None:
-        """Let the body run ahead, because nobody iterates any more."""
+        """No longer make the body wait for the sender to read feedback."""
         log = self.goal.feedback
         if log is not None and self._is_sender:
             log.read = None
@@ -345,7 +360,10 @@ class GoalReader:
     # the end
 
     async def wait_for_end(self) -> Goal:
-        """Wait for the goal's end. A sender that waits does not hold up the body."""
+        """Wait for the goal's end.
+
+        During this wait, the goal's body does not wait for the sender to read feedback.
+        """
         self._home.check()
         goal = self.goal
         if goal.ended:
@@ -361,9 +379,9 @@ class GoalReader:
         return goal
 
     def _hurry(self, change: int) -> None:
-        """Count the callers that wait for the end.
+        """Add ``change`` to the number of callers that wait for the goal's end.
 
-        While there are any, the body does not wait for a reader of feedback.
+        While there are such callers, the body does not wait for the sender to read feedback.
         """
         self._hurried += change
         log = self.goal.feedback  # before there is feedback or a reader, there is no log
@@ -387,7 +405,7 @@ class GoalReader:
         await self._server.resume(self.goal)
 
     def cancel_nowait(self) -> None:
-        """Ask the server to cancel the goal without waiting."""
+        """Ask the server to cancel the goal, without waiting for the server's answer."""
         self._home.check()
         if not self.goal.ended:
             self._server.cancel_goal_nowait(self.goal)
@@ -396,7 +414,7 @@ class GoalReader:
         """Stop reading. Unless the goal is detached, cancel the goal and wait for its end.
 
         Args:
-            timeout: The longest wait (s, event loop time).
+            timeout: How long to wait at most for the goal's end (s, event loop time).
         """
         self._stop_reading()
         if not self.is_detached:
@@ -406,8 +424,7 @@ class GoalReader:
 class _Reading:
     """Reads the feedback of a goal.
 
-    `read` is here and not in `GoalReader`, because an iterator can then use it as ``__anext__``.
-    One more call for each message would be noticeable.
+    Iterators use `read` as their ``__anext__``, which saves one call for each message.
     """
 
     __slots__ = ("_reader",)
@@ -416,7 +433,10 @@ class _Reading:
         self._reader = reader
 
     async def read(self) -> Any:  # noqa: ANN401  # the action's own class
-        """Return the next feedback message. Raise StopAsyncIteration when the goal has ended."""
+        """Return the next feedback message.
+
+        If the goal has ended and no message is left, raise StopAsyncIteration.
+        """
         # Messages in the log come first, even if the goal has ended. Checking the log and starting
         # to wait happen in one step of the task, so no signal can fire in between and be lost.
         reader = self._reader
@@ -445,13 +465,15 @@ class _Reading:
 
 
 class _Iteration(_Reading):
-    """One ``async for`` loop. When the loop ends, the body no longer waits for its reader.
+    """The iterator of one ``async for`` loop.
 
-    Python does not report a ``break`` to the iterator: it only drops the iterator. An async
-    generator would learn of the ``break`` from the event loop's hooks. But an async generator could
-    not continue after a cancelled ``anext``, and trio warns about every generator that is not
-    exhausted. Therefore the finalizer of this plain iterator reports the end. If the iterator is
-    part of a reference cycle, the finalizer may run in any thread.
+    When the loop ends, the goal's body must no longer wait for the reader. Python does not tell an
+    iterator that its loop was left with ``break``: Python only drops the iterator. The finalizer of
+    the iterator therefore reports the end of the loop. If the iterator is part of a reference
+    cycle, the finalizer may run in any thread. The iterator is not an async generator,
+    although the event loop would close an abandoned async generator: an async generator cannot
+    continue after a cancelled ``anext``. Besides, trio warns about every async generator that is
+    not exhausted.
     """
 
     __slots__ = ("_thread",)
@@ -465,7 +487,7 @@ class _Iteration(_Reading):
 
 
 class _Feedback(_Iteration, Generic[F]):
-    """One ``async for`` over the feedback of a goal."""
+    """The iterator of one ``async for`` loop over a goal's feedback."""
 
     __slots__ = ()
 
@@ -476,7 +498,7 @@ class _Feedback(_Iteration, Generic[F]):
 
 
 class _Events(_Iteration, Generic[F, R]):
-    """One ``async for`` loop over a goal's events."""
+    """The iterator of one ``async for`` loop over a goal's events."""
 
     __slots__ = ("_step", "_told")
 
@@ -512,7 +534,10 @@ class _Events(_Iteration, Generic[F, R]):
         raise StopAsyncIteration
 
     def _next_status(self) -> GoalStatus | None:
-        """Return the next state of the history, unless unread feedback came before it."""
+        """Return the next state in the goal's history, or None.
+
+        None means that no state is left, or that earlier feedback must be read first.
+        """
         history = self._reader.goal.history
         if self._told == len(history):
             return None

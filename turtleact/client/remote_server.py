@@ -1,12 +1,14 @@
-"""Stands in for an action server in another process.
+"""Represents an action server in another process.
 
-It implements `turtleact.goal_server.GoalServer` with messages. `turtleact.client.remote_goals`
-sends goals and follows them. Feedback and status arrive on topics.
+`RemoteActionServer` implements `turtleact.goal_server.GoalServer` by exchanging messages with the
+server. `turtleact.client.remote_goals` sends goals and follows them. Feedback and status arrive on
+topics.
 
-- The topics are open before the first request is sent, so no early feedback is lost.
-- A result that arrives before the goal's feedback waits for that feedback. The server says how many
-  messages there are (`GoalNote`).
-- If a server goes away, its goals end here, and every waiter gets `ServerUnavailable`.
+- The client subscribes to feedback before it sends the first request, so no early feedback is lost.
+- If a result arrives before all of the goal's feedback, the client waits for the missing feedback.
+  The server says how many feedback messages there are (`GoalNote`).
+- If a server goes away, the client stops following the server's goals, and every caller that waits
+  for one of these goals gets `ServerUnavailable`.
 
 Source: rcl_action ``action_client.c``; the ROS 2 design article "Actions".
 """
@@ -47,12 +49,12 @@ STATUS_WITHIN: Final = 5.0
 
 
 class RemoteActionServer:
-    """Represents a server that is reached by messages only.
+    """An action server in another process, as its clients see it.
 
     Args:
         endpoints: The client's endpoints.
-        tasks: The task functions of the event loop.
-        observers: The objects that hear of each change of the client's goals.
+        tasks: The functions that start tasks in the client's event loop.
+        observers: The objects that are told about each change of the client's goals.
     """
 
     def __init__(self, endpoints: ClientEndpoints, tasks: Tasks, observers: Observers) -> None:
@@ -76,13 +78,13 @@ class RemoteActionServer:
     # sending
 
     async def send_goal(self, order: GoalOrder) -> Goal:
-        """Send a goal, return it once it is accepted, and follow its status after that.
+        """Send a goal, and return the goal once the server has accepted it.
 
-        Cancelling: the goal is canceled, even if it is accepted late. The caller waits at most
-        ``order.cancel_timeout`` seconds for its end.
+        Cancelling: the goal is canceled, even if the server accepts it only later. The caller waits
+        at most ``order.cancel_timeout`` seconds for the goal's end.
 
         Raises:
-            InvalidGoal: if the request does not fit the action. Nothing was sent.
+            InvalidGoal: if the request does not fit the action. Nothing is then sent.
             GoalRejected: if the server rejects the goal.
             ServerUnavailable: if nobody serves the action, or the server goes away.
         """
@@ -132,12 +134,12 @@ class RemoteActionServer:
         return remote
 
     async def _abandon(self, remote: RemoteGoal, timeout: float) -> None:
-        """Cancel a goal after its sender was cancelled, and wait for its end. This never raises.
+        """Cancel a goal after the task that sent it was cancelled, and wait for the goal's end.
 
-        The sender's task must end cancelled, whatever the server does. The server may die while it
-        is asked to cancel, or never answer. If the goal is not accepted yet, the task that follows
-        the goal cancels it upon acceptance. That task continues after the ``timeout``, until the
-        client closes.
+        Errors are only logged, because the sender's task must end cancelled even if the server dies
+        or never answers. If the server has not accepted the goal yet, the task that follows the
+        goal cancels the goal upon acceptance. That task continues after the ``timeout``, until the
+        client is closed.
         """
         remote.is_abandoned = not remote.is_accepted
         with anyio.move_on_after(timeout, shield=True):
@@ -154,7 +156,7 @@ class RemoteActionServer:
     # goals that already exist
 
     async def attach(self, goal_id: bytes) -> Goal | None:
-        """Find somebody else's goal in the status topic. Return None if no server holds it."""
+        """Follow the goal with this id, and return it. Return None if no server holds the goal."""
         remote = self._goals.by_id.get(goal_id)
         if remote is not None:
             return remote.goal
@@ -184,7 +186,7 @@ class RemoteActionServer:
             await signal.wait()
 
     def name_goal(self, goal: Goal) -> bytes:
-        """Return the id of a goal. Every goal here has an id."""
+        """Return the id of a goal. A goal in another process always has an id."""
         return cast("bytes", goal.id)
 
     def _take_states(self, told: dict[bytes, State]) -> None:
@@ -203,10 +205,12 @@ class RemoteActionServer:
     # canceling
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
-        """Ask the server to cancel the goals that the id and the stamp (ns) select.
+        """Ask the server to cancel goals, and return its response.
+
+        As in ROS 2, ``goal_id`` and ``stamp`` (ns since the epoch) select the goals.
 
         Raises:
-            ServerUnavailable: if nobody answers, or the client is closed.
+            ServerUnavailable: if no server answers, or the client is closed.
         """
         return await self._goals.cancel(goal_id, stamp)
 
@@ -215,7 +219,7 @@ class RemoteActionServer:
         return await self._goals.cancel(goal.id, 0)
 
     def cancel_goal_nowait(self, goal: Goal) -> None:
-        """Ask the server to cancel a goal without waiting. A failure is logged."""
+        """Ask the server to cancel a goal, without waiting for its answer. A failure is logged."""
         self._goals.cancel_nowait(goal)
 
     # pausing
@@ -227,11 +231,11 @@ class RemoteActionServer:
             await self.signal(goal).wait()
 
     async def pause(self, goal: Goal, timeout: float) -> None:
-        """Ask the server to pause a goal, and wait until its body stands still.
+        """Ask the server to pause a goal, and wait until the goal's body stands still.
 
         Raises:
             PauseRefused: if the server refuses, or cannot pause goals.
-            ServerUnavailable: if nobody answers.
+            ServerUnavailable: if the server goes away.
         """
         await self._endpoints.set_paused(goal, is_paused=True, timeout=timeout)
         self._goals.take_paused(goal, is_paused=True)
@@ -244,18 +248,18 @@ class RemoteActionServer:
     # closing
 
     def client_lost(self, sender: object) -> None:  # noqa: ARG002  # always the same client
-        """Stop following goals and leave the graph."""
+        """Stop following goals, and close the client's endpoints."""
         self._goals.close()
         self._endpoints.close()
 
     async def aclose(self) -> None:
-        """Stop following goals, wait for the tasks to end, and leave the graph."""
+        """Stop following goals, wait for the tasks to end, and close the client's endpoints."""
         await self._goals.aclose()
         self._endpoints.close()
 
 
 class _Child:
-    """Pauses and resumes a goal that a body in this process has sent; see `Pauses`.
+    """Pauses and resumes a child goal together with the parent goal, the sender of the child.
 
     Args:
         server: The server in another process that holds the goal.
@@ -265,10 +269,10 @@ class _Child:
         self._server = server
 
     async def pause_unless_ended(self, goal: Goal, timeout: float) -> bool:
-        """Pause the goal with its parent. Return False if the goal is ending anyway.
+        """Pause the goal. Return False if the goal has ended or is being canceled.
 
         Raises:
-            PauseRefused: if its server refuses, or does not answer in time.
+            PauseRefused: if the goal's server refuses, or has gone away.
         """
         with anyio.move_on_after(timeout):
             await self._server.wait_for_acceptance(goal)
@@ -281,10 +285,10 @@ class _Child:
         return True
 
     async def resume(self, goal: Goal) -> None:
-        """Resume the goal with its parent. If the goal is not paused, do nothing.
+        """Resume the goal. If the goal is not paused, do nothing.
 
         Raises:
-            PauseRefused: if its server refuses, or does not answer.
+            PauseRefused: if the goal's server refuses, or has gone away.
         """
         if goal.is_paused:
             try:

@@ -1,7 +1,7 @@
-"""The commands: `verbs` declares them for Typer, and the other modules carry them out.
+"""Contains the commands: `verbs` declares them for Typer, and the other modules run them.
 
-``turtleact --help`` and the completion of a verb need only these tables, so that neither has to
-import the verbs themselves.
+``turtleact --help`` and the completion of verbs use only the tables in this module. They therefore
+need not import `verbs`.
 """
 
 from __future__ import annotations

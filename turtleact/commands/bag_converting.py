@@ -1,6 +1,6 @@
-"""Implements ``bag convert``, which writes new bags from old ones, whole or cut by time or topic.
+"""Implements ``bag convert``, which writes all or some messages of bags into new bags.
 
-Source: rosbag2 ``README.md``, the format of the options of output bags.
+Source: rosbag2 ``README.md``, for the format of the file that describes the output bags.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ OTHERS: Final = frozenset(
 
 
 def cut(path: Path, offset: float, duration: float | None) -> tuple[int, int | None]:
-    """The first and last stamp of a part of a bag (ns).
+    """Return the first and last stamp of a section of a bag (ns since the epoch).
 
     Args:
         path: The bag.
-        offset: Where the part begins (s).
-        duration: The length of the part (s); None for the rest of the bag.
+        offset: Where the section begins (s from the start of the bag).
+        duration: The length of the section (s). With None, the last stamp is None.
     """
     bag = Bag(path)
     bag.close()
@@ -57,10 +57,10 @@ def cut(path: Path, offset: float, duration: float | None) -> tuple[int, int | N
 
 
 def outputs_in(path: Path) -> list[Output]:
-    """Read the output bags from a file for ``ros2 bag convert``.
+    """Read the descriptions of output bags from an options file of ``ros2 bag convert``.
 
     Raises:
-        UsageError: if it is not such a file, or asks for something that turtleact does not have.
+        UsageError: if the file is not a valid options file, or has an option that turtleact lacks.
     """
     try:
         said = cast("Any", read_yaml(path.read_text(encoding="utf-8")))
@@ -76,7 +76,7 @@ def outputs_in(path: Path) -> list[Output]:
 
 
 def run(inputs: Sequence[Path], outputs: Sequence[Output], interrupts: Interrupts) -> int:
-    """Convert, and return the exit status.
+    """Convert bags, and return the exit status.
 
     Raises:
         BagError: if a bag cannot be read or written.

@@ -2,9 +2,9 @@
 
 Each function takes Typer's context, which holds the arguments typed so far, and the word that the
 user has begun. The function returns the possible values. Typer drops the values that do not begin
-with that word, and talks to the shell. Each Tab looks everything up again, but starts no server or
-world. If anything goes wrong, nothing is offered, because an error would disturb the line that is
-being typed.
+with that word, and passes the others to the shell. The values are looked up again at each press of
+Tab, but no server or world is started. If anything goes wrong, nothing is offered, because an error
+would disturb the line that is being typed.
 """
 
 from __future__ import annotations
@@ -77,7 +77,10 @@ _FOR_BASH: Final = str.maketrans({each: f"\\{each}" for each in '"\\$`'})
 
 
 def _silent(complete: Complete) -> Complete:
-    """Offer nothing instead of raising, even if a module calls `sys.exit` on import."""
+    """Wrap a completion function, so that it offers nothing if it raises an error.
+
+    `SystemExit` counts as an error, because a module may call `sys.exit` while it is imported.
+    """
 
     @wraps(complete)
     def offer(ctx: typer.Context, incomplete: str) -> Candidates:
@@ -90,7 +93,7 @@ def _silent(complete: Complete) -> Complete:
 
 
 def words(*known: str) -> Callable[[], list[str]]:
-    """Return a function that offers these words."""
+    """Return a completion function that offers the words ``known``."""
     return lambda: list(known)
 
 
@@ -99,7 +102,7 @@ def words(*known: str) -> Callable[[], list[str]]:
 
 @_silent
 def actions(ctx: typer.Context, incomplete: str) -> Candidates:
-    """Offer the actions in reach."""
+    """Offer the actions on the graph, or those of the embedded world if there is no graph."""
     return _as_begun(_types_by_name(ctx, "action"), incomplete)
 
 
@@ -124,7 +127,7 @@ def nodes(ctx: typer.Context, incomplete: str) -> Candidates:
 
 @_silent
 def parameters(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # Typer filters
-    """Offer the parameters of the node that was typed before."""
+    """Offer the parameters of the node given earlier on the command line."""
     from turtleact.commands import graph
     from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.node_parameters import names_of
@@ -141,9 +144,9 @@ def parameters(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG0
 
 @_silent
 def goal_ids(ctx: typer.Context, incomplete: str) -> Candidates:
-    """Offer the goals that servers hold, newest first.
+    """Offer the ids of the goals that servers hold, newest first.
 
-    After ``--all`` or ``--before``, offer actions.
+    If the command line has ``--all`` or ``--before``, offer the names of actions instead.
     """
     if ctx.params.get("all_") or ctx.params.get("before"):
         return _as_begun(_types_by_name(ctx, "action"), incomplete)
@@ -167,7 +170,11 @@ def goal_ids(ctx: typer.Context, incomplete: str) -> Candidates:
 
 
 def types(kind: Kind, *, of_name: bool = True) -> Complete:
-    """Offer the types of the name that was typed before, or else all interfaces of the kind."""
+    """Return a function that offers the types of a name given earlier on the command line.
+
+    If that name has no known type, or ``of_name`` is False, the function offers all interfaces of
+    the kind.
+    """
 
     @_silent
     def complete(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
@@ -182,19 +189,19 @@ def types(kind: Kind, *, of_name: bool = True) -> Complete:
 
 @_silent
 def interfaces(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
-    """Offer all interfaces."""
+    """Offer the names of all interfaces."""
     return _interfaces(ctx)
 
 
 @_silent
 def packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
-    """Offer all packages that have interfaces."""
+    """Offer the names of all packages that have interfaces."""
     return sorted({name.partition("/")[0] for name in _interfaces(ctx)})
 
 
 @_silent
 def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
-    """Offer a message of the type that was typed before, with default values, on one line."""
+    """Offer one message, with default values, of the type given earlier on the command line."""
     from turtleact.commands.interfaces import first_message, make_found, make_known
     from turtleact.interfaces import get_interface, to_dict
     from turtleact.interfaces.text import flow
@@ -216,9 +223,10 @@ def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
 
 @_silent
 def targets(ctx: typer.Context, incomplete: str) -> Candidates:
-    """Offer modules and files in a folder that mention turtleact. After a colon, offer actions.
+    """Offer the Python files that mention turtleact; after a file and a colon, the file's actions.
 
-    Nothing is imported. Any function with a decorator called ``action`` counts.
+    A file in the working directory is offered as a module, without ``.py``. No file is imported:
+    every function with a decorator called ``action`` counts as an action.
     """
     given = list(ctx.params.get("targets") or ())
     if len(given) > 1 and given[-1] == ":":  # bash splits words at a colon
@@ -265,7 +273,7 @@ def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noq
 
 @_silent
 def executables(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
-    """Offer the executables of the package that was typed before."""
+    """Offer the executables of the package given earlier on the command line."""
     return list(_runnable().get(ctx.params["package"], ()))
 
 
@@ -279,9 +287,10 @@ def _runnable() -> dict[str, dict[str, Program | None]]:
 
 
 def _types_by_name(ctx: typer.Context, kind: Kind) -> dict[str, tuple[str, ...]]:
-    """The names of a kind with their types.
+    """Return the names of the actions, services or topics on the graph, with their types.
 
-    Without a graph, they are those of the embedded world.
+    If there is no graph, or an option selects the embedded world, return the actions of that world,
+    but no services or topics.
     """
     given = ctx.params
     embedded = EMBEDDED if kind == "action" else {}
@@ -295,13 +304,13 @@ def _types_by_name(ctx: typer.Context, kind: Kind) -> dict[str, tuple[str, ...]]
 
 
 def _as_begun(names: Iterable[str], begun: str) -> list[str]:
-    """The names in the form that the user has begun: with the first slash or without it."""
+    """Return the names, without the first slash if the user has begun a word without a slash."""
     is_relative = begun != "" and not begun.startswith("/")
     return [name.removeprefix("/") if is_relative else name for name in names]
 
 
 def _interfaces(ctx: typer.Context, kind: str | None = None) -> list[str]:
-    """The names of all interfaces of a kind (``msg``, ``srv``, ``action``), or of all kinds."""
+    """Return the names of all interfaces; with a ``kind``, such as ``"msg"``, only of that kind."""
     from turtleact.commands.interfaces import make_known
     from turtleact.interfaces import known_interfaces
 
@@ -315,7 +324,7 @@ def _folder(ctx: typer.Context) -> str | None:
 
 
 def _reach(ctx: typer.Context) -> Reach:
-    """The graph that the options on the line select."""
+    """Return the graph that the options on the command line select."""
     given = ctx.params
     config = given.get("config")
     return Reach.of(
@@ -324,7 +333,7 @@ def _reach(ctx: typer.Context) -> Reach:
 
 
 def _look(where: Reach) -> Graph:
-    """The nodes and endpoints on the graph.
+    """Return the nodes and endpoints on the graph.
 
     Raises:
         TurtleactError: if no graph is in reach.

@@ -1,11 +1,11 @@
-"""Handles a terminal on this system, POSIX or Windows.
+"""Handles terminals on POSIX systems and on Windows.
 
-`termios` and job control exist on POSIX only, `msvcrt` on Windows only. These modules are imported
-only when a terminal is used, so every module of turtleact can be imported everywhere. The rest of
-turtleact asks a `Console` and does not know which system it runs on.
+`termios` and job control exist only on POSIX, and `msvcrt` exists only on Windows. These modules
+are imported only when a terminal is used, so every module of turtleact can be imported everywhere.
+The rest of turtleact uses a `Console`, and does not depend on the system.
 
 Source: the documentation of Python's ``termios`` and ``msvcrt``; Microsoft's "Console Virtual
-Terminal Sequences". The Windows part has been tested with a stand-in for ``msvcrt`` only.
+Terminal Sequences". The part for Windows has been tested only with a stand-in for ``msvcrt``.
 """
 
 from __future__ import annotations
@@ -48,35 +48,38 @@ VIRTUAL_TERMINAL: Final = 0x0004
 
 
 class Console(Protocol):
-    """The operations that differ between systems.
+    """The operations on a terminal that differ between systems.
 
-    Every ``stream`` must be a terminal, unless the method says otherwise.
+    The argument ``stream`` of a method must be a terminal, unless the method says otherwise.
     """
 
     def can_move(self) -> bool:
-        """Whether the terminal obeys control sequences."""
+        """Return whether the terminal obeys control sequences, such as cursor movements."""
 
     def is_in_foreground(self, stream: TextIO) -> bool:
-        """Whether the process is in the foreground.
+        """Return whether the process is in the foreground of its terminal.
 
-        True if the stream is not the controlling terminal of this process.
+        The result is also True if the stream is not the controlling terminal of this process.
         """
 
     def reopen(self, stream: TextIO) -> int | None:
-        """Open the terminal a second time, so that writing never waits. None if impossible."""
+        """Open the terminal a second time, so that writes never wait.
+
+        Return the file descriptor, or None if the terminal cannot be opened.
+        """
 
     def takes_text(self, stream: TextIO) -> bool:
-        """Whether a write to the terminal would return at once."""
+        """Return whether a write to the terminal would return at once."""
 
     def silence(self, stream: TextIO, *, by_key: bool) -> object | None:
-        """Turn echo off, because typed characters would tear a frame apart.
+        """Turn off the echo of typed characters, because they would damage the picture.
 
         Args:
             stream: Where the user types.
-            by_key: Whether each key arrives at once, instead of whole lines.
+            by_key: Whether each key can be read at once, instead of only whole lines.
 
         Returns:
-            The earlier modes, for `give_back`; None if there is nothing to restore.
+            The terminal's earlier modes, for `give_back`; None if there is nothing to restore.
         """
 
     def give_back(self, stream: TextIO, modes: object) -> None:
@@ -86,28 +89,28 @@ class Console(Protocol):
         """Wait until something was typed. Cancelling: safe."""
 
     def typed(self, stream: TextIO) -> bytes:
-        """Read what was typed, with control sequences for the arrows.
+        """Read what was typed. Arrow keys are read as control sequences.
 
-        Empty if the terminal is gone.
+        The result is empty if the terminal is gone.
         """
 
 
 class PosixConsole:
-    """A terminal with modes and job control."""
+    """A terminal on POSIX, which has modes and job control."""
 
     def can_move(self) -> bool:
-        """Whether the terminal obeys control sequences, judged by ``TERM``."""
+        """Return whether the terminal obeys control sequences, according to ``TERM``."""
         return os.environ.get("TERM", "") not in ("", "dumb", "unknown")
 
     def is_in_foreground(self, stream: TextIO) -> bool:
-        """Whether the process is in the terminal's foreground process group."""
+        """Return whether the process is in the terminal's foreground process group."""
         try:
             return os.tcgetpgrp(stream.fileno()) == os.getpgrp()
         except OSError:
             return True
 
     def reopen(self, stream: TextIO) -> int | None:
-        """Open the terminal by its name."""
+        """Open the terminal a second time, by its name. Return None if that fails."""
         try:
             name = os.ttyname(stream.fileno())
             descriptor = os.open(name, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
@@ -119,11 +122,11 @@ class PosixConsole:
         return descriptor
 
     def takes_text(self, stream: TextIO) -> bool:
-        """Whether a write to the terminal would return at once, as the system reports."""
+        """Return whether a write to the terminal would return at once, according to `select`."""
         return bool(select.select([], [stream], [], 0)[1])
 
     def silence(self, stream: TextIO, *, by_key: bool) -> object | None:
-        """Change the terminal's local modes."""
+        """Turn off echo. With ``by_key``, also turn off reading line by line."""
         import termios
 
         try:
@@ -141,14 +144,14 @@ class PosixConsole:
         return before
 
     def give_back(self, stream: TextIO, modes: Any) -> None:  # noqa: ANN401  # from `silence`
-        """Restore the modes that were found."""
+        """Restore the modes that `silence` found."""
         import termios
 
         with suppress(OSError, termios.error):
             termios.tcsetattr(stream, termios.TCSANOW, modes)
 
     async def wait_for_key(self, stream: TextIO) -> None:
-        """Let the event loop wait until something was typed."""
+        """Wait until the event loop reports that something was typed."""
         await anyio.wait_readable(stream.fileno())
 
     def typed(self, stream: TextIO) -> bytes:
@@ -160,13 +163,19 @@ class PosixConsole:
 
 
 class WindowsConsole:
-    """A console without job control. It echoes only input that is read line by line."""
+    """A console on Windows, which has no job control.
+
+    It echoes only input that is read line by line.
+    """
 
     def __init__(self) -> None:
         self._keyboard: Any = None
 
     def can_move(self) -> bool:
-        """Switch control sequences on, because an old console window does not do that by itself."""
+        """Switch on control sequences, and return whether that worked.
+
+        In old console windows, control sequences are off at first.
+        """
         import ctypes
 
         kernel = getattr(getattr(ctypes, "windll", None), "kernel32", None)
@@ -178,7 +187,7 @@ class WindowsConsole:
         return bool(kernel.SetConsoleMode(output, mode.value | VIRTUAL_TERMINAL))
 
     def is_in_foreground(self, _: TextIO) -> bool:
-        """Every process that has a console may use it."""
+        """Return True, because every process that has a console may use the console."""
         return True
 
     def reopen(self, _: TextIO) -> int | None:
@@ -186,9 +195,9 @@ class WindowsConsole:
         return None
 
     def takes_text(self, _: TextIO) -> bool:
-        """Return True, because Windows cannot tell.
+        """Return True, because Windows does not say whether a write would wait.
 
-        Writing waits only while the user selects text in the window.
+        A write waits only while the user selects text in the console window.
         """
         return True
 
@@ -199,7 +208,7 @@ class WindowsConsole:
         """Do nothing, because `silence` has changed nothing."""
 
     async def wait_for_key(self, _: TextIO) -> None:
-        """Poll, because a selector cannot wait for a console."""
+        """Check for keys at short intervals, because a selector cannot wait for a console."""
         pressed: Callable[[], bool] = self._msvcrt().kbhit
         while not pressed():
             await anyio.sleep(KEY_PERIOD)
@@ -229,5 +238,5 @@ class WindowsConsole:
 
 @cache
 def console() -> Console:
-    """The console of this system."""
+    """Return the console of this system."""
     return PosixConsole() if find_spec("termios") is not None else WindowsConsole()

@@ -26,16 +26,16 @@ HEALTHY, FAULTY = 0, 1
 
 
 def run(reach: Reach, interrupts: Interrupts, *, as_json: bool, verbose: bool) -> int:
-    """Print the faults of a graph and return the exit status: 1 if there is any.
+    """Print the faults of a graph, and return the exit status: 1 if there is a fault.
 
     Args:
-        reach: Which graph.
-        interrupts: The signals.
+        reach: The graph to check.
+        interrupts: The signals that end the command.
         as_json: Whether to print a line of JSON for each fault.
-        verbose: Whether to print facts about the graph, too.
+        verbose: Whether to also print facts about the graph, such as its number of nodes.
 
     Raises:
-        UsageError: if the ``--config`` file is at fault.
+        UsageError: if the ``--config`` file cannot be read, or has an invalid value.
     """
 
     async def look(node: Node) -> int:
@@ -54,13 +54,13 @@ def run(reach: Reach, interrupts: Interrupts, *, as_json: bool, verbose: bool) -
 
 @asynccontextmanager
 async def _open(reach: Reach) -> AsyncIterator[Node | Fault]:
-    """Open a node on the graph. If that fails, give the block the fault instead.
+    """Open a node on the graph, and yield it. If that fails, yield the fault instead.
 
-    The node talks through the router only. The node therefore also sees nodes that hang. The router
-    shows such nodes until their lease ends, while a peer would have to connect to them first.
+    The node connects only to the router. The router also shows nodes that hang, until their lease
+    ends. If the node were a peer, it would have to connect to such nodes before it could see them.
 
     Raises:
-        UsageError: if the ``--config`` file is at fault.
+        UsageError: if the ``--config`` file cannot be read, or has an invalid value.
     """
     async with AsyncExitStack() as stack:
         try:
@@ -82,7 +82,7 @@ def _unreachable(problem: str) -> Fault:
 
 
 def _print(faults: list[Fault], seen: Snapshot | None, *, as_json: bool) -> int:
-    """Print faults and the facts of a snapshot, and return the exit status."""
+    """Print faults, and the facts in a snapshot if there is one. Return the exit status."""
     if as_json:
         lines = [json.dumps(_as_dict(each)) for each in faults]
         lines += [] if seen is None else [json.dumps({"facts": _facts(seen)})]
@@ -103,7 +103,7 @@ def _as_dict(fault: Fault) -> dict[str, object]:
 
 
 def _facts(snapshot: Snapshot) -> dict[str, object]:
-    """The facts about a graph in a snapshot, whether or not it has faults."""
+    """Return facts about a graph, such as its number of nodes, as values for JSON."""
     return {
         "domain": snapshot.domain,
         "domains in use": list(snapshot.domains),
@@ -122,12 +122,12 @@ def _facts(snapshot: Snapshot) -> dict[str, object]:
 
 
 def _sessions(snapshot: Snapshot) -> set[str]:
-    """The sessions that have nodes."""
+    """Return the ids of the Zenoh sessions that have nodes."""
     return {each.session for each in snapshot.nodes}
 
 
 def fact_lines(snapshot: Snapshot) -> Iterator[str]:
-    """The facts about a graph as lines for people."""
+    """Yield the facts about a graph as lines of text."""
     others = ", ".join(str(each) for each in snapshot.domains if each != snapshot.domain)
     if snapshot.domain is not None:
         yield f"domain: {snapshot.domain} (others in use: {others or 'none'})"

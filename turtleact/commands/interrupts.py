@@ -1,33 +1,36 @@
 """Handles the signals that ask the program to end, from its first moment to its last.
 
-A signal is recorded; it never raises in the middle of an import or of a body. The effect of a
-signal depends on what the program is doing:
+The signal handler records each signal. It raises no exception in the middle of an import or of a
+body. The effect of a signal depends on what the program is doing:
 
-- Before the event loop runs, a first signal is only recorded: the program looks at
+- Before the event loop runs, a first signal is only recorded. The program checks
   `Interrupts.received` before it starts the loop. A second signal ends the process at once.
 - While the program reads input (`Interrupts.read`), a signal ends the reading.
-- While the program has nothing to put in order (`Interrupts.ending_at_once`), a signal ends the
-  process at once.
-- In a start that may take long (`Interrupts.beginning`), a signal sets the system's alarm clock.
-  The alarm ends the process unless the start is over within `GRACE`.
+- While the program needs no clean-up (`Interrupts.ending_at_once`), a signal ends the process at
+  once.
+- During a start that may take long (`Interrupts.beginning`), a signal sets the alarm clock of the
+  system (SIGALRM). The alarm ends the process unless the start is over within `GRACE`.
 - In the event loop (`Interrupts.listening`), a signal wakes the task that waits in
-  `Interrupts.wait`. The loop may be stuck in a body, or in writing to a pipe that nobody reads. So
-  the alarm clock ends the process if the loop has not ended `GRACE` after a second signal, or when
-  another deadline passes (`Interrupts.end_within`, `Interrupts.patience`). A third signal ends the
-  process at once. From the first signal on, the alarm clock also rings every `GRACE`. Otherwise, if
-  a signal came just before a blocking write, Python would notice it only after the write.
+  `Interrupts.wait`. But the loop may be stuck in a body, or in writing to a pipe that nobody reads.
+  Therefore, if the loop has not ended within `GRACE` after a second signal, the alarm clock ends
+  the process. It also ends the process when another deadline passes (`Interrupts.end_within`,
+  `Interrupts.patience`). A third signal ends the process at once. From the first signal on, the
+  alarm clock also rings every `GRACE`, and interrupts blocking writes. Without these alarms, if a
+  signal came just before a blocking write, Python would notice the signal only after the write.
 - Some desktops and service managers send two signals of different kinds at once. A command that
   needs time to end can count such signals as one (`Interrupts.together`).
-- After the loop, a signal has no effect. While Python shuts down, signals are ignored.
+- After the loop has ended, a signal has no effect. While Python shuts down, signals are ignored.
 
 One signal handler, set once, does all of this. With the loop's own signal handling, Python's
 default handler would be active just before and after the loop, and print a traceback. The handler
-wakes the loop through ``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C. While the loop
-or a read waits in a system call, it also waits for a socket to which Python writes each signal as
-soon as it comes. Without that socket, if a signal came just before the wait, Python would notice it
-only afterwards.
+wakes the loop through ``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C.
 
-Windows has neither an alarm clock nor a way to wait for a file. On Windows, threads do both.
+The event loop and `Interrupts.read` wait in a system call. This call also waits for a socket to
+which Python writes each signal as soon as it comes. Without that socket, if a signal came just
+before the wait, Python would notice the signal only after the wait.
+
+Windows has no alarm clock, and its `select.select` cannot wait for a file. On Windows, a thread
+acts as the alarm clock, and another thread reads the file.
 """
 
 from __future__ import annotations
@@ -54,7 +57,7 @@ __all__ = ["Interrupts", "leave", "signals"]
 
 
 def signals(*names: str) -> tuple[signal.Signals, ...]:
-    """The signals with these names that this system has."""
+    """Return the signals with these names. Leave out signals that this system does not have."""
     return tuple(signal.Signals(getattr(signal, each)) for each in names if hasattr(signal, each))
 
 
@@ -67,10 +70,10 @@ WAITS_FOR_FILES = os.name == "posix"
 """Whether the system can wait for a file and a signal at the same time."""
 
 TICK = 0.1
-"""A system that cannot wait for both checks them at this interval (s)."""
+"""The interval of checks on systems that cannot wait for a file or ring an alarm (s)."""
 
 GRACE = 0.5
-"""How long the loop may be late (s, wall clock)."""
+"""How long after a deadline the loop may still end by itself (s, wall clock)."""
 
 LONGEST = 1e9
 """The longest time for which the alarm clock can safely be set (s): 31 years."""
@@ -82,7 +85,7 @@ CHUNK = 2**16
 
 
 def leave(status: int) -> NoReturn:
-    """End the process now. Only printed text is flushed."""
+    """Flush stdout and stderr, and end the process at once, without any other clean-up."""
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             stream.flush()
@@ -94,12 +97,12 @@ class Interrupts:
 
     Attributes:
         received: The signals that came, in order.
-        restore: A function that gives the terminal back. A signal handler calls it before it ends
-            the process.
-        last_words: A function that returns a text for stderr. It is called before a signal handler
-            ends the process, so it must not wait for the main thread.
+        restore: A function that restores the terminal. A signal handler calls this function before
+            the handler ends the process.
+        last_words: A function that returns a text for stderr. A signal handler calls this function
+            before the handler ends the process, so the function must not wait for the main thread.
         together: If a second signal of another kind comes within this time after the first (s, wall
-            clock), it is ignored.
+            clock), the second signal is ignored.
         patience: How long the loop may go on after the first signal, before the alarm clock ends
             the process (s, wall clock).
         must_leave: Whether the process must end with `leave`, because some tasks or threads do not
@@ -125,11 +128,11 @@ class Interrupts:
 
     @property
     def status(self) -> int:
-        """The exit status for the last signal: 130, 143 or 129."""
+        """The exit status for the last signal: 128 plus its number, such as 130 for Ctrl-C."""
         return 128 + self.received[-1]
 
     def install(self) -> None:
-        """Handle the signals from now on, except those that the parent process ignored."""
+        """Handle `SIGNALS` from now on, except those that this process inherited as ignored."""
         for number in SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._arrive)
@@ -139,7 +142,7 @@ class Interrupts:
             Thread(target=self._watch, name="alarm clock", daemon=True).start()
 
     def ignore(self) -> None:
-        """Ignore the signals from now on, because they would kill Python while it ends."""
+        """Ignore all `SIGNALS` from now on, because they would kill Python while it shuts down."""
         if self._is_released:  # the user's threads may still run until a signal ends them
             return
         for number in SIGNALS:
@@ -148,7 +151,7 @@ class Interrupts:
             signal.setitimer(signal.ITIMER_REAL, 0)
 
     def release(self) -> None:
-        """Give the signals back to Python, for a user's program that handles signals itself.
+        """Restore Python's own signal handlers, for a user's program that handles signals itself.
 
         Raises:
             KeyboardInterrupt: if a signal has come before.
@@ -163,12 +166,13 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def read(self, file: int, most: int, *, line: bool = False) -> bytes:
-        """Read a file to its end, and wait for data if necessary. A signal ends the reading.
+        """Read a file to its end or up to a limit, and wait for data if necessary.
 
         Args:
             file: The file descriptor.
             most: How many bytes to read at most.
-            line: Whether to stop at the end of the first line. More may have been read by then.
+            line: Whether to stop once a whole line has been read. The result may also contain bytes
+                after that line.
 
         Raises:
             KeyboardInterrupt: if a signal comes, or has come before.
@@ -217,9 +221,9 @@ class Interrupts:
 
     @contextmanager
     def ending_at_once(self) -> Iterator[None]:
-        """Let a signal end the process during a block that leaves nothing behind.
+        """Let a signal end the process at once during a block that needs no clean-up.
 
-        A signal that has come before ends the process, too.
+        If a signal has come before the block, the process ends as soon as the block begins.
         """
         endured, self._endured = self._endured, 0
         try:
@@ -233,15 +237,16 @@ class Interrupts:
 
     @contextmanager
     def beginning(self, status: int | None = None) -> Iterator[None]:
-        """Mark a block that only starts something: a signal may end the process during the block.
+        """Let a signal end the process during a block that starts something, such as a node.
 
-        After a signal during or before the block, the program has `GRACE` to leave the block. Then
-        the process ends, however busy the loop is. After a signal, a `TurtleactError` ends the
-        block and is dropped. So check `received` before you use the results of the block.
+        If a signal comes before or during the block, the program has `GRACE` to leave the block.
+        After that time, the process ends, even if the loop is busy. If a `TurtleactError` ends the
+        block after a signal, the error is suppressed. So check `received` before you use the
+        results of the block.
 
         Args:
-            status: The exit status if the process ends in the block. None means the status of the
-                signal.
+            status: The exit status of the process if it ends in the block. None stands for the exit
+                status of the signal.
         """
         from turtleact.errors import TurtleactError
 
@@ -261,14 +266,15 @@ class Interrupts:
                 self._due = inf
 
     def end(self, number: signal.Signals = signal.SIGTERM) -> None:
-        """End the program as if this signal had come, unless one has come before."""
+        """Act as if this signal had come, unless a signal has come before."""
         if not self.received:
             self._arrive(number, None)
 
     def end_within(self, seconds: float, status: int) -> None:
         """End the process unless the loop leaves `listening` within ``seconds`` plus `GRACE`.
 
-        The earliest of several deadlines counts. Nothing is flushed.
+        If there are several deadlines, the earliest counts. The process ends without flushing its
+        output.
         """
         due = monotonic() + seconds + GRACE
         if due < self._due:
@@ -276,7 +282,7 @@ class Interrupts:
             self._set_alarm()
 
     def extend(self) -> None:
-        """Let `patience` begin again, unless another signal asked to end at once."""
+        """Restart the countdown of `patience`, unless a second signal has come."""
         if len(self.received) < self._endured:
             self._due = monotonic() + self.patience + GRACE
 
@@ -289,7 +295,7 @@ class Interrupts:
             await self._changed.wait()
 
     async def cancel_at_signal(self, scope: anyio.CancelScope) -> None:
-        """Cancel a scope at the first signal. Cancelling: safe."""
+        """Wait for the first signal, and then cancel a scope. Cancelling: safe."""
         await self.wait(1)
         scope.cancel()
 
@@ -312,7 +318,7 @@ class Interrupts:
             self._tell()
 
     def _is_repeated(self, number: int) -> bool:
-        """Whether a signal means the same as the first, because they came together."""
+        """Whether to ignore a signal, because a different one came a moment ago; see `together`."""
         if not self.received:
             self._first_at = monotonic()
             return False
@@ -323,10 +329,11 @@ class Interrupts:
         self.end_within(0.0, self.status if self._early is None else self._early)
 
     def _set_alarm(self) -> None:
-        """Set the alarm clock for the deadline; after a signal, let it ring within `GRACE`.
+        """Set the alarm clock for the deadline or, after a signal, for at most `GRACE` from now.
 
-        The clock then rings every `GRACE`. A single alarm could get lost: Python 3.11 may record a
-        signal without running its handler if the main thread is in a loop of its own.
+        After its first alarm, the clock rings every `GRACE`, because a single alarm could get lost:
+        while the main thread is in a busy loop, Python 3.11 may record a signal without running its
+        handler.
         """
         if not HAS_ALARM:  # `_watch` looks at the deadline by itself
             return
@@ -345,8 +352,9 @@ class Interrupts:
     def _watch(self) -> None:
         """Act as the alarm clock, in a thread: end the process when the deadline has passed.
 
-        The thread only reads values that the handlers write. A handler may have interrupted the
-        main thread anywhere, so the handler must take no lock, such as that of a timer.
+        The thread only reads the deadline that the signal handlers write. The handlers cannot start
+        a `threading.Timer` instead: they may interrupt the main thread anywhere, so they must take
+        no lock, and a timer has a lock.
         """
         while monotonic() < self._due:
             sleep(TICK)
@@ -361,13 +369,13 @@ class Interrupts:
 
 
 def _write_at_once(text: str) -> None:
-    """Write to stderr, unless this would block because nobody reads it."""
+    """Write to stderr, unless the write would block."""
     if text and (not WAITS_FOR_FILES or select.select((), (STDERR,), (), 0)[1]):
         os.write(STDERR, text.encode(errors="backslashreplace"))
 
 
 def _read(file: int, woken: socket.socket, most: int) -> bytes:
-    """Read a part of a file, as soon as there is something to read."""
+    """Wait until a file has data or has ended, and read a part of it."""
     while True:
         ready, _, _ = select.select([file, woken.fileno()], (), ())
         if woken.fileno() in ready:  # a signal that does not end the program
@@ -377,11 +385,11 @@ def _read(file: int, woken: socket.socket, most: int) -> bytes:
 
 
 def _reading_thread(file: int) -> Callable[[int], bytes]:
-    """Return a function like `_read` for systems that cannot wait for a file: a thread waits.
+    """Return a function that reads like `_read`, for systems on which `select` takes no files.
 
-    The main thread checks again and again what the other thread has read, so that signal handlers
-    can run in between. After a signal, the other thread may keep reading, but it does not keep the
-    program alive.
+    Each part is read in another thread. The main thread checks at short intervals whether that
+    thread has read something, so that signal handlers can run between two checks. After a signal,
+    the other thread may keep waiting for data, but it does not keep the program alive.
     """
     import queue
     from threading import Thread
@@ -410,7 +418,7 @@ def _reading_thread(file: int) -> Callable[[int], bytes]:
 
 @contextmanager
 def _woken_by_signals() -> Iterator[socket.socket]:
-    """Give a block a socket that becomes readable when a signal comes, on Windows too."""
+    """Yield a socket that becomes readable when a signal comes, on Windows too."""
     import socket
 
     reader, writer = socket.socketpair()

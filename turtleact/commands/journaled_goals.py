@@ -1,6 +1,7 @@
-"""Implements ``goals --journal``, ``result --journal`` and ``journal prune``, for goals in a file.
+"""Implements ``goals --journal``, ``result --journal`` and ``journal prune``.
 
-No graph is needed. The file may belong to a server that runs, has ended or was killed.
+These verbs need no graph, because they work on the file of a journal. The server that writes the
+journal may still be running, have ended or have been killed.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ def print_goals(path: Path, name: str | None, since: int, *, as_json: bool) -> i
     """Print the goals of a journal, as a table or as JSON, and return the exit status.
 
     Args:
-        path: The journal.
-        name: The action; None for all actions.
+        path: The file of the journal.
+        name: The name of the action; None for all actions.
         since: Print only goals accepted at or after this time (ns since the epoch); 0 for all
             goals.
         as_json: Whether to print one JSON object per line.
@@ -70,14 +71,15 @@ def print_result(path: Path, wanted: str, interfaces: str | None) -> int:
     """Print the result of a goal, and return the exit status.
 
     Args:
-        path: The journal.
+        path: The file of the journal.
         wanted: The beginning of the goal's id (hexadecimal).
-        interfaces: A folder with more interfaces.
+        interfaces: A folder with more interface files; None for no folder.
 
     Raises:
         JournalError: if the journal cannot be read.
-        UsageError: if several ids begin with that text.
-        TurtleactError: if there is no such goal, it has not ended, or its type is not known here.
+        UsageError: if the ids of several goals begin with ``wanted``.
+        TurtleactError: if there is no such goal, if the goal has not ended, or if the action's type
+            is unknown or has changed.
     """
     goals = find_goals(path, wanted)
     if len(goals) > 1:

@@ -1,7 +1,7 @@
 """Reads the ``--config`` file for access control: TLS, passwords, and what clients may use.
 
-Servers and clients read the same TOML file. A section that is missing means no check. Paths in the
-file are relative to it.
+Servers and clients read the same TOML file. If a section is missing, its checks are off. A
+relative path is resolved from the folder of the file.
 
 .. code-block:: toml
 
@@ -44,7 +44,7 @@ __all__ = ["Locks", "is_loopback", "mode_of", "read_locks"]
 
 
 class Tls(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The section ``[tls]``; see the module."""
+    """The section ``[tls]``; see the docstring of the module."""
 
     ca: str = ""
     certificate: str = ""
@@ -53,7 +53,7 @@ class Tls(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Login(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The section ``[login]``; see the module."""
+    """The section ``[login]``; see the docstring of the module."""
 
     user: str = ""
     password: str = ""
@@ -61,7 +61,7 @@ class Login(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Access(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The section ``[access]``; see the module."""
+    """The section ``[access]``; see the docstring of the module."""
 
     actions: tuple[str, ...] = ()
     services: tuple[str, ...] = ()
@@ -89,7 +89,7 @@ class Locks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return asks or self.access is not None or (self.tls is not None and self.tls.mutual)
 
     def settings(self) -> dict[str, object]:
-        """Paths and values of Zenoh's configuration."""
+        """Return the settings of Zenoh: each path in Zenoh's configuration with its value."""
         found: dict[str, object] = {}
         if self.tls is not None:
             tls = self.tls
@@ -134,7 +134,7 @@ def read_locks(path: str) -> Locks:
 
 
 def is_loopback(endpoint: str) -> bool:
-    """Whether an endpoint, such as ``tcp/127.0.0.1:7447``, admits only this machine.
+    """Whether an endpoint, such as ``tcp/127.0.0.1:7447``, can be reached only from this machine.
 
     >>> is_loopback("tcp/localhost:7447"), is_loopback("tls/[::]:7447")
     (True, False)
@@ -146,15 +146,19 @@ def is_loopback(endpoint: str) -> bool:
 
 
 def mode_of(connect: Sequence[str], locks: Locks) -> Literal["peer", "client"]:
-    """How a command joins a graph: on this machine as a peer, like ROS's tools; else as a client.
+    """Return whether a command joins a graph as a peer or as a client.
 
-    A peer talks to each node directly, so it also sees nodes for which the router has no tokens. A
-    peer cannot reach nodes that ask for a password, or nodes of another machine, which listen only
-    on their own loopback address. A client sees both kinds of nodes through the router.
+    A command joins as a peer, like ROS's tools, if the router is on this machine and ``locks`` has
+    no section ``[login]``. Otherwise it joins as a client.
+
+    A peer talks to each node directly, so it also sees nodes for which the router has no liveliness
+    tokens. Two sorts of nodes are out of a peer's reach: nodes that ask for a password, and nodes
+    of another machine that listen only on that machine's loopback address. A client reaches these
+    nodes through the router.
 
     Args:
         connect: The endpoints to connect to. An empty list means the router of this machine.
-        locks: The locks of the graph.
+        locks: The contents of the ``--config`` file.
     """
     is_near = all(is_loopback(each) for each in connect)
     return "peer" if is_near and locks.login is None else "client"
@@ -164,7 +168,10 @@ _LOOPBACK: Final = re.compile(r"(localhost|127(\.\d+){3}|\[::1\])(:|$)")
 
 
 def _with_paths(locks: Locks, file: Path) -> Locks:
-    """Return the contents with absolute paths. Raises an error if a file does not exist."""
+    """Return ``locks`` with absolute paths.
+
+    Raise an error if a file does not exist, or if only one of user and password is given.
+    """
 
     def resolve(name: str, given: str) -> str:
         if not given:
@@ -205,7 +212,7 @@ _EVERYTHING: Final = ["**", "@ros2_lv/**", "**/@adv/**"]
 
 
 def _access_control(access: Access) -> dict[str, object]:
-    """Rules that let others see the graph and use the listed names."""
+    """Return rules that let other nodes see the whole graph, but use only the listed names."""
     actions = [resolve_name(name)[1:] for name in access.actions]
     used = [f"*/{name}/_action/*/*/*" for name in actions]
     used += [f"*/{resolve_name(name)[1:]}/*/*" for name in access.services]

@@ -1,4 +1,4 @@
-"""Shows the goals of ``serve`` to other programs: traces, metrics, and log records."""
+"""Shows the goals of ``serve`` to other programs, through traces, metrics and log records."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ NO_ANSWER = re.compile(r"Transient error (.*\[Errno -?\d+\] )?(?P<reason>.*?)[\"
 
 
 def set_up_logging(log_format: LogFormat | None) -> None:
-    """Write log records from level INFO up to stderr in a format. None leaves logging alone."""
+    """Write log records of level INFO and above to stderr, in the format ``log_format``.
+
+    If ``log_format`` is None, leave Python's logging as it is.
+    """
     if log_format is None:
         return
     from turtleact.telemetry.logs import GoalFilter, JsonFormatter, TextFormatter
@@ -43,7 +46,7 @@ def set_up_logging(log_format: LogFormat | None) -> None:
         """A formatter that escapes control characters, which an exception may contain."""
 
         def format(self, record: logging.LogRecord) -> str:
-            """Write a record."""
+            """Return a record as text."""
             return printable(super().format(record))
 
     handler = _ToStderr()
@@ -56,7 +59,7 @@ def set_up_logging(log_format: LogFormat | None) -> None:
 
 
 class _ToStderr(logging.Handler):
-    """Writes to the current `sys.stderr`, because the dashboard redirects it."""
+    """Writes log records to the current `sys.stderr`, which the dashboard may have redirected."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a record."""
@@ -69,7 +72,7 @@ class _ToStderr(logging.Handler):
 
 
 def json_line(text: str, **members: str) -> str:
-    """Write a line of ``serve`` itself as a log record in JSON."""
+    """Make a log record in JSON from a line that ``serve`` itself prints."""
     from turtleact.telemetry.logs import JsonFormatter
 
     said = {"name": "turtleact.serve", "levelname": "INFO", "msg": text, **members}
@@ -80,11 +83,13 @@ def json_line(text: str, **members: str) -> str:
 async def observing(
     watched: Watched, say: Callable[[str], object]
 ) -> AsyncIterator[Callable[[Node], None]]:
-    """Export traces and serve metrics, as asked. The block gets a function to call with each node.
+    """During a block, export traces and serve metrics, as ``watched`` says.
+
+    Yield a function that the block must call with each node.
 
     Args:
         watched: What to export and serve.
-        say: A function that tells the user something.
+        say: A function that prints a line for the user.
 
     Raises:
         TurtleactError: if a package is missing, or the port cannot be opened.
@@ -125,16 +130,19 @@ async def _export(stack: AsyncExitStack, starts: list[Callable[[Node], None]]) -
 
 
 class _ExporterProblems(logging.Filter):
-    """Reports in clear words, and once per `REPEAT`, what exporters log at each attempt."""
+    """Reports each problem of the exporters in clear words, and only once per `REPEAT`.
+
+    Without this filter, the exporters would log the problem at each attempt.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self._told: dict[str, float] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether to report the record.
+        """Return whether to report the record.
 
-        The record's message is replaced by one that says what to do.
+        A record that is reported gets a new message, which says what to do.
         """
         problem = _problem(record) or next(iter(self._told), _unreachable("no answer"))
         if record.created - self._told.get(problem, -REPEAT) < REPEAT:
@@ -154,7 +162,10 @@ def _unreachable(reason: str) -> str:
 
 
 def _problem(record: logging.LogRecord) -> str:
-    """The problem in an exporter's record; empty if the exporter only says that it gives up."""
+    """Return the problem in an exporter's record, in clear words.
+
+    If the exporter only says that it gives up, return an empty string.
+    """
     text = record.getMessage()
     if answer := ANSWER.search(text):
         is_metrics = record.name.endswith("metric_exporter")

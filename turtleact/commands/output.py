@@ -1,7 +1,8 @@
-"""Prints the output of commands: blocks on stdout, and notes on stderr.
+"""Prints the output of commands: text on stdout, and notes on stderr.
 
-A peer can put anything into its names and messages. So all text that could come from a peer is made
-printable first, because it must not control the user's terminal.
+Another node can put any characters into its names and messages, and control characters could change
+the user's terminal. So text that may come from another node is escaped before it is printed on a
+terminal.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ HALF = 2000
 
 
 def say(text: str) -> None:
-    """Print a block on stdout. A pipe gets it at once."""
+    """Print a text on stdout and flush stdout. No line break is added."""
     print(text, end="", flush=True)
 
 
@@ -47,7 +48,7 @@ def say_message(text: str) -> None:
 
 
 def say_names(text: str) -> None:
-    """Print names of the graph, made printable."""
+    """Print text with names from the graph, and escape its control characters."""
     say(printable(text))
 
 
@@ -56,7 +57,8 @@ def say_table(rows: Iterable[Sequence[str]], widths: list[int] | None = None) ->
 
     Args:
         rows: The rows, at least one.
-        widths: The widths of the columns of earlier rows. They grow with these rows.
+        widths: The minimum widths of the columns. This function increases them in place if ``rows``
+            need more. To print one table in parts, pass the same list for each part.
     """
     rows = list(rows)
     widths = [0] * len(rows[0]) if widths is None else widths
@@ -67,12 +69,12 @@ def say_table(rows: Iterable[Sequence[str]], widths: list[int] | None = None) ->
 
 
 def counted(count: int, noun: str) -> str:
-    """A number of things, such as ``1 goal`` or ``2 goals``."""
+    """Return a count with its noun, such as ``1 goal`` or ``2 goals``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def duration(seconds: float) -> str:
-    """A duration in its two largest units."""
+    """Return a duration as text, such as ``12.3 s``, ``5 min 3 s`` or ``2 h 7 min``."""
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(int(seconds), 60)
@@ -95,7 +97,7 @@ def note(text: str) -> None:
 def tell_exit(stop: SystemExit) -> int:
     """Report that the user's code called `sys.exit`.
 
-    Return the exit status that Python would use.
+    Return the exit status that Python would use for this call.
     """
     code = stop.code
     note(f"your code has ended the program: sys.exit({'' if code is None else repr(code)})")
@@ -110,14 +112,14 @@ def printable(text: str) -> str:
 
 
 def abandon(stream: TextIO) -> None:
-    """Redirect a stream to nowhere, so that Python's own last flush succeeds."""
+    """Redirect a stream to `os.devnull`, so that Python can flush it without an error at exit."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
     os.close(nowhere)
 
 
 def _shortened(text: str) -> str:
-    """A text without its middle if it is too long to read. An argument may have any length."""
+    """Shorten a text of more than twice `HALF` characters by leaving out its middle."""
     left_out = len(text) - 2 * HALF
     return text if left_out <= 0 else f"{text[:HALF]}… {left_out} characters …{text[-HALF:]}"
 

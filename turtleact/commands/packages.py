@@ -1,9 +1,9 @@
-"""Finds packages and their executables, in the working directory or in a sourced ROS workspace.
+"""Finds packages and their executables, near the working directory or in a sourced ROS workspace.
 
-Packages need no build. A package's executables are the console scripts that its ``setup.py``,
-``setup.cfg`` or ``pyproject.toml`` declares, and the programs that its ``CMakeLists.txt`` installs.
-``setup.py`` is read, never executed. The executables of an installed package are the files in
-``lib/PACKAGE`` of its prefix, where ``ros2 run`` looks too.
+Packages near the working directory need no build. Their executables are the console scripts that
+``setup.py``, ``setup.cfg`` or ``pyproject.toml`` declares, and the Python programs that
+``CMakeLists.txt`` installs. ``setup.py`` is read, never executed. The executables of an installed
+package are the files in ``lib/PACKAGE`` of its prefix, where ``ros2 run`` looks too.
 
 Source: ros2cli ``ros2pkg/api``; setuptools' documentation of entry points.
 """
@@ -51,7 +51,7 @@ class Package(NamedTuple):
     Attributes:
         name: Its name.
         folder: The folder of its sources, or the prefix in which it is installed.
-        programs: Its executables by name.
+        programs: Its executables, keyed by name.
     """
 
     name: str
@@ -60,7 +60,10 @@ class Package(NamedTuple):
 
 
 def find_sources(here: Path) -> dict[str, Package]:
-    """Find the packages near a folder, by name. `turtleact.workspace` defines how far to look."""
+    """Return the packages whose sources are near a folder, keyed by name.
+
+    `turtleact.workspace` defines which folders are near.
+    """
     found: dict[str, Package] = {}
     for folder in folders_near(here):
         if (package := _source(folder)) is not None:
@@ -69,7 +72,7 @@ def find_sources(here: Path) -> dict[str, Package]:
 
 
 def find_installed() -> dict[str, Package]:
-    """Find the packages of the sourced ROS workspace (``AMENT_PREFIX_PATH``), by name."""
+    """Return the packages of the sourced ROS workspace (``AMENT_PREFIX_PATH``), keyed by name."""
     found: dict[str, Package] = {}
     for prefix in map(
         Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
@@ -83,10 +86,12 @@ def find_installed() -> dict[str, Package]:
 def runnable(
     here: Path, built_in: Iterable[tuple[str, str]]
 ) -> dict[str, dict[str, Program | None]]:
-    """The programs that can be run, by package and executable. None stands for a built-in program.
+    """Return the programs that can be run, keyed by package name and then by executable name.
 
-    Packages with sources come first, because they are the user's own. Built-in programs come before
-    installed ones: ``turtlesim turtlesim_node`` is ours, even if the real one is installed.
+    If several programs have the same package name and executable name, a program with sources wins,
+    because it is the user's own. A built-in program wins over an installed one: ``turtlesim
+    turtlesim_node`` runs turtleact's turtlesim, even if the real one is installed. In the returned
+    dict, the value for a built-in program is None.
     """
     found: dict[str, dict[str, Program | None]] = {}
     for package in find_sources(here).values():
@@ -99,12 +104,12 @@ def runnable(
 
 
 def runnable_here() -> dict[str, dict[str, Program | None]]:
-    """The programs that can be run from the working directory, and `PROGRAMS`; see `runnable`."""
+    """Return the programs that can be run from the working directory; see `runnable`."""
     return runnable(Path(), PROGRAMS)
 
 
 def _source(folder: Path) -> Package | None:
-    """The package that has its sources in a folder, or None."""
+    """Return the package whose sources are in a folder, or None."""
     if not any((folder / each).is_file() for each in _MARKS):
         return None
     name = package_name(folder) or folder.absolute().name
@@ -121,7 +126,7 @@ def _source(folder: Path) -> Package | None:
 
 
 def _console_scripts(folder: Path) -> Iterator[str]:
-    """The console scripts that a package declares: ``name = module:function``.
+    """Yield the console scripts that a package declares, each as ``name = module:function``.
 
     A malformed file declares no scripts.
     """
@@ -139,7 +144,7 @@ def _console_scripts(folder: Path) -> Iterator[str]:
 
 
 def _of_setup_py(text: str) -> Iterator[str]:
-    """The console scripts in a ``setup.py``, as far as they can be read without running it."""
+    """Yield the console scripts in a ``setup.py``, as far as they can be found by reading it."""
     known: dict[str, object] = {}
     tree = ast.parse(text)
     for node in tree.body:
@@ -152,9 +157,9 @@ def _of_setup_py(text: str) -> Iterator[str]:
 
 
 def _scripts_in(declared: object) -> list[str]:
-    """The console scripts among entry points.
+    """Return the console scripts in ``declared``, which holds the entry points of a package.
 
-    The entry points are a dict or the text of an INI file.
+    ``declared`` is a dict or the text of an INI file.
     """
     if isinstance(declared, str):
         _, _, text = declared.partition("[console_scripts]")
@@ -166,7 +171,7 @@ def _scripts_in(declared: object) -> list[str]:
 
 
 def _value(node: ast.expr, known: Mapping[str, object]) -> object:
-    """Evaluate an expression of strings, lists and dicts. Parts that are not known are None."""
+    """Evaluate an expression of strings, lists, dicts and known names. Other parts become None."""
     match node:
         case ast.Constant(value=value):
             return value
@@ -187,7 +192,7 @@ def _value(node: ast.expr, known: Mapping[str, object]) -> object:
 
 
 def _joined(parts: list[object]) -> object:
-    """Join texts or lists. The result is None if a part is not known."""
+    """Concatenate strings or lists. Return None if the parts are of different or unknown types."""
     if all(isinstance(each, str) for each in parts):
         return "".join(map(str, parts))
     if all(isinstance(each, list) for each in parts):
@@ -196,7 +201,10 @@ def _joined(parts: list[object]) -> object:
 
 
 def _cmake_programs(folder: Path) -> dict[str, Program]:
-    """The Python programs that a ``CMakeLists.txt`` installs. Other programs need a build."""
+    """Return the Python programs that a ``CMakeLists.txt`` installs.
+
+    Other programs are left out, because they need a build.
+    """
     try:
         text = (folder / "CMakeLists.txt").read_text("utf-8")
     except (OSError, UnicodeDecodeError):

@@ -1,7 +1,7 @@
 """Asks servers to pause or resume goals, and asks which goals are paused.
 
-ROS 2 has no pauses. Servers of turtleact offer a service and a topic for pauses, as soon as
-somebody asks; see `turtleact.goal_wire`.
+ROS 2 cannot pause goals. Servers of turtleact offer a service and a topic for pauses, as soon as a
+client looks for these; see `turtleact.goal_wire`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ LATCHED: Final = QoS(depth=1, durability="transient_local")
 
 
 async def paused_goals(node: Node, actions: Iterable[str]) -> frozenset[bytes]:
-    """The ids of all paused goals of these actions."""
+    """Return the ids of all paused goals of these actions."""
     found = set[bytes]()
 
     async def listen(action: str) -> None:
@@ -61,7 +61,7 @@ async def paused_goals(node: Node, actions: Iterable[str]) -> frozenset[bytes]:
 
 
 async def follow_paused(node: Node, action: str) -> AsyncGenerator[frozenset[bytes], None]:
-    """Yield the ids of an action's paused goals, now and at each change."""
+    """Yield the ids of all paused goals of an action: at the start, and after each change."""
     subscription = node.subscription(PausedGoals, paused_topic(action), LATCHED)
     try:
         async for message in subscription:
@@ -76,11 +76,11 @@ async def set_paused(
     """Pause or resume a goal, and wait until its server has done so.
 
     Args:
-        node: A node on the graph.
+        node: The node of this process, which sends the request.
         action: The fully qualified name of the action.
-        goal_id: The goal.
-        is_paused: Whether to pause it.
-        timeout: How long the goal's body may take to stand still (s).
+        goal_id: The id of the goal.
+        is_paused: True to pause the goal, False to resume it.
+        timeout: How long the server waits for the goal's body to pause (s).
 
     Raises:
         PauseRefused: if the server refuses, cannot pause goals, or does not answer.

@@ -1,10 +1,10 @@
 """Runs a command in an event loop of its own, and makes sure that the program can always end.
 
-`asyncio.run` is not enough here. At its end it waits for every task that is left, and the
-interpreter waits for every thread. A body that ignores its cancellation or blocks a thread would
-therefore keep the program alive forever. Besides, the user's code runs in the same loop, and can
-stop that loop at any time: with ``sys.exit``, ``raise KeyboardInterrupt`` or ``loop.stop()``, or by
-cancelling every task it finds.
+`asyncio.run` is not enough, because at its end it waits for every task that still runs. The
+interpreter then waits for every thread. A body that ignores its cancellation or blocks a thread
+would therefore keep the program alive forever. Besides, the user's code runs in the same loop, and
+can stop that loop at any time: with ``sys.exit``, ``raise KeyboardInterrupt`` or ``loop.stop()``,
+or by cancelling every task it finds.
 """
 
 from __future__ import annotations
@@ -48,15 +48,16 @@ CANCELLED = (
 def run(main: Coroutine[object, object, T], interrupts: Interrupts) -> T:
     """Run a command to its end, and return its result.
 
-    If the user's code stops the loop, the command ends as after a signal. Then the code's exception
-    is raised, or a `TurtleactError` if there is none. If other tasks or threads do not end in time,
-    `Interrupts.must_leave` is set: the process must end without waiting for them.
+    If the user's code stops the loop, the command ends as after a signal. Then this function raises
+    the exception that stopped the loop, or a `TurtleactError` if the loop was stopped without an
+    exception. If other tasks or threads do not end in time, this function sets
+    `Interrupts.must_leave`, because the process must end without waiting for them.
 
     Raises:
         SystemExit: if the user's code called `sys.exit`.
         KeyboardInterrupt: if the user's code raised it.
         TurtleactError: if the user's code stopped the loop, or cancelled the command's own task.
-        BaseException: if the command raises it.
+        BaseException: if the command raised it.
     """
     runner = asyncio.Runner(loop_factory=new_event_loop)
     loop = runner.get_loop()
@@ -86,14 +87,17 @@ def run(main: Coroutine[object, object, T], interrupts: Interrupts) -> T:
 def _drive(
     loop: asyncio.AbstractEventLoop, task: asyncio.Task[Any], interrupts: Interrupts | None
 ) -> BaseException | None:
-    """Run the loop until a task is done. If something stopped it earlier, return the cause.
+    """Run the loop until a task is done, even if the user's code stops the loop earlier.
 
-    If something stops the loop before, ``interrupts`` tell the task to end, and the loop runs
-    again.
+    If the user's code stops the loop, ``interrupts`` tells the task to end, and the loop runs
+    again. Otherwise running goals could not end, and their clients would get no answer.
 
-    An exception such as SystemExit leaves the loop in the middle of a turn, and ``loop.stop()`` at
-    the end of one. Either way, the loop can run again. It must, because running goals must end and
-    their clients need an answer.
+    An exception such as SystemExit stops the loop in the middle of an iteration, and
+    ``loop.stop()`` stops it at the end of an iteration. In both cases the loop can run again.
+
+    Returns:
+        The exception that first stopped the loop, or a `TurtleactError` for ``loop.stop()``. None
+        if the user's code did not stop the loop, or if ``interrupts`` is None.
     """
     cause: BaseException | None = None
     # `run_until_complete` would not do: it removes its callback when an exception leaves the loop,
@@ -113,10 +117,11 @@ def _drive(
 
 
 async def _end_the_rest() -> list[str]:
-    """Cancel all other tasks, and close generators and threads. Return what has not ended.
+    """Cancel all other tasks, and close asynchronous generators and the loop's threads.
 
-    `asyncio.wait` is used because it neither cancels nor awaits its tasks. A task that ignores its
-    cancellation must not hold up this one.
+    The result describes what has not ended in time: tasks or, if all tasks have ended, generators
+    and threads. This function waits with `asyncio.wait`, which returns when the time is over, even
+    if a task ignores its cancellation.
     """
     loop, own = asyncio.get_running_loop(), asyncio.current_task()
     left = asyncio.all_tasks() - {own}
@@ -135,7 +140,7 @@ async def _end_the_rest() -> list[str]:
 
 
 def _described(task: asyncio.Task[Any]) -> str:
-    """Describe a task and, if it is in the user's own code, the line where it waits."""
+    """Describe a task. If the task waits in the user's own code, name the line, too."""
     stack = task.get_stack(limit=1)
     own = [frame for frame in stack if not frame.f_code.co_filename.startswith(OURS)]
     where = f" ({own[-1].f_code.co_filename}, line {own[-1].f_lineno})" if own else ""
@@ -143,7 +148,10 @@ def _described(task: asyncio.Task[Any]) -> str:
 
 
 def _busy_threads() -> list[str]:
-    """The threads that have not ended in time, and for which the interpreter would wait."""
+    """Wait for other threads, and describe those that still run after `GRACE` seconds.
+
+    Daemon threads are left out, because the interpreter does not wait for them.
+    """
     due = monotonic() + GRACE
     own = threading.current_thread()
     others = [each for each in threading.enumerate() if each is not own and not each.daemon]
@@ -153,9 +161,9 @@ def _busy_threads() -> list[str]:
 
 
 def _tell_of_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Log an error as asyncio does.
+    """Log an error as asyncio does, unless the error comes from `sys.exit`.
 
-    `sys.exit` in a body is left out, because the program reports it.
+    If a body calls `sys.exit`, the program itself reports this.
     """
     if not isinstance(context.get("exception"), SystemExit):
         loop.default_exception_handler(context)

@@ -1,7 +1,7 @@
-"""The options of a command line, as data.
+"""Defines the options of a command line as structs.
 
 The verbs fill these structs in, and the modules that do the work read them. This module imports
-nothing heavy, because every verb needs it before the work begins.
+only modules that load quickly, because every verb imports this module first.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ class Reach(NamedTuple):
     """The graph that a verb uses.
 
     Attributes:
-        connect: The endpoints to connect to. If there are none, the verb looks for a graph itself.
+        connect: The endpoints to connect to. If it is empty, the verb looks for the router of this
+            machine.
         domain: The ROS domain of the graph, 0 to 232.
         config: The file with certificates and passwords, if there is one.
     """
@@ -65,7 +66,7 @@ class Reach(NamedTuple):
 
     @classmethod
     def of(cls, connect: str | None, domain: int, config: str | None) -> Reach:
-        """The graph that the options select.
+        """Return the graph that these command-line options select.
 
         Raises:
             UsageError: if ``connect`` is not a list of endpoints.
@@ -84,15 +85,15 @@ class Reach(NamedTuple):
 
 
 class Place(NamedTuple):
-    """The place to which a goal is sent.
+    """Where to send a goal: to a server on a graph, or to an embedded world.
 
     Attributes:
-        speed: The speed of the embedded world.
+        speed: The speed of the embedded world; see `turtleact.app.open_world`.
         seed: The seed of the embedded world.
-        reach: Where to look for a server first. With None, only the embedded world is used.
-        interfaces: A folder with more interfaces.
-        options: ``reach`` and ``interfaces`` as options for the command line of another verb, with
-            a space before each option.
+        reach: The graph on which to look for a server first; None to use only the embedded world.
+        interfaces: A folder with more interface files.
+        options: The command-line options for ``reach`` and ``interfaces``, with a space before each
+            option. A hint appends this text to the command that it suggests.
     """
 
     speed: float | str = 1.0
@@ -103,15 +104,15 @@ class Place(NamedTuple):
 
 
 class Fleet(NamedTuple):
-    """The turtles of a world, and the settings of its time.
+    """The turtles of a world, and the settings of its clock.
 
     Attributes:
-        speed: How fast time passes.
+        speed: Simulated seconds per wall-clock second.
         turtles: How many turtles there are.
-        placing: How they are placed.
+        placing: How the turtles are placed at the start.
         seed: The seed of all random choices.
-        collide: Whether turtles stop each other.
-        paused: Whether time stands still at first.
+        collide: Whether turtles block each other.
+        paused: Whether the world starts paused.
     """
 
     speed: float = 1.0
@@ -126,10 +127,12 @@ class Keeping(NamedTuple):
     """How goals are kept in a journal.
 
     Attributes:
-        path: The file.
+        path: The path of the journal's file.
         on_restart: What to do with goals that an earlier process has left unfinished.
-        abort_goals: Whether a clean stop ends goals that would go on after a crash.
-        max_starts: A goal is aborted after this many crashes without feedback; None for no limit.
+        abort_goals: Whether running goals are aborted when the server is stopped by a signal. If
+            not, they stay in the journal, and ``on_restart`` applies to them.
+        max_starts: If the server has crashed this many times since a goal's newest feedback, the
+            goal is aborted; None for no limit.
     """
 
     path: str
@@ -139,19 +142,19 @@ class Keeping(NamedTuple):
 
     @property
     def resumes(self) -> bool:
-        """Whether goals go on after a clean stop."""
+        """Whether running goals go on after the server has been stopped and started again."""
         return self.on_restart == "resume" and not self.abort_goals
 
 
 class Page(NamedTuple):
-    """Where the page and rosbridge are served, and who may connect.
+    """Where the web page and rosbridge are served, and who may connect.
 
     Attributes:
-        host: The address or name to bind.
-        port: The port. 0 means any free port.
+        host: The address or host name at which to listen.
+        port: The port at which to listen; 0 for any free port.
         token: The secret that clients must send; None for the default of `open_web`.
-        hosts: More names that clients may use for this machine.
-        origins: The origins of pages that may connect.
+        hosts: More host names that clients may use for this machine.
+        origins: The origins (``https://example.com``) of other web pages that may connect.
     """
 
     host: str
@@ -167,7 +170,7 @@ class Watched(NamedTuple):
     Attributes:
         otel: Whether traces and metrics are exported through OpenTelemetry.
         metrics: The host and port at which metrics are served; None for no metrics.
-        log_format: The format of log records; None leaves logging alone.
+        log_format: The format of log records; None to leave Python's logging as it is.
     """
 
     otel: bool = False
@@ -176,12 +179,12 @@ class Watched(NamedTuple):
 
 
 class Override(NamedTuple):
-    """The first value of one parameter.
+    """The initial value of one parameter, from the command line or a file.
 
     Attributes:
-        node: The name of the node, with or without its slash; ``/**`` for any node.
+        node: The name of the node, with or without its leading slash; ``/**`` for any node.
         name: The name of the parameter.
-        value: The first value.
+        value: The initial value.
     """
 
     node: str
@@ -193,21 +196,25 @@ class Service(NamedTuple):
     """What ``serve`` serves, and at which endpoints.
 
     Attributes:
-        targets: The user's actions, as `turtleact.commands.targets` reads them.
-        listen: The endpoints to listen at, as a router. If there are none, and none to connect to,
-            the server is the router of this machine, or a peer of that router.
+        targets: The user's modules, files and objects, in the syntax of
+            `turtleact.commands.targets`.
+        listen: The endpoints at which to listen as a router. If there are no endpoints to listen at
+            or connect to, the server becomes the router of this machine or, if this machine already
+            has a router, a peer of that router.
         reach: The endpoints to connect to, and the domain.
-        fleet: The turtles; None for no world and no built-in actions.
-        page: The page and rosbridge; None for neither.
-        config: Paths and values of Zenoh's configuration, such as those for access control.
-        is_live: Whether a terminal shows a dashboard.
+        fleet: The turtles of the world; None for no world and no built-in actions.
+        page: Where to serve the web page and rosbridge; None to serve neither.
+        config: The settings of Zenoh, such as those for access control: a mapping from paths to
+            values, as for `open_zenoh`.
+        is_live: Whether to show a dashboard if stdout is a terminal.
         turtlesim_only: Whether the world serves only what turtlesim serves, and no built-in
             actions.
-        wait: Whether to wait until no other node serves an action, instead of refusing to serve it.
+        wait: Whether to wait while another node serves one of the actions, or another process uses
+            the journal. If False, both are errors.
         reload: Whether to reload the user's actions when their files change.
         node_name: The name of the node that serves the actions, if there is no world.
-        keeping: The journal of the goals; None for no journal.
-        overrides: The first values of parameters.
+        keeping: How to keep a journal of the goals; None for no journal.
+        overrides: The initial values of parameters.
         introspection: What all actions and services of the process publish for introspection.
         watched: How other programs can watch the goals.
     """
@@ -230,7 +237,9 @@ class Service(NamedTuple):
 
 
 class Policies(NamedTuple):
-    """The requested quality of service. None leaves a policy to the verb.
+    """The quality of service that the user asked for.
+
+    If a policy is None, the verb has a default for it.
 
     Attributes:
         reliability: As in `turtleact.QoS`.
@@ -243,7 +252,7 @@ class Policies(NamedTuple):
     depth: int | None = None
 
     def qos(self, *, durability: Durability = "volatile", depth: int = 10) -> QoS:
-        """The quality of service, with these defaults."""
+        """Return the quality of service. The arguments replace policies that are None."""
         from turtleact.transports import QoS
 
         return QoS(
@@ -254,10 +263,10 @@ class Policies(NamedTuple):
 
 
 def endpoints(option: str, text: str | None) -> tuple[str, ...]:
-    """The endpoints that an option names, separated by commas.
+    """Split the value of an option into endpoints, which are separated by commas.
 
     Raises:
-        UsageError: if a part is not an endpoint.
+        UsageError: if a part of the value is not an endpoint.
     """
     found = () if text is None else tuple(text.split(","))
     for each in found:
@@ -268,7 +277,7 @@ def endpoints(option: str, text: str | None) -> tuple[str, ...]:
 
 
 def _is_reachable(endpoint: str) -> bool:
-    """Whether an endpoint has a host and a port, if its protocol needs them."""
+    """Whether an endpoint has a host and a valid port, if its protocol needs them."""
     found = _WITH_PORT.fullmatch(endpoint)
     if found is None:
         return True
@@ -277,6 +286,6 @@ def _is_reachable(endpoint: str) -> bool:
 
 
 def quoted(text: str) -> str:
-    """Quote a text of the user, and shorten it if it is long."""
+    """Quote a text that the user typed, and shorten it if it is long."""
     shown = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
     return f"'{printable(shown)}'"

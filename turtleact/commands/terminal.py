@@ -1,19 +1,23 @@
 """Draws a live display on a terminal: its region, frames, log lines and keys.
 
-Only `Region` moves the cursor and changes the terminal's modes. While a region is held, the cursor
-is hidden and typed characters are not echoed. If keys are read, each key comes at once, without
-Enter. All of this is undone whenever the process ends or stops. Only SIGKILL and SIGSTOP cannot be
-handled.
+Only `Region` moves the cursor and changes the terminal's modes. During `Region.held`, the cursor is
+hidden and typed characters are not echoed. If keys are read, each key arrives as soon as it is
+pressed, without Enter. When the process ends or stops, the cursor and the modes are restored. Only
+SIGKILL and SIGSTOP prevent that, because a process cannot handle them.
 
-While a region is held, writing never waits for the terminal (`Outlet`). Frames are left out while
-the terminal takes no text, for example because the user pressed Ctrl-S or the connection hangs.
+During `Region.held`, an `Outlet` writes to the terminal without waiting. Frames are skipped while
+the terminal accepts no text, for example because the user pressed Ctrl-S or the connection hangs.
 
-Two limits remain. When the window gets narrower, the terminal wraps lines again, which may push the
-first lines out of the window for good. Besides, keys that nobody reads are kept for the next
-reader, such as the shell.
+Two problems remain:
 
-Source: ECMA-48 for the control sequences, and xterm's for the arrows; the terminals' mode 2026 for
-frames without flicker; the GNU C Library manual, "Signaling Yourself", for how to stop.
+- When the window gets narrower, the terminal wraps the lines of the frame. That may push the first
+  lines into the history, where they cannot be erased.
+- Keys that are pressed but not read stay in the terminal's input. The next program that reads from
+  the terminal gets them, for example the shell.
+
+Source: ECMA-48 for the control sequences; xterm for the control sequences of the arrow keys; the
+terminals' mode 2026 for frames without flicker; the GNU C Library manual, "Signaling Yourself", for
+how to stop the process.
 """
 
 from __future__ import annotations
@@ -80,7 +84,7 @@ TOKEN: Final = re.compile(
 
 
 def can_move(stream: TextIO | None) -> bool:
-    """Whether a stream is a terminal that can move its cursor and show braille."""
+    """Whether a stream is a UTF-8 terminal that can move its cursor."""
     return (
         stream is not None
         and stream.isatty()
@@ -90,16 +94,18 @@ def can_move(stream: TextIO | None) -> bool:
 
 
 class Outlet:
-    """Writes to a terminal without waiting. Text that the terminal does not take yet is kept.
+    """Writes to a terminal without waiting. Buffers the text that the terminal does not accept yet.
 
-    The terminal is opened a second time, because non-blocking mode belongs to the open file, and
-    the process shares its open file with the shell. If the terminal cannot be opened again, a frame
-    is written only while the terminal accepts text, and writing it may block.
+    The outlet opens the terminal a second time for non-blocking mode. Otherwise the mode would also
+    apply to the shell, because the shell and this process share the open file of the terminal. If
+    the terminal cannot be opened a second time, writing may block. In that case, frames are drawn
+    only while the terminal accepts text.
 
     Attributes:
-        is_writing: Whether text is being written right now. Text from a signal handler would end up
-            in the middle of it.
-        due: Called as soon as nothing is being written.
+        is_writing: Whether `push` is writing at the moment. If a signal handler wrote to the
+            terminal at that moment, its text would end up inside other text.
+        due: A function that `push` calls once, as soon as it has stopped writing; None if there is
+            nothing to call.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -110,7 +116,7 @@ class Outlet:
         self._descriptor = console().reopen(stream)
 
     def write(self, text: str) -> None:
-        """Write after the kept text. Text that the terminal does not take now is kept too."""
+        """Append text to the buffer, and write as much of the buffer as the terminal accepts."""
         if self._descriptor is None:
             self._stream.write(text)
             self._stream.flush()
@@ -119,7 +125,7 @@ class Outlet:
             self.push()
 
     def push(self) -> bool:
-        """Write the text that is kept, and return whether the terminal has taken all of it."""
+        """Write the buffered text, and return whether the terminal has accepted all of it."""
         if self._descriptor is None:
             return not self._stream.isatty() or console().takes_text(self._stream)
         self.is_writing = True
@@ -138,34 +144,40 @@ class Outlet:
         return not self._kept
 
     def interject(self, text: str) -> None:
-        """Write at once, before the text that is kept, if the terminal takes it."""
+        """Write text ahead of the buffered text.
+
+        If the terminal does not accept the text now, drop the text.
+        """
         if self._descriptor is not None:
             with suppress(BlockingIOError):
                 os.write(self._descriptor, text.encode())
 
     async def drained(self) -> None:
-        """Wait until the terminal has taken everything. Cancelling: safe."""
+        """Wait until the terminal has accepted all buffered text. Cancelling: safe."""
         while self._descriptor is not None and not self.push():
             await anyio.wait_writable(self._descriptor)
 
     def close(self) -> None:
-        """Write nothing more. Kept text is lost."""
+        """Close the terminal that was opened a second time. Buffered text is lost."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:
             os.close(descriptor)
 
 
 class Region:
-    """Lines at the end of the screen that are redrawn again and again.
+    """Lines at the end of the screen that are redrawn with each frame.
 
-    Between two frames the hidden cursor stands at the beginning of the first line. When a terminal
-    is resized and wraps lines anew, the cursor stays with its line, so the next frame starts where
-    the last one did. Each line is erased before it is drawn: otherwise the terminal would remember
-    rows as parts of a wrapped line, and would wrap their new text together at the next resize.
+    Between two frames, the hidden cursor stands at the beginning of the region's first line. When
+    the window is resized, the terminal wraps its lines again. The cursor moves with the line that
+    it is on, so the next frame starts where the last one did.
+
+    Each line is erased before it is drawn. Otherwise the terminal could still regard several rows
+    as one wrapped line, and would join the new text of these rows at the next resize.
 
     Args:
-        stream: The terminal.
-        keyboard: The stream from which keys are read, each at once; None if no keys are read.
+        stream: The terminal to draw on.
+        keyboard: The stream from which keys are read one by one, without Enter; None if no keys are
+            read.
     """
 
     def __init__(self, stream: TextIO, keyboard: TextIO | None = None) -> None:
@@ -178,7 +190,7 @@ class Region:
         self._modes: object | None = None  # as they were found, while there is no echo
 
     def size(self) -> tuple[int, int]:
-        """The current columns and lines of the window."""
+        """The size of the window, in columns and lines."""
         try:
             columns, rows = os.get_terminal_size(self._stream.fileno())
         except OSError:
@@ -186,20 +198,20 @@ class Region:
         return columns or 80, rows or 24
 
     def is_ready(self) -> bool:
-        """Whether a frame would be drawn now.
+        """Whether `draw` would draw a frame now.
 
-        No frame is drawn after the last one, or while the terminal has not taken all of the
-        previous text. In the background, no frame is drawn either, because the terminal belongs to
-        another process.
+        No frame is drawn after `say_last`, or while the terminal has not accepted all earlier text.
+        While this process is in the background, no frame is drawn either, because another process
+        has the terminal.
         """
         if self._is_over or not self.is_in_foreground():
             return False
         return self._outlet is None or self._outlet.push()
 
     def draw(self, lines: Sequence[str]) -> None:
-        """If `is_ready`, draw lines in place of the last ones.
+        """Draw a frame in place of the last one, if `is_ready`.
 
-        The window must have at least one line more than these.
+        The window must be at least one line higher than the frame.
         """
         if not self.is_ready():
             return
@@ -211,38 +223,40 @@ class Region:
         self._write(f"\x1b[?2026h\x1b[?25l\r{text}\x1b[J{back}\r\x1b[?2026l")
 
     def say(self, text: str) -> None:
-        """Print text that stays above the next frame."""
+        """Remove the frame, and print text. The next frame is drawn below the text."""
         self.clear()
         self._write(text)
 
     def say_last(self, lines: Sequence[str]) -> None:
-        """Print the last frame, which stays. Text that is printed later comes below it."""
+        """Print the last frame, which stays on the screen. All later text is printed below it."""
         self._is_over = True
         if self.is_in_foreground():
             self.say("".join(f"{line}\n" for line in lines))
 
     def clear(self) -> None:
-        """Remove the lines, and show the cursor."""
+        """Remove the frame from the screen, and show the cursor."""
         if self._is_drawn:
             self._write(GIVE_BACK)
             self._is_drawn = False
 
     async def drained(self) -> None:
-        """Wait until the terminal has taken all text. Cancelling: safe."""
+        """Wait until the terminal has accepted all text. Cancelling: safe."""
         if self._outlet is not None:
             await self._outlet.drained()
 
     def is_in_foreground(self) -> bool:
-        """Whether the process is in the foreground, or the terminal controls no process."""
+        """Whether the process is in the foreground.
+
+        Also true if the stream is not the controlling terminal of this process.
+        """
         return console().is_in_foreground(self._stream)
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Let frames be drawn during a block. After it, the terminal is as it was before.
+        """Prepare the terminal for frames during a block, and restore the terminal afterwards.
 
-        On SIGTSTP (Ctrl-Z) or SIGQUIT during the block, the terminal is given back first. Then the
-        signal has its default effect. After SIGCONT the next frame is drawn where the cursor
-        stands.
+        On SIGTSTP (Ctrl-Z) or SIGQUIT during the block, the terminal is restored before the signal
+        stops or ends the process. After SIGCONT, the next frame is drawn at the cursor's position.
         """
         handlers: dict[signal.Signals, Callable[[int, FrameType | None], None]] = {
             **dict.fromkeys(STOPPING, self._follow),
@@ -268,7 +282,10 @@ class Region:
                 signal.signal(number, signal.SIG_DFL)
 
     def restore(self) -> None:
-        """Give the terminal back as it was; never blocks, and may be called at any moment."""
+        """Remove the frame, show the cursor, and restore the terminal's modes.
+
+        This may be called at any time, even by a signal handler.
+        """
         # Noted as done before it is done: a signal handler may call this in the middle of it, and
         # must not do it a second time.
         is_drawn, self._is_drawn = self._is_drawn, False
@@ -285,7 +302,10 @@ class Region:
                 console().give_back(self._typed_at(), modes)
 
     def _follow(self, number: int, _: FrameType | None) -> None:
-        """Let a signal have its default effect. The process may be continued afterwards."""
+        """Restore the terminal, then let the signal stop or end the process.
+
+        If the `Outlet` is writing, the signal is handled as soon as the outlet has stopped writing.
+        """
         if self._outlet is not None and self._outlet.is_writing:
             self._outlet.due = partial(self._follow, number, None)
             return
@@ -296,13 +316,13 @@ class Region:
         signal.signal(number, self._follow)
 
     def _forget(self, _: int, __: FrameType | None) -> None:
-        """Forget the last frame, because another process has used the screen."""
+        """Forget the last frame, because another process may have written over it."""
         self._is_drawn = False
         if self._keyboard is not None and self._modes is None and self.is_in_foreground():
             self._silence()
 
     def _silence(self) -> None:
-        """Turn echo off, because typed characters would tear the frame apart."""
+        """Turn echo off, because echoed characters would damage the frame."""
         by_key = self._keyboard is not None
         self._modes = console().silence(self._typed_at(), by_key=by_key)
 
@@ -337,14 +357,14 @@ In a narrower window, each becomes two.
 
 
 class Compose(Protocol):
-    """A function that composes the current picture."""
+    """A function that composes the picture to draw."""
 
     def __call__(self, *, width: int, height: int) -> render.Picture:
-        """Compose the picture for a number of columns and lines."""
+        """Compose the picture for a display of ``width`` columns and ``height`` lines."""
 
 
 def draw(region: Region, compose: Compose) -> None:
-    """Draw a frame, unless the terminal has not taken the previous one yet."""
+    """Compose and draw a frame, if the region is ready; see `Region.is_ready`."""
     if not region.is_ready():
         return
     from turtleact import render  # rich takes long to import
@@ -356,13 +376,13 @@ def draw(region: Region, compose: Compose) -> None:
 
 
 def print_last(region: Region, compose: Compose, *, below: int) -> None:
-    """Print a last frame that stays.
+    """Print the last frame, which stays on the screen.
 
     Args:
         region: The region that the earlier frames were drawn on.
         compose: Composes the frame.
-        below: How many lines will be printed below the frame. The frame leaves room for them,
-            unless it would become smaller than `SMALLEST`.
+        below: How many lines will be printed below the frame. The frame leaves room for these
+            lines, unless it would become smaller than `SMALLEST`.
     """
     from turtleact import render  # as above
 
@@ -372,16 +392,16 @@ def print_last(region: Region, compose: Compose, *, below: int) -> None:
 
 
 async def animate(region: Region, compose: Compose) -> None:
-    """Hold the terminal and draw frames until this is cancelled."""
+    """Draw frames within a block of `Region.held`, until this is cancelled."""
     with region.held():
         await keep_drawing(region, compose)
 
 
 async def keep_drawing(region: Region, compose: Compose) -> None:
-    """Draw frames on a held terminal until this is cancelled.
+    """Draw frames until this is cancelled. The caller must have entered `Region.held`.
 
-    This function draws at most 15 frames a second, and takes at most a fifth of the processor's
-    time. The first frame, which imports modules, does not count.
+    This function draws at most 15 frames a second, and uses at most a fifth of the processor's
+    time. The first frame may take longer, because modules are imported to draw it.
     """
     draw(region, compose)
     await anyio.sleep(PERIOD)
@@ -397,12 +417,12 @@ MOST: Final = 200
 
 
 class LogLine(NamedTuple):
-    """A line of the log in two forms: one for the display, and one for the end of the display.
+    """A line of the log: a text for the live display, and a text to print when the display ends.
 
     Attributes:
         short: The line as the display shows it.
         full: The line as it is printed when the display ends.
-        subject: The subject of the line, if later lines about the same subject replace it.
+        subject: What the line is about, if it comes from `LogLines.retell`; otherwise empty.
     """
 
     short: str
@@ -411,7 +431,7 @@ class LogLine(NamedTuple):
 
 
 class LogLines(io.TextIOBase):
-    """The newest lines of a log. It is a stream, and any thread can print to it."""
+    """The newest lines of a log, as a text stream that any thread can print to."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -419,11 +439,11 @@ class LogLines(io.TextIOBase):
         self._begun = ""
 
     def add(self, line: str, short: str | None = None) -> None:
-        """Add a line."""
+        """Add a line. If ``short`` is given, the display shows that text instead of the line."""
         self._lines.append(LogLine(line if short is None else short, line))
 
     def retell(self, subject: str, text: str) -> None:
-        """Add the lines of a text in place of all earlier lines about the same subject."""
+        """Remove all lines about a subject, and add the lines of a text about this subject."""
         for line in self.lines():
             if line.subject == subject:
                 with suppress(ValueError):  # another thread has pushed it out by now
@@ -431,13 +451,14 @@ class LogLines(io.TextIOBase):
         self._lines.extend(LogLine(line, line, subject) for line in text.split("\n"))
 
     def lines(self) -> list[LogLine]:
-        """The lines, the newest last."""
+        """All kept lines, the newest last."""
         return list(self._lines)
 
     def write(self, text: str) -> int:
-        """Add complete lines. A line that differs from the last only in numbers replaces it.
+        """Add the complete lines of a text. Keep the rest until its line is complete.
 
-        For example, a turtle at the wall causes 62 warnings a second.
+        If a line differs from the previous line only in numbers, it replaces the previous line.
+        Otherwise a turtle at the wall, which causes 62 warnings a second, would fill the log.
         """
         *whole, self._begun = (self._begun + text).split("\n")
         for line in whole:
@@ -447,13 +468,13 @@ class LogLines(io.TextIOBase):
         return len(text)
 
     def close(self) -> None:
-        """Do nothing: a body that closes this as its stdout must not end the log."""
+        """Do nothing, so that a body that closes its stdout does not end the log."""
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """During a block, add prints to stdout to this log.
+        """During a block, add all text printed to stdout to this log.
 
-        Prints to stderr are added too, unless stderr is redirected.
+        Text printed to stderr is added too, unless stderr is redirected to a file or pipe.
         """
         is_shown = sys.stderr is None or sys.stderr.isatty()
         with redirect_stdout(self), redirect_stderr(self) if is_shown else nullcontext():
@@ -461,13 +482,16 @@ class LogLines(io.TextIOBase):
 
 
 class Keys:
-    """Reads keys from bytes. A control sequence may come in parts."""
+    """Decodes pressed keys from the bytes of a terminal.
+
+    The bytes of one control sequence may be split between two calls of `read`.
+    """
 
     def __init__(self) -> None:
         self._begun = b""
 
     def read(self, data: bytes) -> list[str]:
-        r"""Return the keys: ``up``, ``down``, ``left``, ``right``, or a small letter.
+        r"""Return the pressed keys: ``up``, ``down``, ``left``, ``right``, or a lower-case letter.
 
         Other keys are ignored.
 
@@ -487,12 +511,12 @@ class Keys:
 
 
 async def typed_keys(region: Region) -> AsyncGenerator[str, None]:
-    """Yield keys as they are pressed, until the terminal is gone; see `Keys.read`.
+    """Yield keys as they are pressed, until the terminal is closed; see `Keys.read`.
 
     While this process is in the background, no keys are read, because they are for another process.
 
     Args:
-        region: The region of the display, which must be held.
+        region: The region of the display. The caller must have entered `Region.held`.
     """
     keys = Keys()
     while True:

@@ -1,9 +1,10 @@
-"""Takes a snapshot of a running graph: reads tokens, and asks each process a harmless question.
+"""Takes a snapshot of a running graph: reads liveliness tokens, and calls each process.
 
-Each process is asked through a service that it offers anyway: to cancel a goal that does not exist,
-to list no parameters, or to describe a type. The answer shows that the process is alive. The time
-of the answer shows how far the clock of the process is off. A process without such a service is not
-asked.
+Each process is called through a service that it offers anyway, with a request that does no harm.
+The request cancels a goal that does not exist, lists parameters with a prefix that no parameter
+has, or asks for the description of a type. A process without such a service is not called. An
+answer shows that the process is alive. The time stamp of the answer shows how far the clock of the
+process differs from the clock here.
 
 Source: action_msgs/srv/CancelGoal, rcl_interfaces/srv/ListParameters,
 type_description_interfaces/srv/GetTypeDescription.
@@ -66,17 +67,17 @@ QUESTIONS: Final = (CancelGoal.type_name, LIST_PARAMETERS, GET_DESCRIPTION)
 
 
 async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
-    """Look at the graph of a node, ask its processes, and collect what they report.
+    """Describe the graph that a node is on, with the faults that other processes report.
 
     This takes about `PATIENCE` seconds if a process does not answer. Cancelling: safe.
 
     Args:
         node: A node on the graph. It is left out of the snapshot.
-        with_domains: Whether to find out which ROS domains are in use even if this domain has
-            nodes.
+        with_domains: Whether to always find out which ROS domains are in use. If False, this is
+            done only if there are no other nodes on the graph.
 
     Raises:
-        TurtleactError: if the node is closed, or loses the graph meanwhile.
+        TurtleactError: if the node is closed, or loses its connection to the graph meanwhile.
     """
     nodes, endpoints = _seen(node)
     answers: list[Answer] = []
@@ -104,7 +105,7 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
 
 @contextmanager
 def _one_error() -> Iterator[None]:
-    """If a block raises a group of turtleact's errors, raise only the first of them."""
+    """If a block raises an exception group of turtleact's errors, raise only the first of them."""
     try:
         yield
     except ExceptionGroup as group:
@@ -137,7 +138,10 @@ def _seen(node: Node) -> tuple[tuple[NodeSeen, ...], tuple[EndpointSeen, ...]]:
 
 
 def _to_ask(endpoints: Iterable[EndpointSeen]) -> dict[str, Endpoint]:
-    """The service to call for each session, if the session has one that can be called."""
+    """Return the harmless service to call in each session, by session id.
+
+    Sessions without a harmless service are left out.
+    """
     best: dict[str, Endpoint] = {}
     for each in endpoints:
         endpoint = each.endpoint
@@ -153,7 +157,7 @@ def _rank(service: Endpoint) -> int:
 
 
 async def _ask(node: Node, session: str, service: Endpoint, answers: list[Answer]) -> None:
-    """Ask a process twice: first whether it answers, then for the time on its clock."""
+    """Call a process twice: first to see whether it answers, then to read its clock."""
     caller, request = _join(node, service)
     pending: PendingCall | None = None
     sent = received = 0
@@ -178,7 +182,7 @@ async def _ask(node: Node, session: str, service: Endpoint, answers: list[Answer
 
 
 def _join(node: Node, service: Endpoint) -> tuple[Caller, object]:
-    """A client of a service, and a harmless request to the service."""
+    """Create a client of a service, and a harmless request to the service."""
     interface: Any = get_interface(service.type_name)
     described = Endpoint("client", service.name, service.type_name, node.fully_qualified_name)
     caller = node.transport.join(described, WireFormat(interface, asks=True))
@@ -193,7 +197,10 @@ def _join(node: Node, service: Endpoint) -> tuple[Caller, object]:
 
 
 async def _collect_reports(node: Node, reports: list[Report]) -> None:
-    """Collect the faults that processes have reported. Each publisher's last message is latched."""
+    """Collect the faults that processes have reported.
+
+    The topic is latched, so the last message of each publisher is delivered to a new subscription.
+    """
     left = node.count_publishers(TOPIC)
     if not left:
         return
@@ -214,7 +221,7 @@ async def _collect_reports(node: Node, reports: list[Report]) -> None:
 
 
 def _is_over(until: str) -> bool:
-    """Whether a fault was reported only until a time that has passed."""
+    """Whether the time at which a fault ends has passed; False if the text is not a time."""
     try:
         return bool(until) and float(until) < time.time()
     except ValueError:  # another program may publish on the topic, too
@@ -241,7 +248,7 @@ async def _look_around(node: Node, around: list[Snapshot], with_domains: bool) -
 
 
 def _router(zid: str, said: str) -> Router:
-    """Describe a router from its admin space."""
+    """Make a `Router` from the JSON text in the admin space of a Zenoh router."""
     try:
         told = msgspec.json.decode(said, type=_Told)
     except msgspec.DecodeError:
@@ -251,7 +258,7 @@ def _router(zid: str, said: str) -> Router:
 
 
 class _Told(msgspec.Struct):
-    """The part of a router's description of itself that is needed here."""
+    """The values that `_router` reads from the JSON text in a router's admin space."""
 
     version: str = ""
     sessions: list[object] = []

@@ -1,7 +1,7 @@
 """What a graph looks like at one moment, as far as one process can see it. Pure.
 
-The fields of types are listed flat, nested ones included, so that two definitions of a type can be
-compared.
+The fields of a type are kept in one flat list that includes the fields of nested types, so that two
+definitions of a type can be compared.
 
 Source: type_description_interfaces/msg/TypeDescription and FieldType.
 """
@@ -49,8 +49,8 @@ class NodeSeen(msgspec.Struct, frozen=True):
     """A node on the graph.
 
     Attributes:
-        name: Its fully qualified name.
-        session: The id of its session; a process usually has one session.
+        name: The fully qualified name of the node.
+        session: The id of the node's Zenoh session. A process usually has one session.
     """
 
     name: str
@@ -58,11 +58,11 @@ class NodeSeen(msgspec.Struct, frozen=True):
 
 
 class EndpointSeen(msgspec.Struct, frozen=True):
-    """An endpoint on the graph.
+    """An endpoint on the graph, and the session that it belongs to.
 
     Attributes:
         endpoint: The endpoint.
-        session: The id of its session.
+        session: The id of the Zenoh session.
     """
 
     endpoint: Endpoint
@@ -70,14 +70,14 @@ class EndpointSeen(msgspec.Struct, frozen=True):
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """Whether and how a session answered a question.
+    """Whether the process of a session answered a call, and how far its clock is off.
 
     Attributes:
         session: The id of the session.
-        node: The node that was asked.
-        is_answered: Whether it has answered in time.
-        offset: How far its clock is ahead of ours (s); None if unknown.
-        uncertainty: How far the offset may be wrong (s).
+        node: The node whose service was called.
+        is_answered: Whether the process answered in time.
+        offset: How far the clock of the process is ahead of the clock here (s); None if unknown.
+        uncertainty: The maximum error of ``offset`` (s).
     """
 
     session: str
@@ -91,9 +91,9 @@ class Report(msgspec.Struct, frozen=True):
     """A fault that a process has found in itself; see `turtleact.fault_reports`.
 
     Attributes:
-        name: What is at fault.
+        name: The kind of fault, a space and what is at fault, such as "disk /data/goals.db".
         problem: What is wrong.
-        advice: What to do.
+        advice: What to do about it.
     """
 
     name: str
@@ -105,9 +105,11 @@ class Router(msgspec.Struct, frozen=True):
     """A router in reach.
 
     Attributes:
-        zid: Its id.
-        version: The version of its Zenoh, such as "1.10.2"; empty if it does not tell.
-        sessions: How many sessions are connected to it; None if it does not tell.
+        zid: The Zenoh id of the router.
+        version: The router's version of Zenoh, such as "1.10.2"; empty if the router does not send
+            it.
+        sessions: How many sessions are connected to the router; None if the router does not send
+            it.
     """
 
     zid: str
@@ -119,16 +121,18 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
     """What a graph looks like at one moment.
 
     Attributes:
-        domain: The ROS domain; None within a process.
-        routers: The routers in reach; None within a process, where no router is needed.
-        zenoh: The version of our Zenoh; empty if unknown.
-        nodes: All nodes. Several may share a name.
-        endpoints: All endpoints.
-        answers: One for each session that was asked.
+        domain: The ROS domain of the graph; None for a graph within one process.
+        routers: The routers in reach; None for a graph within one process, which needs no router.
+        zenoh: The version of Zenoh in this process; empty if unknown.
+        nodes: All nodes on the graph. Several nodes may share a name.
+        endpoints: All endpoints on the graph.
+        answers: The answer of each session that was asked.
         reports: The faults that processes have found in themselves.
-        known: This process's hash of each type on the graph that it knows, by type name.
-        fields: The fields of types that have several definitions, by type name and hash.
-        domains: The ROS domains that others use; empty if that was not asked.
+        known: The type hash that this process has for each type on the graph, by type name. Types
+            that this process does not know are left out.
+        fields: The fields of types that have several definitions, by type name and type hash.
+        domains: The ROS domains in which other sessions have nodes; empty if nobody asked for the
+            domains.
     """
 
     domain: int | None = None
@@ -144,7 +148,7 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def own_fields(interface: Interface) -> Fields:
-    """The fields of an interface that is known here."""
+    """The fields of an interface that is known in this process."""
     others = {name: _rows(description(each)) for name, each in referenced(interface).items()}
     return dict(_flat(_rows(description(interface)), others))
 

@@ -1,6 +1,6 @@
 """Interfaces: messages, services and actions as Python classes, and as text.
 
-This package reads interface files and does no other I/O. It knows no event loop.
+This package reads interface files and does no other I/O. It does not use an event loop.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """Import ``cdr``, or ``text`` with PyYAML, when one of its functions is first used."""
+    """Import ``cdr``, or ``text`` (which imports PyYAML), at the first use of its functions."""
     if name in ("decode", "encode"):
         from turtleact.interfaces import cdr
 

@@ -1,8 +1,8 @@
 """Python annotations for ROS types, and functions that read an annotation.
 
-``int32`` is ``Annotated[int, …]``: a type checker sees ``int``, and a message class sees the range.
-For a type checker, ``bounded[list[int32], 5]`` and ``array[list[float64], 9]`` are lists. Of a
-message class, this module knows only the name.
+``int32`` is ``Annotated[int, …]``: a type checker reads it as ``int``, and a message class takes
+the ROS type from it. A type checker reads ``bounded[list[int32], 5]`` and
+``array[list[float64], 9]`` as lists. This module uses only the type name of a message class.
 """
 
 from __future__ import annotations
@@ -62,13 +62,13 @@ __all__ = [
 
 
 class Scalar(msgspec.Struct, frozen=True):
-    """Marks an annotation with the name of a primitive type."""
+    """Marks an annotation with the name of a primitive ROS type."""
 
     name: str
 
 
 class Limit(msgspec.Struct, frozen=True):
-    """Marks an annotation with a bound or a fixed length."""
+    """Marks an annotation with a maximum length or a fixed length."""
 
     form: ArrayForm
     size: int
@@ -115,13 +115,13 @@ PLAIN = {bool: "bool", float: "float64", str: "string"}
 if not TYPE_CHECKING:  # pragma: no branch  always true at run time
 
     class bounded:
-        """A maximum length: ``bounded[list[int32], 5]``, ``bounded[string, 10]``."""
+        """Declares a maximum length: ``bounded[list[int32], 5]``, ``bounded[string, 10]``."""
 
         def __class_getitem__(cls, item: object) -> object:
             return limited(item, ArrayForm.BOUNDED)
 
     class array:
-        """An exact length: ``array[list[float64], 9]``; ``array[bytes, 16]`` has uint8 elements."""
+        """Declares an exact length: ``array[list[float64], 9]``, ``array[bytes, 16]`` for uint8."""
 
         def __class_getitem__(cls, item: object) -> object:
             return limited(item, ArrayForm.FIXED)
@@ -143,8 +143,8 @@ def read(annotation: object, scope: Scope) -> Reading:
     """Return the meaning of a field's annotation.
 
     Raises:
-        InvalidInterface: if the annotation is not a ROS type. The caller adds the source to the
-            error.
+        InvalidInterface: if the annotation is not a ROS type. The caller must set the error's
+            ``source``.
     """
     annotation = resolve(annotation, scope)
     marks: tuple[object, ...] = ()
@@ -182,11 +182,11 @@ def annotation_of(field_type: FieldType, nested: type | None) -> object:
 
 
 def scope_of(frame: FrameType, namespace: Mapping[str, object]) -> Scope:
-    """Return the names that a class statement can use in annotations written as strings.
+    """Return the names that the string annotations of a class body can refer to.
 
-    These are the names of the enclosing class bodies and of the function around them. Local names
-    of functions further out are not included; global names are. The class's own body comes last, so
-    that in ``byte: byte = 0`` the second word means the type.
+    These are the names in the enclosing class bodies, in the nearest enclosing function, and in the
+    module. Local names of functions further out are not included. Names in the class's own body are
+    looked up last, so that the annotation in ``byte: byte = 0`` means the type.
     """
     maps = [dict(frame.f_locals)]
     while frame.f_back is not None and not frame.f_code.co_flags & FUNCTION:
@@ -221,7 +221,7 @@ def resolve(annotation: object, scope: Scope) -> object:
 
 
 def limited(item: object, form: ArrayForm) -> object:
-    """Return the annotation for ``bounded[…]`` or ``array[…]``."""
+    """Return the annotation that ``bounded[…]`` or ``array[…]`` stands for."""
     match item:
         case (annotation, int(size)) if size > 0:
             return marked(annotation, Limit(form, size))
@@ -231,12 +231,12 @@ def limited(item: object, form: ArrayForm) -> object:
 
 
 def marked(annotation: object, mark: Limit) -> object:
-    """Add a mark to an annotation."""
+    """Add a limit to an annotation."""
     return getitem(cast("dict[object, object]", Annotated), (annotation, mark))
 
 
 def with_form(element: FieldType, limit: Limit | None) -> FieldType:
-    """Return the type of a sequence with this element type."""
+    """Return the type of a sequence of ``element``, with the limit if there is one."""
     if element.is_sequence:
         problem = f"ROS has no lists of lists: put the {element} into a message of its own"
         raise InvalidInterface(problem, source="")
@@ -245,7 +245,7 @@ def with_form(element: FieldType, limit: Limit | None) -> FieldType:
 
 
 def with_limit(single: FieldType, limit: Limit | None) -> FieldType:
-    """Return the type of one element, with the bound if the element is a string."""
+    """Add the limit, if any, to a type that is no sequence. Only strings may have a limit."""
     if limit is None:
         return single
     if limit.form is ArrayForm.FIXED or not single.is_string:
@@ -256,7 +256,10 @@ def with_limit(single: FieldType, limit: Limit | None) -> FieldType:
 
 
 def message_class(annotation: object) -> tuple[type, str]:
-    """Return a message class and its type name. Raise an error for any other annotation."""
+    """Check that an annotation is a message class, and return the class and its type name.
+
+    Raise an error if the annotation is not a message class with a type name.
+    """
     if not is_message_class(annotation):
         raise InvalidInterface(f"{said(annotation)} is not a ROS type{hint(annotation)}", source="")
     message = cast("type", annotation)
@@ -278,7 +281,7 @@ def is_message_class(annotation: object) -> bool:
 
 
 def said(annotation: object) -> str:
-    """Return an annotation almost as its author wrote it."""
+    """Return an annotation as text, almost as its author wrote it."""
     return annotation.__name__ if isinstance(annotation, type) else str(annotation)
 
 

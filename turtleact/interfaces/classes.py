@@ -1,12 +1,12 @@
-"""Makes classes from definitions, and the further types that ROS 2 derives from them.
+"""Makes classes from definitions, and makes the types that ROS 2 derives from such classes.
 
-``make_message`` and its siblings do the same as a class statement. These functions read no files
-and look up no interfaces. Instead, the caller passes ``find``, which returns the class of an
-interface or raises ``UnknownInterface``.
+``make_message``, ``make_service`` and ``make_action`` make classes like those that a class
+statement makes. These functions read no files and look up no interfaces. Instead, the caller passes
+``find``, which returns the class of an interface or raises ``UnknownInterface``.
 
 ROS 2 never sends a goal, result or feedback alone: each travels in a message or service generated
-for its action. A service's introspection sends ``NAME_Event``. ``implied`` and ``event_message``
-build these types from the action's or service's own classes, once, on first use.
+for its action. The introspection of a service sends the message ``NAME_Event``. ``implied`` and
+``event_message`` build these types from the action's or service's own classes, once, on first use.
 
 Source: ``rosidl_parser/definition.py``, classes ``Action`` and ``Service``.
 """
@@ -87,7 +87,11 @@ __all__ = [
 def make_message(
     definition: MessageDefinition, find: Find, *, part: str = "", whole: str = ""
 ) -> type[Message]:
-    """Make a message class. A part of a service or action is named after the whole interface."""
+    """Make a message class.
+
+    For a part of a service or action, ``part`` and ``whole`` are the names of the part and of the
+    whole interface. The qualified name of the class is then ``whole.part``.
+    """
     package, kind, name = definition.type_name.split("/")
     annotations: dict[str, object] = {}
     body: dict[str, object] = {
@@ -120,7 +124,7 @@ def make_action(definition: ActionDefinition, find: Find) -> type[Action]:
 
 
 def nested(definition: MessageDefinition, field: Field, find: Find) -> type[Message] | None:
-    """Return the class of the messages in a field; None if the field holds primitives."""
+    """Return the class of the messages that a field holds; None if it holds primitives."""
     if not field.type.is_nested:
         return None
     try:
@@ -147,13 +151,14 @@ def whole_class(
 
 
 class Implied(msgspec.Struct, frozen=True):
-    """The services and the message in which an action travels.
+    """The services and the message that carry the goals, results and feedback of an action.
 
     Attributes:
-        send_goal: The service that sends a goal id and goal, and answers whether and when the goal
-            was accepted.
-        get_result: The service that sends a goal id, and answers with status and result.
-        feedback_message: The message with goal id and feedback.
+        send_goal: The service whose request has a goal id and a goal; the response says whether and
+            when the goal was accepted.
+        get_result: The service whose request has a goal id; the response has the goal's status and
+            result.
+        feedback_message: The message that has a goal id and feedback.
     """
 
     send_goal: type[SendGoal]
@@ -171,7 +176,9 @@ SUFFIXES = frozenset({*PARTS["srv"], *PARTS["action"], *WRAPPERS, "Event"})
 
 
 def implied(action_type: type[Action]) -> Implied:
-    """Return the classes in which an action travels. The same action always gets the same classes.
+    """Return the service and message classes that carry the goals of an action.
+
+    The same action always gets the same classes.
 
     Raises:
         InvalidInterface: if the class has no type name.
@@ -195,7 +202,9 @@ def event_message(service: type[Service]) -> type[Message]:
 
 
 def owner_and_part(type_name: str) -> tuple[str, str]:
-    """Split the name of an implied type into owner and part; return two empty strings for others.
+    """Split the name of a derived type into its owner and its part.
+
+    For any other name, both strings are empty.
 
     >>> owner_and_part("example_interfaces/action/Fibonacci_SendGoal_Request")
     ('example_interfaces/action/Fibonacci_SendGoal', 'Request')
@@ -205,7 +214,7 @@ def owner_and_part(type_name: str) -> tuple[str, str]:
 
 
 def part_of(owner: Interface | None, part: str) -> Interface | None:
-    """Return the type named after ``owner`` with ``_PART`` added, or None."""
+    """Return the class whose type name is ``OWNER_PART``, or None if there is none."""
     if owner is None or issubclass(owner, Message):
         return None
     if issubclass(owner, Service) and part == "Event":
@@ -218,7 +227,7 @@ def part_of(owner: Interface | None, part: str) -> Interface | None:
 
 @functools.cache
 def made_implied(action: type[Action]) -> Implied:
-    """Make the implied types. The fields and their order are those of ROS."""
+    """Make the classes for `implied`. The fields and their order are those of ROS."""
     check_type_name(action.type_name, kinds=("action",))
     send_goal = service(
         f"{action.type_name}_SendGoal",
@@ -243,7 +252,7 @@ def made_implied(action: type[Action]) -> Implied:
 
 @functools.cache
 def made_event(service: type[Service]) -> type[Message]:
-    """Make the event type. The fields and their order are those of ROS."""
+    """Make the class for `event_message`. The fields and their order are those of ROS."""
     check_type_name(service.type_name)
     return message(
         f"{service.type_name}_Event",
@@ -258,7 +267,7 @@ def made_event(service: type[Service]) -> type[Message]:
 def service(
     type_name: str, request: Mapping[str, object], response: Mapping[str, object]
 ) -> type[Service]:
-    """Make a service with these fields in its parts."""
+    """Make a service class with these fields in its request and response."""
     name, body = naming(type_name)
     body["Request"] = message(f"{type_name}_Request", request)
     body["Response"] = message(f"{type_name}_Response", response)
@@ -267,18 +276,18 @@ def service(
 
 
 def message(type_name: str, annotations: Mapping[str, object]) -> type[Message]:
-    """Make a message with these fields."""
+    """Make a message class with these fields."""
     name, body = naming(type_name)
     body["__annotations__"] = annotations
     return cast("type[Message]", MessageMeta(name, (Message,), body, type_name=type_name))
 
 
 def at_most_one(part: type[Message]) -> object:
-    """Return the annotation of a list with at most one such message."""
+    """Return the annotation of a list with at most one message of this class."""
     return annotation_of(FieldType(part.type_name, None, ArrayForm.BOUNDED, 1), part)
 
 
 def naming(type_name: str) -> tuple[str, dict[str, object]]:
-    """Return the name of a class as in rosidl, and a class body that says where it belongs."""
+    """Return a type's class name, and a class body with ``__module__`` and ``__qualname__``."""
     package, kind, name = type_name.split("/")
     return name, {"__module__": f"{package}.{kind}", "__qualname__": name}

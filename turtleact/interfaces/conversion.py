@@ -1,9 +1,9 @@
-"""Converts messages to checked copies, dicts, and times in nanoseconds, and back.
+"""Makes checked copies of messages, and converts dicts and times to messages and back.
 
-``snapshot`` runs for every goal, feedback and result. This module therefore generates a function
-for each class. That function makes a few comparisons per field, allocates only the copy, and
-accepts only values of exactly the expected Python type. The module ``values`` converts all other
-values, or reports what is wrong.
+``snapshot`` runs for every goal, feedback and result, so it must be fast. This module therefore
+generates a function for each message class. That function makes a few comparisons per field,
+allocates only the copy, and accepts only values of exactly the expected Python type. The module
+``values`` converts all other values, or reports what is wrong.
 
 Source: builtin_interfaces/msg/Time, for the times.
 """
@@ -59,7 +59,8 @@ def snapshot(message: M) -> M:
     infinite or nan.
 
     Raises:
-        InvalidMessage: with the path of the first value that does not fit.
+        InvalidMessage: if a value does not fit its type; the error has the path of the first such
+            value.
 
     >>> from turtleact.interfaces.standard import Point
     >>> snapshot(Point(x=1, y=2.5))
@@ -71,14 +72,16 @@ def snapshot(message: M) -> M:
 
 
 def snapshotter(cls: type[M], *, root: str = "message") -> Callable[[M], M]:
-    """Return the function that ``snapshot`` uses for this class. Keep it if you call it often.
+    """Return the function that ``snapshot`` uses for this class.
 
-    The function also accepts a message of another class with the same name and fields, and converts
-    that message.
+    If you copy many messages of one class, call ``snapshotter`` once and keep the function that it
+    returns. That function also accepts a message of another class with the same type name and
+    fields, and converts that message.
 
     Args:
         cls: The class of the copies.
-        root: The first word of the path in errors; ``goal`` makes them ``InvalidGoal``.
+        root: The first word of the path in errors. If it is ``goal``, the errors are of the class
+            ``InvalidGoal``.
     """
     return compiled(cls, root)
 
@@ -98,12 +101,14 @@ def from_dict(cls: type[M], mapping: Mapping[str, object], *, root: str = "messa
     Missing fields keep their defaults. A nested message may be a mapping or a message.
 
     Args:
-        cls: The class.
-        mapping: Values by ROS's field names.
-        root: The first word of the path in errors; ``goal`` makes them ``InvalidGoal``.
+        cls: The class of the message.
+        mapping: The values, by the ROS names of the fields.
+        root: The first word of the path in errors. If it is ``goal``, the errors are of the class
+            ``InvalidGoal``.
 
     Raises:
-        InvalidMessage: with the path of the first value or name that does not fit.
+        InvalidMessage: if a value does not fit, or a field is unknown; the error has the path of
+            the first such value or field.
     """
     try:
         return filled(cls, mapping)
@@ -112,7 +117,7 @@ def from_dict(cls: type[M], mapping: Mapping[str, object], *, root: str = "messa
 
 
 def nanoseconds(stamp: Time) -> int:
-    """Return a time in ns since the epoch.
+    """Convert a ``Time`` message to nanoseconds since the epoch.
 
     >>> nanoseconds(Time(sec=1, nanosec=2))
     1000000002
@@ -121,7 +126,7 @@ def nanoseconds(stamp: Time) -> int:
 
 
 def stamp_of(time: int) -> Time:
-    """Return the message for a time in ns since the epoch.
+    """Convert nanoseconds since the epoch to a ``Time`` message.
 
     >>> stamp_of(1_000_000_002)
     Time(sec=1, nanosec=2)
@@ -130,13 +135,16 @@ def stamp_of(time: int) -> Time:
 
 
 def error_class(root: str) -> type[InvalidMessage]:
-    """Return the error class for a value below this root."""
+    """Return the class of the errors whose path begins with this word."""
     return InvalidGoal if root == "goal" else InvalidMessage
 
 
 @functools.cache
 def compiled(cls: type[M], root: str) -> Callable[[M], M]:
-    """Return the generated function; without a root, the function for nested messages."""
+    """Return the generated function that checks and copies messages of this class.
+
+    For nested messages, ``root`` is empty: the caller then completes the path in an error.
+    """
     error = error_class(root)
 
     def fail(inner: InvalidMessage) -> InvalidMessage:
@@ -158,7 +166,7 @@ def compiled(cls: type[M], root: str) -> Callable[[M], M]:
 
 
 def adapted(cls: type[M], value: object) -> M:
-    """Convert an equal message of another class to this class."""
+    """Convert a message of another class with the same type name and fields to this class."""
     if not isinstance(value, Message):
         raise InvalidMessage("", f"expected a message ({name_of(cls)}), got {describe(value)}")
     given = type(value)
@@ -171,12 +179,12 @@ def adapted(cls: type[M], value: object) -> M:
 
 
 def name_of(cls: type[Message]) -> str:
-    """Return a class's ROS name for errors, or its Python name if it has none."""
+    """Return the ROS name of a class, or its Python name if it has no ROS name."""
     return cls.type_name or cls.__qualname__
 
 
 def placed(field: Field, convert: Callable[[object], object], value: object) -> object:
-    """Convert one field the slow way. Errors name the field."""
+    """Convert the value of one field with ``convert``, and put the field's name into errors."""
     try:
         return convert(value)
     except InvalidMessage as inner:
@@ -184,7 +192,7 @@ def placed(field: Field, convert: Callable[[object], object], value: object) -> 
 
 
 def source(members: list[Field]) -> str:
-    """Return the source code of a class's function."""
+    """Return the source code of the function that copies a message with these fields."""
     lines = ["def copy(m):", " try:", "  if type(m) is not cls: m = adapt(m)"]
     for index, field in enumerate(members):
         lines.append(f"  v{index} = m.{field.attribute}")
@@ -196,7 +204,10 @@ def source(members: list[Field]) -> str:
 
 
 def statements(field_type: FieldType, index: int) -> list[str]:
-    """Return the code for the value of one field, in ``v0``, ``v1`` and so on."""
+    """Return code that checks and copies the value of one field.
+
+    The variable ``v{index}`` contains the value, and later the copy.
+    """
     value, slow = f"v{index}", f"v{index} = slow{index}(v{index})"
     if field_type.is_sequence:
         return sequence(field_type, index, slow)
@@ -206,7 +217,7 @@ def statements(field_type: FieldType, index: int) -> list[str]:
 
 
 def sequence(field_type: FieldType, index: int, slow: str) -> list[str]:
-    """Return the code for a list: check its elements in place, then copy it."""
+    """Return code that checks the elements of a sequence and then copies the sequence."""
     value = f"v{index}"
     word, length = "if", wrong_length(field_type, value)
     lines = []
@@ -226,15 +237,19 @@ def sequence(field_type: FieldType, index: int, slow: str) -> list[str]:
 
 
 def guarded(fast: str, slow: str) -> list[str]:
-    """Return code that tries the fast way first.
+    """Return code that runs ``fast``. If ``fast`` raises InvalidMessage, the code runs ``slow``.
 
-    If that fails, the slow way finds the value that does not fit.
+    ``slow`` finds the element that does not fit.
     """
     return ["try:", f" {fast}", f"except InvalidMessage: {slow}"]
 
 
 def misses(field_type: FieldType, value: str) -> str:
-    """Return the condition that a value is not exactly of its Python type, or is out of range."""
+    """Return an expression that is true if a value has the wrong Python type or is out of range.
+
+    The expression is also true for text that is not ASCII, because such text may contain half a
+    surrogate pair.
+    """
     name = field_type.name
     if name == "bool":
         return f"{value} is not True and {value} is not False"
@@ -251,7 +266,7 @@ def misses(field_type: FieldType, value: str) -> str:
 
 
 def wrong_length(field_type: FieldType, value: str) -> str:
-    """Return the condition that a sequence is too long, or not of its fixed length."""
+    """Return an expression that is true if a sequence has a length that its type does not allow."""
     if field_type.form is ArrayForm.UNBOUNDED:
         return "False"
     sign = "!=" if field_type.form is ArrayForm.FIXED else ">"
@@ -259,11 +274,11 @@ def wrong_length(field_type: FieldType, value: str) -> str:
 
 
 class Slot(NamedTuple):
-    """How to fill one field.
+    """How to set one field of a message from a mapping.
 
     Attributes:
         attribute: The field's name in Python.
-        convert: Converts the value from the mapping.
+        convert: The function that converts the value in the mapping.
         is_bytes: Whether the field is declared as ``bytes``.
     """
 
@@ -287,7 +302,7 @@ def plain(message: Message) -> dict[str, object]:
 
 
 def filled(cls: type[M], value: object) -> M:
-    """Make a message from a mapping, or from an equal message."""
+    """Make a message from a mapping, or from a message with the same type name and fields."""
     if isinstance(value, Message):
         copy: Callable[[Message], M] = compiled(cls, "")
         return copy(value)
@@ -322,7 +337,7 @@ def slots(cls: type[Message]) -> dict[str, Slot]:
 
 
 def example(cls: type[Message]) -> str:
-    """Describe a mapping for this class in words."""
+    """Describe a mapping that fits this class, for an error."""
     if not fields(cls):
         return "{}, because it has no fields"
     shown = ", ".join(f"{field.name}: {sample(field)}" for field in fields(cls)[:3])
@@ -330,7 +345,7 @@ def example(cls: type[Message]) -> str:
 
 
 def sample(field: Field) -> str:
-    """Return a value for a field, as an example in an error."""
+    """Return an example of a field's value, for an error."""
     if field.type.is_sequence:
         return "[]"
     if field.type.is_nested:
@@ -340,7 +355,10 @@ def sample(field: Field) -> str:
 
 
 def instead(cls: type[Message], name: object) -> str:
-    """Suggest a field's name instead of an unknown one."""
+    """Return the end of the error message about an unknown field.
+
+    It says that a space is missing, suggests a field with a similar name, or lists the fields.
+    """
     names = [field.name for field in fields(cls)]
     if not names:
         return ": there are no fields"
@@ -350,7 +368,7 @@ def instead(cls: type[Message], name: object) -> str:
 
 
 def _missing_space(text: object) -> str:
-    """Point out that YAML needs a space, if a text looks like a field and a value without it."""
+    """Return a hint that YAML needs a space after a colon, if a text looks like ``field:value``."""
     name, colon, value = str(text).partition(":")
     if not (colon and value and name.isidentifier()) or value.startswith(" "):
         return ""

@@ -1,13 +1,15 @@
-"""Generates Python modules from .msg, .srv and .action files, one per package and kind.
+"""Generates Python modules from .msg, .srv and .action files, one module per package and kind.
 
-``turtleact interface python`` uses this, and the modules in ``standard`` were made with it. This
-module turns text into text; the caller reads and writes the files. The same input gives the same
-text, formatted as ruff does.
+The command ``turtleact interface python`` uses this module. The modules in
+``turtleact.interfaces.standard`` were generated with it. This module converts text to text and
+neither reads nor writes files. The same input always gives the same output. The output is formatted
+as ruff formats code.
 
-A generated module declares the same classes that ``load_interface`` would make. Type checkers and
-editors therefore see fields, constants, bounds and defaults. Comments become docstrings.
+A generated module declares the same classes that ``load_interface`` would make, so type checkers
+and editors know their fields, constants, bounds and defaults. The comments of an interface become
+docstrings.
 
-Source: ``rosidl_adapter/parser.py``, which attaches comments to fields much the same way.
+Source: ``rosidl_adapter/parser.py``, which attaches comments to fields in much the same way.
 """
 
 from __future__ import annotations
@@ -58,12 +60,16 @@ KINDS = {
 
 
 def generate(texts: Mapping[str, str]) -> dict[str, str]:
-    """Generate the modules for these interfaces, by path: ``PACKAGE/KIND.py``.
+    """Generate Python modules from the texts of interfaces.
 
-    Messages of other packages are imported from the built-in interfaces.
+    If a message belongs to a package that is not in ``texts``, it is imported from the built-in
+    interfaces.
 
     Args:
-        texts: The text of each interface, by its full name.
+        texts: The text of each interface, by the interface's full name.
+
+    Returns:
+        The text of each module, by its path: ``PACKAGE/KIND.py`` or ``PACKAGE/__init__.py``.
 
     Raises:
         InvalidInterface: if a text is malformed.
@@ -92,7 +98,7 @@ def heading(package: str) -> str:
 
 
 class Interface(msgspec.Struct, frozen=True):
-    """An interface and the comments on each of its parts."""
+    """An interface, with the comments on each of its parts."""
 
     definition: Definition
     comments: tuple[Comments, ...]
@@ -104,13 +110,13 @@ class Interface(msgspec.Struct, frozen=True):
 
 
 class Module:
-    """One generated module.
+    """Writes the text of one generated module.
 
     Args:
-        package: The package.
-        kind: The kind of its interfaces.
-        texts: The interfaces, by full name.
-        local: The packages that are generated together with this one.
+        package: The name of the ROS package.
+        kind: The kind of the interfaces: msg, srv or action.
+        texts: The text of each interface, by the interface's full name.
+        local: The names of the packages that are generated together with ``package``.
     """
 
     def __init__(
@@ -143,7 +149,10 @@ class Module:
         return "\n\n".join(head) + "".join(f"\n\n\n{block}" for block in blocks) + "\n"
 
     def import_blocks(self) -> list[str]:
-        """Return the import statements in ruff's order: standard library, packages, neighbours."""
+        """Return the import statements, sorted as ruff sorts them.
+
+        The standard library comes first, then turtleact, then the other generated modules.
+        """
         sections: list[list[str]] = [[], [], []]
         for module in sorted(self.imports, key=lambda name: (name.startswith("."), rank(name))):
             section = 2 if module.startswith(".") else int(module.startswith("turtleact."))
@@ -156,10 +165,10 @@ class Module:
         return ["\n".join(section) for section in sections if section]
 
     def use(self, module: str, name: str, *, alias: str = "") -> str:
-        """Import a name, and return the name that it has in this module.
+        """Add the import of a name to the generated module, and return the name or its alias.
 
-        A field may have the same name as its type, as in ``byte byte``. A type checker would then
-        mistake the field for the type, so the type gets another name.
+        A field may have the same name as its type, as in ``byte byte``. In that case, the type is
+        imported under another name, because a type checker would mistake the field for the type.
         """
         called = (alias or f"_{name}") if name in self.taken else name
         if module != "builtins" or called != name:
@@ -167,7 +176,7 @@ class Module:
         return called
 
     def whole(self, interface: Interface) -> str:
-        """Return the class of an interface."""
+        """Return the code of the class for an interface."""
         definition, comments = interface.definition, interface.comments
         noun, base = KINDS[self.kind]
         default = f"The {noun} ``{definition.type_name}``."
@@ -187,7 +196,7 @@ class Module:
     def part(
         self, name: str, part: MessageDefinition, comments: Comments, *, is_first: bool
     ) -> list[str]:
-        """Return the class of one part, inside its service or action."""
+        """Return the code of the class for one part of a service or action."""
         inner = INDENT * 2
         about = comments.first if is_first else comments.about or comments.first
         doc = documented(about, "" if part.fields or part.constants else "Empty.", inner)
@@ -196,7 +205,7 @@ class Module:
         return [f"{INDENT}class {name}({self.use(TYPES, 'Message')}):", *doc, *gap, *body]
 
     def members(self, part: MessageDefinition, comments: Comments, indent: str) -> list[str]:
-        """Return the statements for the constants, then for the fields."""
+        """Return the statements that declare the constants of a part, then its fields."""
         constants = [
             [*self.constant(each, indent), *attribute_doc(comments.of(each.name), indent)]
             for each in part.constants
@@ -208,12 +217,12 @@ class Module:
         return spaced([spaced(constants), spaced(fields)], always=True)
 
     def constant(self, constant: Constant, indent: str) -> list[str]:
-        """Return the statement for a constant."""
+        """Return the statement that declares a constant."""
         annotation = f"{self.use('typing', 'ClassVar')}[{self.element(constant.type)}]"
         return assignment(f"{indent}{constant.name}: {annotation}", literal(constant.value))
 
     def field(self, field: Field, indent: str) -> list[str]:
-        """Return the statement for a field."""
+        """Return the statement that declares a field."""
         target = f"{indent}{field.attribute}: {self.annotation(field.type)}"
         if not field.type.is_sequence and not field.type.is_nested:
             value = zero(field.type) if field.default is None else field.default
@@ -227,7 +236,7 @@ class Module:
         return assignment(target, f"{self.use(TYPES, 'field')}(", f"default_factory={factory}", ")")
 
     def factory(self, field: Field) -> str:
-        """Return the default factory of a message or a sequence."""
+        """Return the code of the default factory for a field with a message or a sequence."""
         element, kind = self.element(field.type), field.type
         if field.default:
             return f"lambda: [{', '.join(literal(item) for item in field.default)}]"  # type: ignore[union-attr]  # a sequence
@@ -251,7 +260,7 @@ class Module:
         return inner
 
     def element(self, kind: FieldType) -> str:
-        """Return the annotation of one element."""
+        """Return the annotation of this type, or of one element if the type is a sequence."""
         if kind.is_nested:
             return self.message(kind.name)
         name = self.use(TYPES, "bool_" if kind.name == "bool" else kind.name)
@@ -260,7 +269,7 @@ class Module:
         return f"{self.use(TYPES, 'bounded')}[{name}, {kind.string_bound}]"
 
     def message(self, type_name: str) -> str:
-        """Return what a message class is called in this module."""
+        """Add the import of a message class if necessary. Return the class's name in the module."""
         package, _, name = type_name.split("/")
         if (package, self.kind) == (self.package, "msg"):
             return name
@@ -295,7 +304,10 @@ def in_order(interfaces: Iterable[Interface]) -> list[Interface]:
 
 
 def spaced(entries: list[list[str]], *, always: bool = False) -> list[str]:
-    """Return the lines of all entries, with blank lines around entries of several lines."""
+    """Return the lines of all entries, with blank lines around each entry that has several lines.
+
+    If ``always`` is true, a blank line separates all entries.
+    """
     lines: list[str] = []
     last: list[str] = []
     for entry in filter(None, entries):
@@ -320,13 +332,17 @@ def from_import(module: str, names: list[str]) -> str:
 
 
 def wrapped(head: str, items: list[str], tail: str, *, is_tight: bool = False) -> list[str]:
-    """Wrap items in brackets as ruff does: on one line, together on the next, or one per line.
+    """Return code with items in brackets, wrapped as ruff wraps it.
+
+    If the code is too long for one line, either the items share a line between the brackets (only
+    if ``is_tight``), or each item has a line of its own.
 
     Args:
-        head: The text before the items, with the opening bracket.
-        items: The items.
+        head: The text before the items, including the opening bracket.
+        items: The items, without commas.
         tail: The closing bracket, and the text after it.
-        is_tight: Whether the items may stand together on a line of their own, as arguments may.
+        is_tight: Whether the items may share a line between the brackets, as ruff allows for
+            arguments.
     """
     one = f"{head}{', '.join(items)}{tail}"
     if len(one) <= WIDTH:
@@ -339,7 +355,11 @@ def wrapped(head: str, items: list[str], tail: str, *, is_tight: bool = False) -
 
 
 def assignment(target: str, head: str, argument: str = "", tail: str = "") -> list[str]:
-    """Return an assignment of a value, or of a call with one argument, wrapped as ruff does."""
+    """Return the lines of an assignment, wrapped as ruff wraps it.
+
+    The value is either ``head`` alone, or a call. For a call, ``head`` ends with the opening
+    bracket, and ``tail`` is the closing bracket.
+    """
     one = f"{target} = {head}{argument}{tail}"
     if len(one) <= WIDTH:
         return [one]
@@ -358,7 +378,7 @@ def assignment(target: str, head: str, argument: str = "", tail: str = "") -> li
 
 
 def literal(value: Primitive) -> str:
-    """Return a value in Python syntax, with quotes as ruff sets them."""
+    """Return a value in Python syntax, with the quotes that ruff would choose."""
     if not isinstance(value, str):
         return repr(value)
     inside = repr(f"'\"{value}")[3:-1].replace("\\'", "'").removeprefix('"')
@@ -367,7 +387,7 @@ def literal(value: Primitive) -> str:
 
 
 def documented(lines: tuple[str, ...], default: str, indent: str) -> list[str]:
-    """Make a class's docstring from a comment. The docstring's first line is a sentence."""
+    """Make the docstring of a class from a comment. The first line is always a sentence."""
     width = WIDTH - len(indent) - 6
     paragraphs = paragraphs_of(lines)
     if not paragraphs:
@@ -400,7 +420,10 @@ def paragraphs_of(lines: tuple[str, ...]) -> list[str]:
 
 
 def docstring(lines: list[str], indent: str) -> list[str]:
-    """Write a docstring on one line if it fits, otherwise with separate closing quotes."""
+    """Return the lines of a docstring.
+
+    If the docstring does not fit on one line, its closing quotes have a line of their own.
+    """
     width = WIDTH - len(indent)
     first, *rest = [line.rstrip().replace('"""', "'''") for line in lines]
     is_raw = "\\" in "".join([first, *rest])
@@ -414,7 +437,7 @@ def docstring(lines: list[str], indent: str) -> list[str]:
 
 
 def fold(line: str, width: int) -> list[str]:
-    """Wrap a line of a comment only where it is too long."""
+    """Return a line of a comment, wrapped into several lines if it is longer than ``width``."""
     if len(line) <= width:
         return [line]
     margin = " " * (len(line) - len(line.lstrip()))
@@ -429,17 +452,21 @@ def fold(line: str, width: int) -> list[str]:
 
 
 def sort_key(name: str) -> tuple[int, list[str | int]]:
-    """Sort as ruff does: CONSTANTS, then Classes, then the rest; numbers by their value."""
+    """Return a sort key that puts names in the same order as ruff.
+
+    Constants (in capitals) come first, then classes, then all other names. Numbers in names are
+    compared by value.
+    """
     group = 0 if name.isupper() and len(name) > 1 else 1 if name[0].isupper() else 2
     return group, natural(name)
 
 
 def natural(name: str) -> list[str | int]:
-    """Return a sort key for a name with numbers in it."""
+    """Return a sort key that compares the numbers in names by value: ``x9`` before ``x10``."""
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", name)]
 
 
 def rank(module: str) -> tuple[int, str]:
-    """Return the sort key of an import; more dots come first."""
+    """Return the sort key of a module in imports. Modules with more leading dots come first."""
     dots = len(module) - len(module.lstrip("."))
     return -dots, module

@@ -1,8 +1,10 @@
-"""Parses the text of a .msg, .srv or .action into a definition.
+"""Parses the text of a .msg, .srv or .action file into a definition.
 
-Each line has a type, a name, and a default or a constant's value. ``#`` starts a comment, which is
-dropped. ``---`` separates the parts. Every error has file, line, column and a caret. This module
-reads only text; ``classes`` checks whether the messages in a definition exist.
+Each line declares a field or a constant. A field has a type, a name and perhaps a default; a
+constant has a type, a name and a value. ``#`` starts a comment, which is ignored. A line ``---``
+separates the parts of a service or action. Each error has file, line and column, and shows a caret
+below the column. This module reads only the text; the module ``classes`` checks whether the
+messages that a definition uses exist.
 
 Source: the ROS 2 article "Interface definition", and ``rosidl_adapter/parser.py``.
 """
@@ -77,29 +79,31 @@ comment_pattern = re.compile(rf"(?:(?<=[\s=\[,]){quoted}|[^#])*")
 
 
 class Line(msgspec.Struct, frozen=True):
-    """One line of the text, with its position."""
+    """One line of the text, with its line number and the name of its source."""
 
     source: str
     number: int
     text: str
 
     def refuse(self, problem: str, column: int = 0) -> NoReturn:
-        """Raise an error at this column, counted from 0."""
+        """Raise an error that points at a column of the line. The first column is 0."""
         raise InvalidInterface(
             problem, source=self.source, line=self.number, column=column + 1, text=self.text
         )
 
 
 def parse(text: str, type_name: str, *, source: str = "") -> Definition:
-    """Parse the text of an interface. The interface's kind follows from its name.
+    """Parse the text of an interface.
+
+    The kind in ``type_name`` says whether the text is that of a message, a service or an action.
 
     Args:
-        text: The text of a .msg, .srv or .action.
+        text: The text of a .msg, .srv or .action file.
         type_name: The full name, ``package/kind/Name``.
-        source: The file to show in errors. If left out, errors show the type name.
+        source: The file to name in errors. If left out, errors show the type name.
 
     Raises:
-        InvalidInterface: with line, column and caret.
+        InvalidInterface: if the text is malformed. The error shows line, column and a caret.
 
     >>> parse("int32 order 5", "example_msgs/msg/Order").fields[0].default
     5
@@ -125,10 +129,12 @@ class Comments(msgspec.Struct, frozen=True):
     """The comments on one part of an interface, without their ``#``.
 
     Attributes:
-        about: The lines at the top that a blank line separates from the first member.
-        first: The lines directly above the first member, if nothing is above them. In a .msg with
-            one field, they describe the message.
-        members: The comments above and behind each field and constant.
+        about: The comment on the whole part: the lines at the top before a blank line, and the
+            lines below the last member.
+        first: The comment directly above the first member, which may describe the whole part. It is
+            empty if another comment stands above that comment or above another member.
+        members: The comments above and after each field and constant, by its name. They do not
+            contain the comment in ``first``.
     """
 
     about: tuple[str, ...] = ()
@@ -144,8 +150,8 @@ def read_comments(text: str, type_name: str) -> tuple[Comments, ...]:
     r"""Return the comments in the text of an interface, one entry per part.
 
     Args:
-        text: A text that `parse` accepts.
-        type_name: The full name.
+        text: The text of an interface, which `parse` must accept.
+        type_name: The full name of the interface.
 
     >>> text = "# A place.\nfloat64 x  # in metres"
     >>> [comments] = read_comments(text, "example_msgs/msg/Place")
@@ -158,7 +164,7 @@ def read_comments(text: str, type_name: str) -> tuple[Comments, ...]:
 
 
 class Commented(NamedTuple):
-    """A member, with the comment lines above it and after it."""
+    """The name of a field or constant, with the comment lines above it and after it."""
 
     name: str
     above: list[str]
@@ -166,7 +172,7 @@ class Commented(NamedTuple):
 
 
 def part_comments(lines: list[Line]) -> Comments:
-    """Return the comments on one part."""
+    """Return the comments on one part of an interface."""
     entries, left = commented(lines)
     about, top = set_off(entries[0].above) if entries else ([], [])
     is_lone = bool(top) and not about and not any(any(entry.above) for entry in entries[1:])
@@ -178,10 +184,10 @@ def part_comments(lines: list[Line]) -> Comments:
 
 
 def commented(lines: list[Line]) -> tuple[list[Commented], list[str]]:
-    """Return a part's members with their comments, and the comment below the last member.
+    """Return the members of a part with their comments, and the comment below the last member.
 
-    A comment belongs to the member below it. An indented comment continues the comment after a
-    member.
+    A comment on a line of its own belongs to the member below it. However, if the line is indented
+    and follows the comment after a member, it continues that comment.
     """
     entries: list[Commented] = []
     above: list[str] = []
@@ -202,7 +208,7 @@ def commented(lines: list[Line]) -> tuple[list[Commented], list[str]]:
 
 
 def set_off(above: list[str]) -> tuple[list[str], list[str]]:
-    """Split the lines above a member: those about the whole part, and those about the member."""
+    """Split the comment above a member into lines about the part and lines about the member."""
     blank = max((index for index, line in enumerate(above) if not line), default=-1)
     return (
         (above[:blank], above[blank + 1 :])
@@ -212,13 +218,13 @@ def set_off(above: list[str]) -> tuple[list[str], list[str]]:
 
 
 def trimmed(lines: list[str]) -> tuple[str, ...]:
-    """Return the lines without blank ones at either end."""
+    """Remove the blank lines at the beginning and at the end."""
     text = "\n".join(lines).strip("\n")
     return tuple(text.split("\n")) if text else ()
 
 
 def uncommented(text: str) -> str:
-    """Remove the ``#`` of a comment. A line with nothing else becomes a blank line."""
+    """Remove the ``#`` of a comment. If the comment has no text, the result is empty."""
     said = text.lstrip("#").expandtabs().rstrip()
     return "".join(c for c in said.removeprefix(" ") if c.isprintable())
 
@@ -232,7 +238,7 @@ _HAS = {
 
 
 def split(lines: list[Line], count: int) -> list[list[Line]]:
-    """Split the lines into parts."""
+    """Split the lines of an interface into its parts, which are separated by ``---``."""
     sections: list[list[Line]] = [[]]
     for line in lines:
         if without_comment(line.text).rstrip() != "---":
@@ -267,7 +273,7 @@ def parse_part(lines: list[Line], type_name: str, package: str) -> MessageDefini
 
 
 def parse_member(line: Line, text: str, package: str) -> tuple[Field | Constant, int]:
-    """Parse a line into a field or constant, and the column of its name."""
+    """Parse a line. Return its field or constant, and the column of the name."""
     match = member_pattern.fullmatch(text)
     if match is None or match["name"] is None:
         line.refuse("expected a type and a name", len(text.rstrip()))
@@ -308,7 +314,7 @@ def parse_type(line: Line, text: str, column: int, package: str) -> FieldType:
 
 
 def full_name(line: Line, name: str, column: int, package: str) -> str:
-    """Return a primitive's name unchanged, or a message's full name."""
+    """Return the name of a primitive type unchanged, or the full name of a message."""
     if name in PRIMITIVES:
         return name
     match = nested_pattern.fullmatch(name)
@@ -321,7 +327,7 @@ def full_name(line: Line, name: str, column: int, package: str) -> str:
 def parse_value(
     line: Line, field_type: FieldType, text: str, column: int
 ) -> Primitive | tuple[Primitive, ...]:
-    """Parse a default or a constant's value."""
+    """Parse the default of a field, or the value of a constant."""
     if field_type.is_nested:
         line.refuse(f"a message ({field_type}) cannot have a default", column)
     if not text and not field_type.is_string:
@@ -345,7 +351,7 @@ def parse_value(
 
 
 def parse_list(line: Line, text: str, element: FieldType, *, column: int) -> list[object]:
-    """Parse the elements of a default in brackets."""
+    """Parse a default in brackets, and return its elements."""
     if not (text.startswith("[") and text.endswith("]")):
         line.refuse("the default of a list must be in brackets, as in [1, 2]", column)
     inner = text[1:-1].strip()
@@ -363,7 +369,7 @@ def parse_list(line: Line, text: str, element: FieldType, *, column: int) -> lis
 
 
 def literal(text: str, field_type: FieldType) -> object:
-    """Return the value that a word stands for; if it can only be text, return the word itself."""
+    """Convert a word to a value for this type. Return the word itself if it cannot be converted."""
     name = field_type.name
     if field_type.is_string:
         return unquoted(text)
@@ -384,7 +390,10 @@ NUMBERS: dict[str, tuple[Callable[[str], object], ...]] = {
 
 
 def unquoted(text: str) -> str:
-    """Remove the quotes around a text. Inside them, a backslash escapes only the quote."""
+    """Remove the quotes around a text, if there are any.
+
+    Inside the quotes, a backslash escapes only the quote character.
+    """
     if not re.fullmatch(quoted, text):
         return text
     quote = text[0]
@@ -392,6 +401,6 @@ def unquoted(text: str) -> str:
 
 
 def without_comment(text: str) -> str:
-    """Remove the comment from a line. A # in quotes does not begin a comment."""
+    """Remove the comment from a line. A ``#`` inside quotes does not begin a comment."""
     match = comment_pattern.match(text) if "#" in text else None
     return text if match is None else match[0]

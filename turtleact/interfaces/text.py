@@ -1,10 +1,13 @@
-"""Converts messages to YAML or JSON, and back. Each error names its place in the text.
+"""Converts messages to YAML or JSON, and back.
 
 YAML 1.1 reads ``no`` as false, ``y`` as true, ``1:30`` as ninety and ``017`` as fifteen. A turtle's
-name or a coordinate in a goal must not be misread like that. Therefore this module uses only YAML's
-syntax. A bare word is true, false, null or a number only if JSON and YAML 1.2 agree that it is. The
-exceptions are numbers like ``.5``, ``5.`` and ``0x1F``. Everything else is text, dates included.
-JSON is read as JSON, which is faster. Only this module uses PyYAML.
+name or a coordinate in a goal must not be misread in this way. Therefore this module uses PyYAML
+only for YAML's syntax, and decides itself what a word means. A word without quotes is true, false,
+null or a number if YAML 1.2 says so. However, numbers like ``017`` and ``0o17`` are text, because
+YAML 1.1 and YAML 1.2 read them differently. Everything else is text, including dates. JSON is
+parsed as JSON, which is faster than parsing it as YAML.
+
+An error names the field, or the line and column in the text.
 
 Source: YAML 1.2.2, section 10.3, the core schema; PyYAML's scanner, parser and composer.
 """
@@ -75,21 +78,24 @@ def from_text(
     source: str = "goal",
     allow_nonfinite: bool = False,
 ) -> M:
-    """Parse a message from YAML or JSON. An empty text gives the default message.
+    """Parse a message from YAML or JSON. An empty text gives the message with its defaults.
 
-    Values are not converted: a number in quotes is text, ``3.7`` is not an integer, and ``no`` is
-    not a bool. Tags, merge keys and further documents are refused. Texts are also refused if they
-    are too long, too deeply nested, or grow too large through aliases.
+    Values are not converted to the types of fields: a number in quotes is text, ``3.7`` is not an
+    integer, and ``no`` is not a bool. Texts with tags, merge keys or more than one document are
+    refused. Texts are also refused if they are too long or too deeply nested, or if aliases make
+    them too large.
 
     Args:
-        cls: The class.
-        text: Up to 1 MiB of JSON or 128 KiB of YAML.
-        root: The first word of the path in errors; ``goal`` makes them ``InvalidGoal``.
-        source: The name shown before line and column of malformed text.
-        allow_nonfinite: Whether ``.nan`` and ``.inf`` are numbers.
+        cls: The class of the message.
+        text: At most 1,048,576 characters of JSON, or 131,072 characters of YAML.
+        root: The first word of the path in errors. If this word is ``goal``, the errors are of the
+            class ``InvalidGoal``.
+        source: The name of the text, which errors show before line and column.
+        allow_nonfinite: Whether ``.nan`` and ``.inf`` are accepted as numbers.
 
     Raises:
-        InvalidMessage: for the first error.
+        InvalidMessage: if the text is malformed, or a value does not fit its field. The error
+            describes only the first problem.
 
     >>> from turtleact.interfaces.standard import Point
     >>> from_text(Point, "{x: 1, y: 1e3}")
@@ -123,7 +129,7 @@ def to_json(message: Message) -> str:
 
 
 class Document(msgspec.Struct, frozen=True):
-    """A text, with the options for reading it."""
+    """A text to parse, with the options of `from_text`."""
 
     text: str
     root: str
@@ -131,7 +137,7 @@ class Document(msgspec.Struct, frozen=True):
     allow_nonfinite: bool
 
     def refuse(self, problem: str, place: tuple[int, int] | None = None) -> NoReturn:
-        """Raise an error about the text at a place: line and column, counted from 0."""
+        """Raise an error that shows a place in the text: line and column, both counted from 0."""
         error = error_class(self.root)
         if place is None:
             raise error(self.source, problem)
@@ -149,9 +155,9 @@ class Document(msgspec.Struct, frozen=True):
 
 
 class Loader(Reader, Scanner, Parser, Composer, BaseResolver):
-    """The part of PyYAML that makes nodes.
+    """Parses YAML into PyYAML's nodes.
 
-    It creates no Python objects, so it cannot run any code.
+    It creates no Python objects from the nodes, so a text cannot run any code.
     """
 
     def __init__(self, document: Document) -> None:
@@ -179,7 +185,7 @@ class Loader(Reader, Scanner, Parser, Composer, BaseResolver):
 
 
 def tree_of(document: Document) -> object:
-    """Parse a text into plain values."""
+    """Parse a YAML or JSON text into plain values: dicts, lists, texts, numbers and bools."""
     text = document.text
     if len(text) > MOST_JSON:
         document.refuse(f"{len(text)} characters are too many: at most {MOST_JSON}")
@@ -198,7 +204,7 @@ def tree_of(document: Document) -> object:
 
 
 def json_tree(document: Document) -> object:
-    """Parse a JSON text into plain values. The exceptions are those of `json.loads`."""
+    """Parse a JSON text into plain values. Malformed JSON raises what `json.loads` raises."""
 
     def number(word: str) -> object:
         return scalar(word, document.allow_nonfinite)
@@ -217,7 +223,7 @@ def json_tree(document: Document) -> object:
 
 
 def refuse_json(document: Document, error: ValueError | RecursionError) -> NoReturn:
-    """Raise the error for malformed JSON that is too long to be read as YAML."""
+    """Raise the error for a faulty JSON text. This text is too long to be read as YAML."""
     if isinstance(error, json.JSONDecodeError):
         place = error.lineno - 1, error.colno - 1
         document.refuse(f"{error.msg}; it is too long to be YAML", place)
@@ -225,7 +231,7 @@ def refuse_json(document: Document, error: ValueError | RecursionError) -> NoRet
 
 
 def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Return a JSON object, unless it has a name twice."""
+    """Make a dict from the members of a JSON object. Raise an error if a name appears twice."""
     result = dict(pairs)
     if len(result) < len(pairs):
         raise ValueError("a name appears twice")
@@ -233,7 +239,7 @@ def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def sounded(document: Document, value: object, depth: int) -> object:
-    """Check how deeply a JSON value is nested, and return the value. null becomes a `Spelled`."""
+    """Replace each null in a JSON value by a `Spelled`, and refuse nesting that is too deep."""
     if depth > DEEPEST:
         document.refuse(TOO_DEEP)
     if isinstance(value, dict):
@@ -244,7 +250,7 @@ def sounded(document: Document, value: object, depth: int) -> object:
 
 
 def with_spelled_bools(value: object) -> object:
-    """Replace the bools in a plain value, so that errors show them as YAML and JSON write them."""
+    """Replace the bools in a plain value, so that errors show ``true`` instead of ``True``."""
     if isinstance(value, dict):
         return {key: with_spelled_bools(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -253,7 +259,7 @@ def with_spelled_bools(value: object) -> object:
 
 
 def compose(document: Document) -> Node | None:
-    """Return the node of the only YAML document in a text; None if the text is empty."""
+    """Return the root node of a text with one YAML document; None if the text is empty."""
     try:
         loader = Loader(document)
     except ReaderError as error:
@@ -270,7 +276,7 @@ def compose(document: Document) -> Node | None:
 
 
 def said(error: yaml.MarkedYAMLError) -> str:
-    """Describe PyYAML's error in a few words."""
+    """Describe an error of PyYAML in a few words."""
     if error.context == "expected a single document in the stream":
         return "more than one document"
     if error.problem == "mapping values are not allowed here":
@@ -280,19 +286,19 @@ def said(error: yaml.MarkedYAMLError) -> str:
 
 
 def place_of(mark: Mark) -> tuple[int, int]:
-    """Return line and column, counted from 0."""
+    """Return the line and the column of a mark, both counted from 0."""
     return mark.line, mark.column
 
 
 class Expansion:
-    """Converts nodes to plain values, following aliases, and counts them."""
+    """Converts YAML nodes to plain values, follows aliases, and limits the number of values."""
 
     def __init__(self, document: Document) -> None:
         self.document = document
         self.left = MOST_NODES
 
     def value(self, node: Node, depth: int) -> object:
-        """Convert a node."""
+        """Convert a node to a plain value, and count the value."""
         self.left -= 1
         if self.left < 0:
             self.document.refuse(f"too large: more than {MOST_NODES} values, with aliases followed")
@@ -307,7 +313,7 @@ class Expansion:
         return node.value
 
     def mapping(self, node: yaml.MappingNode, depth: int) -> dict[str, object]:
-        """Convert a mapping. The keys are the words as they were written."""
+        """Convert a mapping to a dict. The keys stay text, even those that look like numbers."""
         result: dict[str, object] = {}
         for key, item in node.value:
             place = place_of(key.start_mark)
@@ -322,7 +328,7 @@ class Expansion:
 
 
 def scalar(word: str, allow_nonfinite: bool) -> object:
-    """Return the value of a bare word."""
+    """Return the value that a word without quotes stands for."""
     if word in NULLS:
         return Spelled("null")
     if word in WORDS:
@@ -340,7 +346,7 @@ def scalar(word: str, allow_nonfinite: bool) -> object:
 
 
 def block(mapping: dict[str, object]) -> list[str]:
-    """Return the lines of a message."""
+    """Return the lines of a message in block YAML."""
     lines: list[str] = []
     for name, value in mapping.items():
         if isinstance(value, dict) and value:
@@ -353,7 +359,7 @@ def block(mapping: dict[str, object]) -> list[str]:
 
 
 def listed(item: object) -> Iterator[str]:
-    """Return the lines of an element of a list."""
+    """Return the lines of one element of a list in block YAML."""
     lines = block(item) if isinstance(item, dict) else [inline(item)]
     for index, line in enumerate(lines):
         yield f"  {line}" if index else f"- {line}"
@@ -374,7 +380,7 @@ def flow(value: object) -> str:
 
 
 def inline(value: object) -> str:
-    """Write a value on one line."""
+    """Write a single value, or an empty list or message, as YAML on one line."""
     if isinstance(value, dict):
         return "{}"
     if isinstance(value, list | bytes):
@@ -394,7 +400,7 @@ def inline(value: object) -> str:
 
 
 def quoted(text: str) -> str:
-    """Return the text, in quotes if YAML needs them."""
+    """Return a text as it is written in YAML, with quotes if it needs them."""
     if plain_pattern.fullmatch(text) and not misread_pattern.fullmatch(text):
         return text
     style = "'" if text.isprintable() else '"'
@@ -403,7 +409,7 @@ def quoted(text: str) -> str:
 
 
 def sayable(value: object) -> object:
-    """Convert a plain value to one that JSON supports."""
+    """Convert a plain Python value to one that JSON can hold: nan and infinity become None."""
     if isinstance(value, dict):
         return {name: sayable(item) for name, item in value.items()}
     if isinstance(value, list | bytes):

@@ -1,11 +1,12 @@
-"""The type hash (RIHS01), which shows ROS 2 nodes whether they use the same definition of a type.
+"""Computes type hashes (RIHS01), by which ROS 2 nodes see whether they use the same definitions.
 
-The hash is the SHA-256 of a description of the type and of all types in it: names, fields, field
-types and their order. Defaults, constants and comments do not count. The hashed text is JSON with
-exact spacing: ``", "`` and ``": "`` as separators, ASCII only, no line break.
+The hash is the SHA-256 of a description of the type and of all types in it. The description
+consists of the names of the types, and the names and types of their fields, in order. Defaults,
+constants and comments do not change the hash. The description is JSON with exact spacing: ``", "``
+and ``": "`` as separators, only ASCII characters, and no line break.
 
-Source: REP 2016 (rosidl calls it 2011), ``rosidl_generator_type_description/__init__.py``, and the
-numbers of ``type_description_interfaces/msg/FieldType.msg``.
+Source: REP 2016 (rosidl calls it REP 2011), ``rosidl_generator_type_description/__init__.py``, and
+the numbers of ``type_description_interfaces/msg/FieldType.msg``.
 """
 
 from __future__ import annotations
@@ -55,7 +56,10 @@ FORM_IDS = {
 
 
 class Member(NamedTuple):
-    """One line of a description; ``nested`` is the type inside, or None."""
+    """One field in a description.
+
+    If the field contains messages, ``nested`` is their class, otherwise None.
+    """
 
     name: str
     type: FieldType
@@ -69,8 +73,9 @@ PLACEHOLDER = Member("structure_needs_at_least_one_member", FieldType("uint8"))
 def type_hash(cls: Interface) -> str:
     """Return the type hash of a message, service or action, as in ROS 2 from Iron on.
 
-    The hash is computed once per class, on first use. Nodes send the hashes of messages and
-    services, including those derived from an action. Nodes do not send an action's own hash.
+    The hash is computed once per class, on first use. Nodes announce the hashes of messages and
+    services, including those derived from an action. They do not announce the hash of the action
+    itself.
 
     Raises:
         InvalidInterface: if the class has no type name.
@@ -85,7 +90,7 @@ def type_hash(cls: Interface) -> str:
 
 @functools.cache
 def hashed(cls: Interface) -> str:
-    """Compute the hash."""
+    """Compute the type hash of an interface."""
     import json  # only this function needs these two, which are slow to import
     from hashlib import sha256
 
@@ -99,7 +104,7 @@ def hashed(cls: Interface) -> str:
 
 
 def referenced(cls: Interface) -> dict[str, Interface]:
-    """Return all types inside this one, at any depth, by name."""
+    """Return all types that an interface contains, at any depth, by type name."""
     found: dict[str, Interface] = {}
     waiting = [cls]
     while waiting:
@@ -111,13 +116,19 @@ def referenced(cls: Interface) -> dict[str, Interface]:
 
 
 def description(cls: Interface) -> dict[str, object]:
-    """Return the description of one type. The order of the keys matters."""
+    """Return the description of one type.
+
+    The order of the keys matters, because the description is hashed as text.
+    """
     rows = [{"name": member.name, "type": field_type(member.type)} for member in members(cls)]
     return {"type_name": cls.type_name, "fields": rows}
 
 
 def field_type(kind: FieldType) -> dict[str, object]:
-    """Return the description of a field's type. The order of the keys matters."""
+    """Return the description of a field's type.
+
+    The order of the keys matters, because the description is hashed as text.
+    """
     bound = kind.string_bound or 0
     if kind.name == "wstring" and bound and kind.form is ArrayForm.UNBOUNDED:
         # rosidl_parser mistakes the bound of the wstring for the bound of the list.
@@ -132,7 +143,7 @@ def field_type(kind: FieldType) -> dict[str, object]:
 
 
 def members(cls: Interface) -> list[Member]:
-    """Return the fields of a message, or the types that make up a service or action."""
+    """Return the fields of a message, or one field for each type in a service or action."""
     if issubclass(cls, Action):
         types = implied(cls)
         inside: dict[str, Interface] = {

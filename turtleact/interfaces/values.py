@@ -1,12 +1,12 @@
 """Checks values against the types of fields, and explains why a value does not fit.
 
-The path in an error grows from the inside out: a check raises an error with the inner path, and
-each caller adds its own name in front. This module is the slow, exact way. ``conversion`` generates
-the fast way, which falls back to this module for values that are not exactly of the expected Python
-type.
+The path in an error is built from the inside out: a check raises an error with the inner path, and
+each caller adds a field's name or an element's index in front. These checks are exact but slow. The
+module ``conversion`` generates faster checks, which call this module only for values that are not
+exactly of the expected Python type.
 
-A ``byte`` is an int from 0 to 255; ``bytes`` of length one are accepted too. The elements of a
-sequence are returned as a plain list; only ``bytes`` given for a sequence of bytes stay ``bytes``.
+A ``byte`` is an int from 0 to 255; ``bytes`` of length one are accepted too. A sequence becomes a
+list, except that ``bytes`` and ``bytearray`` become ``bytes`` if the field is a sequence of bytes.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ EXPECTED = {
 
 
 def expected(field_type: FieldType) -> str:
-    """Describe a value of this type in words."""
+    """Describe in words which values a type accepts."""
     if not field_type.is_sequence:
         return EXPECTED.get(field_type.name, f"a message ({field_type.name})")
     count = f"{field_type.size} " if field_type.form is ArrayForm.FIXED else ""
@@ -54,24 +54,24 @@ def expected(field_type: FieldType) -> str:
 
 
 def misfit(field_type: FieldType, value: object) -> InvalidMessage:
-    """Make the error for a value of the wrong kind."""
+    """Make the error for a value of the wrong type."""
     return InvalidMessage("", f"expected {expected(field_type)}, got {describe(value)}")
 
 
 def describe(value: object) -> str:
-    """Show a value in an error as Python writes it, but shortened."""
+    """Return a value in Python syntax, shortened for an error."""
     return SHORT.repr(value)
 
 
 class ShortRepr(reprlib.Repr):
-    """Python's short repr, which also handles numbers with too many digits for Python to write."""
+    """Shortens values for errors, even ints that are too long for Python to convert to text."""
 
     def __init__(self) -> None:
         super().__init__()
         self.maxstring = self.maxother = 60
 
     def repr_int(self, x: int, level: int) -> str:  # noqa: ARG002  the base class's signature
-        """Write a number, or only its size if no ROS type can hold the number."""
+        """Return an int as text, or only its size in bits if it is too large for any ROS type."""
         return repr(x) if x.bit_length() <= 128 else f"a number of {x.bit_length()} bits"
 
 
@@ -79,12 +79,15 @@ SHORT = ShortRepr()
 
 
 class Spelled:
-    """A value that errors show as it was written in the text. Most such values fit no field.
+    """A word of YAML or JSON that stays as it was written, so that errors can show it.
+
+    Only a bool field accepts such a value, and only if ``truth`` is not None.
 
     Attributes:
         word: The value as it was written, or a description.
-        fits: The types that would accept it if it were not too large.
-        truth: The bool that the word stands for; None if it is neither true nor false.
+        fits: If the value is a number that is out of range, the names of the number types that it
+            would otherwise fit.
+        truth: The bool that the word stands for; None if the word means neither true nor false.
     """
 
     def __init__(self, word: str, fits: Collection[str] = (), *, truth: bool | None = None) -> None:
@@ -100,8 +103,8 @@ def converter(field_type: FieldType, element: Convert | None = None) -> Convert:
     """Return a function that converts a value for a field of this type, or raises an error.
 
     Args:
-        field_type: The type.
-        element: Converts one message, if the type is a message.
+        field_type: The type of the field.
+        element: A function that converts one message; needed only if the field holds messages.
     """
     if element is None:
         element = functools.partial(PRIMITIVE[field_type.name], field_type.element)
@@ -111,9 +114,9 @@ def converter(field_type: FieldType, element: Convert | None = None) -> Convert:
 
 
 def whole_number(field_type: FieldType, value: object) -> int:
-    """Convert a value to an int in range.
+    """Convert a value to an int, and check that it is in the type's range.
 
-    The value may be an integer of numpy or any object with __index__.
+    The value may be an integer of numpy or any object with ``__index__``.
     """
     name = field_type.name
     if name == "byte" and isinstance(value, bytes) and len(value) == 1:
@@ -133,7 +136,7 @@ def whole_number(field_type: FieldType, value: object) -> int:
 
 
 def number(field_type: FieldType, value: object) -> float:
-    """Convert a real number, of Python or numpy, to a float, without rounding it to float32."""
+    """Convert a real number of Python or numpy to a float, which is not rounded to float32."""
     limit, edge = FLOAT_LIMITS[field_type.name]
     if is_too_large(field_type, value):
         raise out_of_range(field_type, value, f"-{edge}", edge)
@@ -151,7 +154,7 @@ def number(field_type: FieldType, value: object) -> float:
 
 
 def truth(field_type: FieldType, value: object) -> bool:
-    """Convert a bool, Python's or numpy's, to Python's."""
+    """Convert a bool of Python or numpy to a bool of Python."""
     if isinstance(value, Spelled) and value.truth is not None:
         return value.truth
     if not is_bool(value):
@@ -160,7 +163,10 @@ def truth(field_type: FieldType, value: object) -> bool:
 
 
 def text(field_type: FieldType, value: object) -> str:
-    """Convert to a str that can be sent. A bound counts characters, as in rclpy."""
+    """Check that a value is a str that can be sent, and return it.
+
+    The bound of a string type limits the number of characters, as in rclpy.
+    """
     if not isinstance(value, str):
         raise misfit(field_type, value)
     plain = str.__str__(value)
@@ -176,7 +182,10 @@ def text(field_type: FieldType, value: object) -> str:
 
 
 def sequence(field_type: FieldType, element: Convert, value: object) -> object:
-    """Convert to a list with valid elements and a valid length. ``bytes`` stay ``bytes``."""
+    """Convert a sequence to a list, and check its elements and its length.
+
+    However, ``bytes`` and ``bytearray`` become ``bytes`` if the type is a sequence of bytes.
+    """
     items = as_items(field_type, value)
     check_length(field_type, len(items))
     if isinstance(items, bytes):
@@ -185,7 +194,7 @@ def sequence(field_type: FieldType, element: Convert, value: object) -> object:
 
 
 def converted(element: Convert, items: Iterable[object]) -> Iterable[object]:
-    """Convert each element. An error names the index of its element."""
+    """Convert each element. An error about an element contains the element's index."""
     for index, item in enumerate(items):
         try:
             yield element(item)
@@ -194,7 +203,7 @@ def converted(element: Convert, items: Iterable[object]) -> Iterable[object]:
 
 
 def as_items(field_type: FieldType, value: object) -> Sequence[object]:
-    """Return the elements of a list, tuple or one-dimensional array."""
+    """Return the elements of a list, tuple, byte string or one-dimensional array."""
     if isinstance(value, list | tuple):
         return value
     if isinstance(value, bytes | bytearray) and field_type.name in BYTE_TYPES:
@@ -212,7 +221,7 @@ def as_items(field_type: FieldType, value: object) -> Sequence[object]:
 
 
 def check_length(field_type: FieldType, length: int) -> None:
-    """Refuse a sequence that is too long, or not of its fixed length."""
+    """Refuse a sequence that is longer than its bound, or does not have its fixed length."""
     size = field_type.size
     if field_type.form is ArrayForm.BOUNDED and length > size:
         raise InvalidMessage("", f"at most {size} elements, got {length}")
@@ -221,7 +230,7 @@ def check_length(field_type: FieldType, length: int) -> None:
 
 
 def is_too_large(field_type: FieldType, value: object) -> bool:
-    """Whether a value stands for a number that is too large even for Python."""
+    """Whether a value is a `Spelled` number that is out of range for a field of this type."""
     return isinstance(value, Spelled) and field_type.name in value.fits
 
 

@@ -1,7 +1,7 @@
-"""The wire format of an endpoint: encodes and decodes its messages.
+"""Encodes and decodes the messages of an endpoint.
 
-The bytes are CDR, and the type hash identifies the layout. A transport that reaches other processes
-gets such a format with each endpoint, so it need not know any message class.
+The messages are encoded as CDR, and the type hash identifies their layout. A transport to other
+processes gets a `WireFormat` with each endpoint, so the transport needs no message classes.
 """
 
 from __future__ import annotations
@@ -36,10 +36,12 @@ _ONE: Final = struct.pack("<I", 1)
 
 
 class WireFormat:
-    """The format of one endpoint. Making one costs little; the codec is built on first use.
+    """Encodes and decodes the messages of one endpoint.
+
+    Creating a WireFormat is cheap, because the codec is built on first use.
 
     Args:
-        interface: The message or service class, or a function that returns it when needed.
+        interface: The message or service class, or a function that returns the class when needed.
         asks: Whether the endpoint is the client of a service, and therefore sends requests.
 
     >>> from turtleact.interfaces.standard import Time
@@ -82,7 +84,8 @@ class WireFormat:
         """Decode a message.
 
         Raises:
-            InvalidMessage: if the bytes are not such a message. The error names the place.
+            InvalidMessage: if the bytes are not a message of the expected class. The error names
+                the field and the byte where decoding fails.
         """
         if data[:2] == self._order and len(data) >= len(self._header):
             try:
@@ -127,7 +130,7 @@ class WireFormat:
 
     @cached_property
     def _classes(self) -> tuple[type[Message], type[Message]]:
-        """The class to send and the class to receive."""
+        """The class of messages to send, and the class of messages to receive."""
         found = self._found
         if not issubclass(found, Service):
             message = cast("type[Message]", found)
@@ -138,14 +141,14 @@ class WireFormat:
 
 
 class FeedbackFormat(WireFormat):
-    """The format of an action's feedback topic.
+    """Encodes and decodes the messages on an action's feedback topic.
 
-    A feedback message consists of a goal id and the feedback. Feedback is frequent. This class can
-    therefore encode and decode goal id and feedback directly, without building the message around
-    them.
+    A feedback message consists of a goal id and the feedback. Feedback is frequent, so this class
+    saves time: it encodes and decodes the goal id and the feedback without creating an object for
+    the whole message.
 
     Args:
-        action: The action.
+        action: The class of the action.
 
     >>> from turtleact.interfaces.standard import Fibonacci
     >>> feedback = FeedbackFormat(Fibonacci)
@@ -158,7 +161,7 @@ class FeedbackFormat(WireFormat):
         self._feedback = action.Feedback
 
     def write(self, goal_id: bytes, feedback: Message) -> bytes:
-        """Encode feedback of the goal with this id (16 bytes).
+        """Encode a feedback message for the goal with this id (16 bytes).
 
         Raises:
             InvalidMessage: if a value does not fit its type.
@@ -170,9 +173,10 @@ class FeedbackFormat(WireFormat):
             return self.encode(message(UUID(goal_id), feedback))
 
     def write_unchecked(self, goal_id: bytes, feedback: object) -> bytes | None:
-        """Encode an object without knowing whether it is valid feedback.
+        """Encode a feedback message from an object that may not be valid feedback.
 
-        Returns None if ``snapshot`` would convert or refuse the object. Then call `write` instead.
+        Return None if ``snapshot`` would not copy the object unchanged. The caller must then
+        convert the object and call `write`.
         """
         try:
             return self._write_strictly(feedback, self._header + goal_id)
@@ -180,10 +184,11 @@ class FeedbackFormat(WireFormat):
             return None
 
     def read(self, data: bytes) -> Message:
-        """Decode only the feedback. The goal id is at `GOAL_ID` in the data.
+        """Decode only the feedback in a feedback message. The goal id is ``data[GOAL_ID]``.
 
         Raises:
-            InvalidMessage: if the bytes are not such a message. The error names the place.
+            InvalidMessage: if the bytes are not a feedback message of the action. The error names
+                the field and the byte where decoding fails.
         """
         if data[:2] == self._order:
             try:
@@ -214,14 +219,14 @@ class FeedbackFormat(WireFormat):
 
 
 class EventFormat(WireFormat):
-    """The format of a service's event topic.
+    """Encodes and decodes the messages on a service's event topic.
 
-    An event consists of some facts about a call and, at most, its request or response. This class
-    can also build an event directly from the encoded request or response, which takes a fifth of
-    the time.
+    An event consists of a ``ServiceEventInfo`` about a call and, if contents are published, the
+    request or response. `write` can also build an event from a request or response that is already
+    encoded, which takes a fifth of the time of encoding an event object.
 
     Args:
-        find_service: Returns the class of the service.
+        find_service: A function that returns the class of the service.
 
     >>> from turtleact.interfaces.standard.std_srvs.srv import SetBool
     >>> events, requests = EventFormat(lambda: SetBool), WireFormat(SetBool, asks=True)
@@ -236,10 +241,10 @@ class EventFormat(WireFormat):
         super().__init__(lambda: event_message(self._service))
 
     def info(self, kind: int, stamp: int, gid: bytes, sequence: int) -> bytes:
-        """Encode the beginning of an event.
+        """Encode the ``ServiceEventInfo`` at the beginning of an event.
 
         Args:
-            kind: A constant of ``ServiceEventInfo``.
+            kind: What happened: a constant of ``ServiceEventInfo``.
             stamp: When the event happened (ns since the epoch).
             gid: The gid of the client.
             sequence: The sequence number of the request.
@@ -252,12 +257,13 @@ class EventFormat(WireFormat):
         """Encode an event.
 
         Args:
-            info: See `info`.
-            request: The encoded request.
-            response: The encoded response.
+            info: The beginning of the event, from `info`.
+            request: The encoded request, if the event contains one.
+            response: The encoded response, if the event contains one.
 
         Raises:
-            InvalidMessage: if the bytes are not a request or a response of the service.
+            InvalidMessage: if the request or a big-endian response cannot be decoded. A
+                little-endian response is not checked.
         """
         if response is not None and response[:2] == self._order:
             # It begins at a multiple of the widest alignment, so its padding stays as it is. What

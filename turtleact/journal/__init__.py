@@ -1,6 +1,6 @@
 """Journals keep goals on disk, so that the goals outlive their server's process.
 
-Open a journal, and name it when you serve an action::
+Open a journal, and pass it to ``serve``::
 
     async with (
         turtleact.open_journal("goals.db") as journal,
@@ -23,7 +23,7 @@ __all__ = ["Journal", "JournalError", "find_goals", "open_journal", "prune", "re
 
 
 def __getattr__(name: str) -> object:
-    """Import the writer on first use: commands that read a file need no event loop."""
+    """Import the writer on first use, because programs that only read a journal do not need it."""
     if name not in ("Journal", "open_journal"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.writer"), name)

@@ -1,9 +1,9 @@
 """Offers a node's actions to language models, as tools of the Model Context Protocol.
 
-This package needs the extra ``mcp``. It serves an ordinary `turtleact.Node` and knows nothing below
-that. The rest of turtleact imports this package only when it is used. The package imports the SDK
-only when one of its own names is used, so that `turtleact.mcp.greeting` can answer a client before
-that.
+This package needs turtleact's extra ``mcp``. Other parts of turtleact import the package only when
+they need it. The official SDK is slow to import. Therefore the SDK is imported only when one of
+this package's public names is first used. Before that, `turtleact.mcp.greeting` can already answer
+a client.
 """
 
 from __future__ import annotations

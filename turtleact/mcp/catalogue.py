@@ -1,7 +1,7 @@
-"""Lists a server's tools: one per offered action and service, and a few that are always there.
+"""Lists the tools of an MCP server: one per offered action or service, and a few fixed ones.
 
-The list follows the graph: an action's tool disappears with the action's server, and returns with
-it.
+The list follows the graph: it contains the tool of an action or service only while a server offers
+that action or service.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class Entry(NamedTuple):
 
     Attributes:
         tool: The tool as clients see it.
-        name: The name of the action or service; empty for a tool that is always there.
-        interface: The class of the action or service; None for a tool that is always there.
+        name: The name of the action or service; empty if the tool calls neither.
+        interface: The class of the action or service; None if the tool calls neither.
     """
 
     tool: Tool
@@ -132,11 +132,11 @@ FIXED: Final = (
 
 
 class Catalogue:
-    """The tools for a graph and an offer.
+    """Lists the tools for the actions and services that the graph contains and the offer allows.
 
     Args:
-        node: The node that sees the graph.
-        offer: What is offered of the graph.
+        node: The node whose graph is read.
+        offer: The actions, services and topics that clients may use.
     """
 
     def __init__(self, node: Node, offer: Offer) -> None:
@@ -147,12 +147,12 @@ class Catalogue:
         self._made: dict[tuple[str, str], Entry] = {}
 
     def actions(self) -> dict[str, type[Action]]:
-        """The offered actions that are served now, by name."""
+        """Return the class of each offered action that has a server now, by the action's name."""
         served = graph_of(self._node.transport).actions
         return _known(served, Action, {name for name in served if self._offer.allows_action(name)})
 
     def entries(self) -> Mapping[str, Entry]:
-        """All tools by name, as the graph is now."""
+        """Return the tools for the current state of the graph, by name."""
         changes = self._node.transport.changes
         if changes != self._changes:
             self._changes = changes
@@ -177,7 +177,7 @@ class Catalogue:
 
     @staticmethod
     def _add(found: dict[str, Entry], entry: Entry, kind: str) -> None:
-        """Add a tool. If its name is taken, its kind is appended to the name."""
+        """Add a tool. If another tool has the same name, append the kind to the new tool's name."""
         name = entry.tool.name
         if name in found:
             name = f"{name}.{kind}"
@@ -185,9 +185,9 @@ class Catalogue:
         found[name] = entry
 
     def _entry(self, name: str, interface: type[Action] | type[Service]) -> Entry:
-        """The tool of an action or service.
+        """Return the tool of an action or service.
 
-        The tool is made once, because its schemas do not change.
+        A tool is made only once, because its schemas do not change.
         """
         key = name, interface.type_name
         if key not in self._made:
@@ -202,7 +202,11 @@ class Catalogue:
 def _known(
     served: Mapping[str, tuple[str, ...]], kind: type[Any], names: set[str] | frozenset[str]
 ) -> dict[str, Any]:
-    """The class of each name. If a name has several types, the first type known here counts."""
+    """Return the classes of these actions or services, by name.
+
+    If the graph shows several types for one name, the first known type is used. A name without a
+    known type is left out.
+    """
     found: dict[str, Any] = {}
     for name in sorted(names):
         for type_name in served.get(name, ()):
@@ -241,6 +245,10 @@ def _service_tool(name: str, service_type: type[Service]) -> Tool:
 
 
 def _said(interface: type[Action] | type[Service]) -> str:
-    """The author's description of an interface; empty for generated text that repeats the name."""
+    """Return the description that the author of an interface has written.
+
+    The result is empty if the description contains the interface's full name, because such a
+    description was generated.
+    """
     text = introduction(interface)
     return "" if interface.type_name in text else text.replace("``", "`")

@@ -1,9 +1,9 @@
-"""Asks the user before something moves, through MCP's elicitation in its old or its new form.
+"""Uses MCP's elicitation to ask the user before a goal is sent or a service is called.
 
-Up to version 2025-11-25 of the protocol, the server sends the question as a request of its own.
-From 2026-07-28 on, the server answers the call with the question, and the client repeats the call
-with the user's answer. Between the two calls, the client holds a token. The token is valid once,
-for the same tool with the same arguments.
+Up to version 2025-11-25 of the protocol, the server sends the question to the client as a request.
+From version 2026-07-28 on, the server answers the call of a tool with the question and a token. The
+client then repeats the call with the user's answer and the token. The token is valid only once, and
+only for the same tool with the same arguments.
 
 Source: MCP 2026-07-28, "Elicitation" and "Multi Round-Trip Requests".
 """
@@ -41,7 +41,7 @@ FORM: Final = {"type": "object", "properties": {}}
 
 
 class Confirmation:
-    """Asks the user, and remembers which questions are open."""
+    """Asks users for confirmation, and remembers the questions that have no answer yet."""
 
     def __init__(self) -> None:
         self._asked: dict[str, tuple[str, object]] = {}
@@ -49,10 +49,13 @@ class Confirmation:
     async def ask(
         self, ctx: Request, params: CallToolRequestParams, question: str
     ) -> InputRequiredResult | None:
-        """Ask the user. Return None if the user agrees, or the reply that asks the question.
+        """Ask the user, and return None if the user agrees.
+
+        From version 2026-07-28 of the protocol on, the method first returns a reply that contains
+        the question. The client then repeats the tool's call with the user's answer.
 
         Raises:
-            TurtleactError: if the user does not agree, or the client cannot ask.
+            TurtleactError: if the user does not agree, or the client cannot ask its user.
         """
         capabilities = ctx.session.client_capabilities
         if capabilities is None or capabilities.elicitation is None:
@@ -83,7 +86,11 @@ class Confirmation:
         return InputRequiredResult(input_requests={QUESTION: asked}, request_state=token)
 
     def _take(self, params: CallToolRequestParams) -> ElicitResult:
-        """The user's answer to a question about exactly this call."""
+        """Return the user's answer, if the question was about exactly this call.
+
+        Raises:
+            TurtleactError: if the question was about another call, or has been answered before.
+        """
         asked = self._asked.pop(params.request_state or "", None)
         reply = (params.input_responses or {}).get(QUESTION)
         if asked != (params.name, params.arguments) or not isinstance(reply, ElicitResult):

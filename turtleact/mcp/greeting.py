@@ -1,14 +1,16 @@
-"""Answers ``initialize`` before the SDK is imported.
+"""Answers a client's ``initialize`` request before the SDK is imported.
 
-Importing the SDK takes longer than everything else at the start of ``turtleact mcp``. Meanwhile, a
-client waits for an answer that is always the same: which version of the protocol the server speaks,
-and what the server can do. So this module gives that answer itself. `turtleact.mcp.stdio` then
-hands the same request to the SDK and drops the SDK's answer. A test compares the two answers for
-every version of the protocol.
+Importing the SDK takes most of the startup time of ``turtleact mcp``. Meanwhile, the client
+waits for the answer to ``initialize``, which states the version of the protocol and what the server
+can do. The answer does not depend on the node, so this module can give it. `turtleact.mcp.stdio`
+then passes the same request to the SDK and drops the SDK's answer. A test compares this module's
+answer with the SDK's answer for every version of the protocol.
 
-An unusual request, and everything after the first line, is left to the SDK.
+If this module cannot parse the request, it leaves the answer to the SDK. The SDK also answers
+everything after the first line.
 
-Source: MCP 2025-11-25, "Lifecycle", for `initialize`. Later versions have no such request.
+Source: MCP 2025-11-25, "Lifecycle", for ``initialize``. Later versions of MCP do not have this
+request.
 """
 
 from __future__ import annotations
@@ -26,14 +28,14 @@ INSTRUCTIONS: Final = (
     "radians, times in seconds, unless a description says otherwise."
 )
 VERSIONS: Final = ("2024-11-05", "2025-03-26", "2025-06-18", "2025-11-25")
-"""The versions that begin with ``initialize``. A client that asks for another gets the last one."""
+"""The versions that begin with ``initialize``. Clients that ask for another get the last."""
 
 
 class Greeting(msgspec.Struct, frozen=True):
-    """An answer that was given before the SDK was there.
+    """An answer to an ``initialize`` request, made before the SDK is imported.
 
     Attributes:
-        request_id: The id of the request.
+        request_id: The id of the client's request.
         line: The answer, as one line of JSON.
     """
 
@@ -60,10 +62,10 @@ class _Initialize(msgspec.Struct):
 
 
 def greet(line: str, version: str) -> Greeting | None:
-    """Answer the first line that a client has sent. Return None if the SDK must answer it.
+    """Return the answer to the first line from a client, or None if the SDK must answer it.
 
     Args:
-        line: The line.
+        line: The line that the client has sent.
         version: The version of turtleact.
     """
     try:

@@ -1,6 +1,6 @@
-"""Defines what a model is offered: which actions, services and topics, and how much of them.
+"""Defines which actions, services and topics a model may use, and within which limits.
 
-Only what the program or the command line names is offered.
+Nothing is offered unless the program or the command line names it.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ not_allowed = re.compile(r"[^A-Za-z0-9_.-]")
 
 
 class Limits(msgspec.Struct, frozen=True):
-    """How much all clients together may ask for.
+    """Limits on the goals, calls and tasks of all clients together.
 
     Attributes:
         goals: The maximum number of goals and service calls under way.
-        progress_rate: The maximum number of progress messages per second and goal. Other feedback
-            is skipped.
+        progress_rate: The maximum number of progress messages per second for each goal. Feedback
+            beyond this rate is skipped.
         kept_tasks: The maximum number of tasks that are remembered after their goals have ended.
     """
 
@@ -50,15 +50,16 @@ class Limits(msgspec.Struct, frozen=True):
 
 
 class Offer(msgspec.Struct, frozen=True):
-    """What a server offers.
+    """What a server offers to clients.
 
     Attributes:
-        actions: The actions that may be used; None for every action.
-        services: The services that may be called.
-        topics: The topics that may be read; None for every topic.
-        is_read_only: Whether the offer is limited to what changes nothing.
-        asks: Whether the user is asked before each goal and each service call.
-        limits: How much clients may ask for.
+        actions: The actions that clients may use; None for every action.
+        services: The services that clients may call.
+        topics: The topics that clients may read; None for every topic.
+        is_read_only: Whether clients may only read: they cannot send or cancel goals, or call
+            services.
+        asks: Whether the user must confirm each goal and each service call.
+        limits: Limits on the goals, calls and tasks of all clients together.
     """
 
     actions: frozenset[str] | None
@@ -79,10 +80,10 @@ class Offer(msgspec.Struct, frozen=True):
         is_read_only: bool,
         asks: bool,
     ) -> Offer:
-        """Make an offer, with each name checked and made absolute.
+        """Check the names, make them absolute, and return the offer.
 
         Raises:
-            InvalidName: if a name breaks ROS 2's rules.
+            InvalidName: if a name breaks ROS 2's rules for names.
         """
         return cls(
             _resolved(actions),
@@ -94,19 +95,19 @@ class Offer(msgspec.Struct, frozen=True):
         )
 
     def allows_action(self, name: str) -> bool:
-        """Whether goals of an action may be seen.
+        """Whether clients may see the goals of an action.
 
-        Unless the offer is read-only, they may also be sent.
+        If the offer is not read-only, clients may also send goals to the action.
         """
         return self.actions is None or name in self.actions
 
     def allows_topic(self, name: str) -> bool:
-        """Whether a topic may be read."""
+        """Whether clients may read a topic."""
         return self.topics is None or name in self.topics
 
 
 def tool_name(name: str) -> str:
-    """The name of the tool for an action or service with this name.
+    """Return the name of the tool for an action or service with this name.
 
     >>> tool_name("/turtle1/rotate_absolute")
     'turtle1.rotate_absolute'

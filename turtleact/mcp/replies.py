@@ -1,4 +1,4 @@
-"""Makes the answers of tools: text for the model, and the same as data for programs."""
+"""Makes the replies of tools. Replies have text for models, and may have data for programs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["LONGEST_TEXT", "Request", "answer", "data_of", "failure", "goal_schema", "one_line"]
 
 Request: TypeAlias = ServerRequestContext[Any, Any]
-"""A request of a client, and the way back to it."""
+"""A client's request, with the session that leads back to the client."""
 
 LONGEST_TEXT: Final = 100_000
 """A model gets at most this many characters of JSON as text. A program gets everything as data."""
@@ -31,13 +31,13 @@ LONGEST_LINE: Final = 500
 
 DECIMALS: Final = 3
 MOST_SHOWN: Final = 100
-"""A progress message is made from at most this many items of a list, and cut after fewer."""
+"""A progress message is made from at most this many items of each list."""
 
 ENDS: Final = [GoalStatus.SUCCEEDED.name, GoalStatus.CANCELED.name, GoalStatus.ABORTED.name]
 
 
 def goal_schema(action_type: type[Action]) -> Schema:
-    """The schema of the answer of an action's tool."""
+    """Return the JSON Schema of the replies of an action's tool."""
     properties: Schema = {
         "goal_id": {"type": "string", "description": "The id of the goal, 32 hexadecimal digits."},
         "status": {"type": "string", "enum": ENDS, "description": "How the goal ended."},
@@ -56,9 +56,10 @@ def goal_schema(action_type: type[Action]) -> Schema:
 
 
 def data_of(goal_id: bytes, outcome: Outcome[Any], feedback: Message | None) -> CallToolResult:
-    """The answer of an action's tool at the end of its goal.
+    """Make the reply of an action's tool from the outcome of the goal.
 
-    If the goal did not succeed, this is a tool error; the goal's reason comes first, word for word.
+    If the goal did not succeed, the reply is an error. The text of the error says how the goal
+    ended, and quotes the server's reason.
     """
     data = {
         "goal_id": goal_id.hex(),
@@ -75,7 +76,7 @@ def data_of(goal_id: bytes, outcome: Outcome[Any], feedback: Message | None) -> 
 
 
 def answer(data: dict[str, Any], *, error: str = "") -> CallToolResult:
-    """A reply with data. Unless ``error`` is empty, the reply is an error."""
+    """Make a reply that contains ``data``. The reply is an error if ``error`` is not empty."""
     text = json.dumps(data, ensure_ascii=False)
     if len(text) > LONGEST_TEXT:
         text = f"{text[:LONGEST_TEXT]}… {len(text) - LONGEST_TEXT} more characters"
@@ -88,12 +89,12 @@ def answer(data: dict[str, Any], *, error: str = "") -> CallToolResult:
 
 
 def failure(problem: object) -> CallToolResult:
-    """An error that the model reads."""
+    """Make a reply that shows an error to the model."""
     return CallToolResult(content=[TextContent(text=str(problem))], is_error=True)
 
 
 def one_line(message: Message) -> str:
-    """A message in one readable line.
+    """Return a message as one readable line.
 
     >>> from turtleact.interfaces.standard import Point
     >>> one_line(Point(x=1.0, y=2.50001))
@@ -104,7 +105,7 @@ def one_line(message: Message) -> str:
 
 
 def _rounded(value: object) -> object:
-    """Plain values with numbers as short as a reader needs them."""
+    """Round all floats in nested dictionaries and lists, and shorten long lists."""
     if isinstance(value, dict):
         return {name: _rounded(item) for name, item in value.items()}
     if isinstance(value, list):

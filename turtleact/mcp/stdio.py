@@ -1,13 +1,13 @@
-"""Serves MCP on stdin and stdout, for a client that starts the server as its child.
+"""Serves MCP on stdin and stdout, for a client that has started the server as a child process.
 
-The SDK reads stdin in a thread, which cannot be interrupted: a signal would not end the program
-before the client's next message. So the event loop reads stdin where it can: on a POSIX system, if
-stdin is a pipe, a socket or a terminal.
+The SDK reads stdin in a thread that cannot be interrupted. Because of that thread, a program that
+gets a signal could not end until the client sent its next message. So the event loop reads stdin
+instead, where it can: on a POSIX system, if stdin is a pipe, a socket or a terminal.
 
-A client waits for the answer to its first message while the SDK is still being imported.
-`open_wire` gives that answer at once (`turtleact.mcp.greeting`).
+While the SDK is still being imported, a client already waits for the answer to its first message.
+`open_wire` gives this answer at once (see `turtleact.mcp.greeting`).
 
-Source: MCP 2026-07-28, "Transports", for the framing: one JSON message a line.
+Source: MCP 2026-07-28, "Transports", for the framing: one JSON message per line.
 """
 
 from __future__ import annotations
@@ -40,20 +40,20 @@ LONGEST: Final = 2**24
 
 
 def import_sdk() -> None:
-    """Import what `serve_stdio` needs of the SDK. This is slow. You may call it in a thread."""
+    """Import the modules that `serve_stdio` needs. This is slow. Any thread may call it."""
     import mcp.server.stdio  # noqa: F401  # needs modules of the system's own
 
 
 class Wire:
-    """The lines that come from stdin. `open_wire` makes one.
+    """Reads the lines that come from stdin. `open_wire` makes a wire.
 
     Args:
         reader: Reads stdin; None if the event loop cannot read it.
 
     Attributes:
-        greeting: The answer to the first line; None if the SDK has to answer it.
-        greeted: Set when it is known whether there is a greeting.
-        is_taken: Whether the SDK has taken over. From then on, stdout belongs to the SDK.
+        greeting: The answer that this object gave to the first line; None if the SDK must answer.
+        greeted: An event that is set when `greeting` has its final value.
+        is_taken: Whether the SDK now reads the lines. If so, only the SDK may write to stdout.
     """
 
     def __init__(self, reader: asyncio.StreamReader | None) -> None:
@@ -64,7 +64,7 @@ class Wire:
         self._first: str | None = None
 
     async def greet(self) -> None:
-        """Read the first line, and answer it if it asks for nothing but a greeting."""
+        """Read the first line, and answer it if it is a valid ``initialize`` request."""
         try:
             if self.lines is not None:
                 self._first = await anext(self.lines, None)
@@ -78,7 +78,7 @@ class Wire:
             self.greeted.set()
 
     async def __aiter__(self) -> AsyncIterator[str]:
-        """Return all lines, including the first."""
+        """Yield all lines, including the first."""
         await self.greeted.wait()
         if self._first is not None and self.lines is not None:
             yield self._first
@@ -88,7 +88,7 @@ class Wire:
 
 @asynccontextmanager
 async def open_wire() -> AsyncIterator[Wire]:
-    """Read stdin for the length of a block, and answer a client that sends ``initialize``."""
+    """Read stdin during an ``async with`` block, and answer the client's ``initialize`` request."""
     file = _file_of(sys.stdin)
     if file is None or not _can_be_waited_for(file):
         yield Wire(None)
@@ -107,7 +107,7 @@ async def open_wire() -> AsyncIterator[Wire]:
 
 
 async def serve_stdio(server: McpServer, wire: Wire) -> None:
-    """Serve one client until it closes stdin. The client's calls are then cancelled.
+    """Serve one client until it closes stdin. Then cancel the client's calls.
 
     Nothing else may write to stdout meanwhile. The SDK redirects prints of user code to stderr.
     """
@@ -122,17 +122,20 @@ async def serve_stdio(server: McpServer, wire: Wire) -> None:
 
 
 class _WithoutGreeting:
-    """The SDK's outgoing stream, without the answer that the client already has."""
+    """The SDK's outgoing stream.
+
+    If `Wire` has already answered ``initialize``, this stream drops the SDK's answer.
+    """
 
     def __init__(self, inner: Any, wire: Wire) -> None:  # noqa: ANN401  # the SDK's stream
         self._inner = inner
         self._wire = wire
 
     async def send(self, item: Any, /) -> None:  # noqa: ANN401  # the SDK's message
-        """Send a message, unless it answers the ``initialize`` that was answered already.
+        """Send a message, but drop an answer to ``initialize`` if `Wire` has already sent one.
 
-        That answer is the first message, because the SDK finishes this request before it reads
-        another.
+        The SDK answers ``initialize`` before it reads another request, so this answer is the first
+        message that the SDK sends.
         """
         if self._wire.greeting is not None:
             self._wire.greeting = None
@@ -159,7 +162,7 @@ class _WithoutGreeting:
 
 
 def _file_of(stream: TextIO) -> int | None:
-    """The descriptor of a stream; None if it has none, as in a notebook."""
+    """Return the file descriptor of a stream; None if the stream has none, as in a notebook."""
     try:
         return stream.fileno()
     except OSError:
@@ -167,9 +170,9 @@ def _file_of(stream: TextIO) -> int | None:
 
 
 def _can_be_waited_for(file: int) -> bool:
-    """Whether the event loop can wait for a file.
+    """Whether the event loop can wait until there is something to read from a file.
 
-    The loop cannot wait for a regular file or ``/dev/null``.
+    The loop cannot do this for a regular file or ``/dev/null``.
     """
     if os.name != "posix":
         return False
@@ -178,7 +181,7 @@ def _can_be_waited_for(file: int) -> bool:
 
 
 async def _lines(reader: asyncio.StreamReader) -> AsyncIterator[str]:
-    """Yield the lines. A line that is too long is cut, so it is no valid JSON."""
+    """Yield the lines of stdin. A line that is too long is cut off, and so becomes invalid JSON."""
     held = bytearray()
     while chunk := await reader.read(CHUNK):
         *lines, rest = chunk.split(b"\n")

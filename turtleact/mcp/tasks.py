@@ -1,18 +1,18 @@
-"""Runs goals as MCP Tasks: a call of a tool is answered at once, and the goal goes on by itself.
+"""Runs goals as MCP Tasks: the call of a tool returns a task at once, while the goal still runs.
 
-This is the extension ``io.modelcontextprotocol/tasks``, for requests of clients that declare it.
-The id of a task is the id of its goal. So a task needs no storage of its own: after a restart of
-this server, the server of the action still knows the goal. With a journal, the action's server
-still knows the goal after its own restart, too.
+This is the MCP extension ``io.modelcontextprotocol/tasks``. Only clients that declare this
+extension can use tasks. The id of a task is the id of its goal, so this MCP server need not store
+its tasks. After a restart of the MCP server, the server of the action still knows the goal. If the
+action's server has a journal, it still knows the goal after its own restart, too.
 
 ====================== ==========================================================
 goal                   task
 ====================== ==========================================================
 ACCEPTED to CANCELING  working; the last feedback is its status message
 SUCCEEDED              completed
-ABORTED                completed, with a tool error: ``failed`` is for JSON-RPC errors
+ABORTED                completed, with a tool error (``failed`` is for JSON-RPC errors)
 CANCELED               cancelled
-rejected               no task: the call is answered with the tool error
+rejected               no task: the call returns a tool error
 ====================== ==========================================================
 
 Source: the MCP extension "Tasks" of 2026-07-28.
@@ -61,7 +61,7 @@ FIRST_VERSION: Final = "2026-07-28"
 """The first version of the protocol that has the extension. Versions are dates."""
 
 KEEP_MS: Final = 3_600_000
-"""How long an ended task is kept at least, unless too many tasks have ended since."""
+"""How long an ended task is kept at least (ms), unless too many tasks have ended since."""
 
 POLL_MS: Final = 500
 RETURN: Final = 600.0
@@ -72,13 +72,13 @@ PAUSE: Final = 0.5
 
 
 class TaskParams(RequestParams):
-    """The parameters of the three requests about a task."""
+    """The parameters of ``tasks/get``, ``tasks/update`` and ``tasks/cancel``."""
 
     task_id: str
 
 
 class _Task:
-    """A goal that was sent as a task."""
+    """A goal that runs as a task."""
 
     def __init__(self, goal_id: bytes) -> None:
         now = datetime.now(UTC)
@@ -104,7 +104,7 @@ class _Task:
         self.over.set()
 
     def told(self) -> dict[str, Any]:
-        """The task in the protocol's form."""
+        """Return the task in the form that the protocol prescribes."""
         handle = self.handle
         latest = self.latest or (handle.last_feedback if handle is not None else None)
         told = {
@@ -123,12 +123,16 @@ class _Task:
 
 
 class Tasks:
-    """The tasks of this server. Tasks that it does not know are looked up on the graph.
+    """The tasks of an MCP server.
+
+    If a client asks for an unknown task, this object looks on the graph for the goal with the
+    task's id.
 
     Args:
         goals: Sends the goals.
-        board: Finds goals that somebody else, or this server before its restart, has sent.
-        action_type: A function that returns the type of an offered action.
+        board: Finds goals that this server did not send, or sent before its restart.
+        action_type: A function that returns the type of an action; None if the action is not
+            offered.
     """
 
     def __init__(
@@ -143,7 +147,7 @@ class Tasks:
         self._tasks: dict[bytes, _Task] = {}
 
     def install(self, server: Server[Any]) -> None:
-        """Serve the requests about tasks, and announce the extension."""
+        """Let an MCP server handle the requests about tasks, and announce the extension."""
         server.extensions[EXTENSION] = {}
         for method, handler in zip(METHODS, (self._get, self._update, self._cancel), strict=True):
             server.add_request_handler(method, TaskParams, handler)
@@ -151,7 +155,7 @@ class Tasks:
     async def begin(self, client: AnyClient, goal: Message) -> dict[str, Any] | CallToolResult:
         """Send a goal, and return its task once the goal is accepted.
 
-        Cancelling: cancels the goal, because nobody would know its id.
+        Cancelling: cancels the goal, because no client knows the goal's id yet.
         """
         task = _Task(new_goal_id())
         task.following = Background(self._send(client, goal, task), f"task {task.goal_id.hex()}")
@@ -167,7 +171,7 @@ class Tasks:
         return {"resultType": "task", **task.told()}
 
     async def aclose(self) -> None:
-        """Stop following goals. The goals go on."""
+        """Stop waiting for the ends of goals. The goals themselves go on."""
         for task in self._tasks.values():
             if task.following is not None:
                 await task.following.aclose()
@@ -186,9 +190,10 @@ class Tasks:
             task.known.set()
 
     async def _attach(self, client: AnyClient, task: _Task) -> None:
-        """Follow a goal that a server holds.
+        """Wait for the end of a goal that its server already holds.
 
-        With a journal, this includes restarts of the server.
+        After a restart of the goal's server, attach to the goal again, because the server's journal
+        may have kept the goal.
         """
         try:
             while task.reply is None:
@@ -220,10 +225,11 @@ class Tasks:
             del self._tasks[oldest.goal_id]
 
     async def _find(self, ctx: Request, text: str) -> _Task:
-        """The task with an id.
+        """Return the task with this id.
 
         Raises:
-            MCPError: if there is no such task, or the client has not declared the extension.
+            MCPError: if there is no such task, if the client has not declared the extension, or if
+                the client's version of the protocol has no tasks.
         """
         if ctx.protocol_version < FIRST_VERSION:
             raise MCPError(METHOD_NOT_FOUND, "Method not found", ctx.method)
@@ -238,7 +244,10 @@ class Tasks:
         return task
 
     async def _recover(self, goal_id: bytes) -> _Task | None:
-        """The task for a goal that an action's server holds."""
+        """Make a task for a goal that the server of an offered action holds.
+
+        Return None if no such server holds the goal.
+        """
         held = await self._board.find(goal_id)
         action_type = None if held is None else self._action_type(held.action)
         if held is None or action_type is None:
@@ -256,14 +265,15 @@ class Tasks:
         return (await self._find(ctx, params.task_id)).told()
 
     async def _update(self, ctx: Request, params: TaskParams) -> dict[str, Any]:
-        """Take input for a task. The input is ignored, because no task ever asks for input."""
+        """Answer ``tasks/update``. No task ever asks for input, so the input is ignored."""
         await self._find(ctx, params.task_id)
         return {}
 
     async def _cancel(self, ctx: Request, params: TaskParams) -> dict[str, Any]:
         """Ask the server to cancel the goal.
 
-        The task's status shows later whether the server agreed.
+        This does not wait for the server. The status of the task shows later whether the server
+        agreed.
         """
         task = await self._find(ctx, params.task_id)
         if task.handle is not None and not task.handle.done:
@@ -272,17 +282,17 @@ class Tasks:
 
 
 def declares_tasks(ctx: Request) -> bool:
-    """Whether the client of a request accepts a task as the answer."""
+    """Whether the client of a request accepts tasks, because it has declared the extension."""
     capabilities = ctx.session.client_capabilities
     declared = None if capabilities is None else capabilities.extensions
     return ctx.protocol_version >= FIRST_VERSION and EXTENSION in (declared or {})
 
 
 def require_tasks(ctx: Request) -> None:
-    """Refuse a request about tasks if its client has not declared the extension.
+    """Raise an error if the client of a request has not declared the extension.
 
     Raises:
-        MCPError: if the client has not declared it.
+        MCPError: if the client has not declared the extension.
     """
     if not declares_tasks(ctx):
         needed: dict[str, Any] = {"requiredCapabilities": {"extensions": {EXTENSION: {}}}}

@@ -1,4 +1,4 @@
-"""Runs the tools that are not actions: for goals of others, services, topics and pictures."""
+"""Runs the tools that do not send goals, such as those that list goals or call services."""
 
 from __future__ import annotations
 
@@ -43,14 +43,15 @@ PICTURE_PATIENCE: Final = 10.0
 
 
 class Tools:
-    """Runs the tools that are not actions.
+    """Runs the tools that do not send goals.
 
     Args:
         node: The node that the tools use.
-        offer: What may be used.
-        catalogue: The actions.
-        board: The goals that servers hold.
-        goals: The clients of the actions, and the limit on goals and calls under way.
+        offer: Which actions, services and topics the tools may use.
+        catalogue: Lists the offered actions.
+        board: Finds the goals that action servers hold.
+        goals: The clients of the actions, and the limit on goals and calls that run at the same
+            time.
     """
 
     def __init__(
@@ -73,10 +74,10 @@ class Tools:
         }
 
     async def run(self, tool: Tool, arguments: dict[str, object]) -> CallToolResult:
-        """Run a tool that is always there.
+        """Run one of the fixed tools, which do not depend on the graph, for example ``list_goals``.
 
         Raises:
-            TurtleactError: if the tool fails. The text is written for the model.
+            TurtleactError: if the tool fails. The error's text is written for the language model.
         """
         _check_texts(tool, arguments)
         return await self._runs[tool.name](**arguments)
@@ -84,7 +85,7 @@ class Tools:
     async def call(
         self, name: str, service_type: type[Service], request: Message
     ) -> CallToolResult:
-        """Call a service."""
+        """Call a service, and return its response."""
         key = name, service_type.type_name
         if key not in self._services:
             known = cast("ServiceType[Message, Message]", service_type)
@@ -93,7 +94,7 @@ class Tools:
             return answer(plain(await self._services[key].call(request)))
 
     async def list_goals(self) -> CallToolResult:
-        """The goals that servers hold."""
+        """Return the goals that the servers of the offered actions hold."""
         return answer({"goals": [_told(goal) for goal in await self._board.goals()]})
 
     async def _read_topic(self, topic: str) -> CallToolResult:
@@ -139,7 +140,7 @@ class Tools:
         return _status(handle)
 
     async def _attach(self, text: str) -> ClientGoalHandle[Any, Any]:
-        """Return a handle for a goal of an offered action."""
+        """Return a client's handle for a goal of an offered action."""
         held = await self._board.find(goal_id_bytes(text))
         action_type = None if held is None else self._catalogue.actions().get(held.action)
         if held is None or action_type is None:
@@ -149,10 +150,10 @@ class Tools:
 
 
 async def read_topic(node: Node, offer: Offer, topic: str) -> Message:
-    """The newest message of a topic, or the next one if none is latched.
+    """Return the newest message of a topic. If no message is latched, wait for the next one.
 
     Raises:
-        TurtleactError: if the topic is not offered, does not exist, or has no message.
+        TurtleactError: if the topic is not offered, does not exist, or has no message in time.
     """
     name = resolve_name(topic)
     topics = {
@@ -172,10 +173,10 @@ async def read_topic(node: Node, offer: Offer, topic: str) -> Message:
 
 
 async def picture(node: Node) -> bytes:
-    """A picture of the world, as PNG.
+    """Return a PNG picture of the simulated world.
 
     Raises:
-        TurtleactError: if there is no world, or the world makes no picture in time.
+        TurtleactError: if there is no world, or if the world makes no picture in time.
     """
     services = graph_of(node.transport).services
     names = [name for name, types in services.items() if TakeSnapshot.type_name in types]
@@ -196,7 +197,7 @@ async def picture(node: Node) -> bytes:
 
 
 def _check_texts(tool: Tool, arguments: dict[str, object]) -> None:
-    """Check the arguments of a tool that takes only texts."""
+    """Check the arguments of a tool that takes only strings."""
     names = list(tool.input_schema["properties"])
     for name, value in arguments.items():
         if name not in names:

@@ -1,8 +1,8 @@
 """Nodes: the participants of a graph.
 
-`node` opens topics, services and actions by name. `parameters` serves the parameters of a node,
-and `timers` has its timers. `resources` tracks everything a node has opened, so that it closes with
-the node. `conflicts` ensures that only one node serves an action name.
+`node` opens topics, services and actions by name. `parameters` serves the parameters of a node, and
+`timers` makes ticks at a fixed rate. `resources` tracks everything that a node has opened, and
+closes it with the node. `conflicts` ensures that only one node serves an action name.
 """
 
 from turtleact.node.node import (

@@ -21,11 +21,11 @@ T = TypeVar("T")
 
 
 class Resources(Owner):
-    """Everything open on a node.
+    """Tracks everything that is open on a node.
 
     Attributes:
         home: The event loop of the node.
-        is_open: Whether more can be opened.
+        is_open: Whether the node can still open things.
     """
 
     def __init__(self, home: Home) -> None:
@@ -42,7 +42,10 @@ class Resources(Owner):
         }
 
     def add(self, thing: AsyncCloseable, opened: Closeable) -> Closeable:
-        """Track an object until the user or the node closes it."""
+        """Track ``thing`` until the returned object is closed.
+
+        Closing the returned object also closes ``opened``, to remove ``thing`` from the transport.
+        """
         self._count += 1
         self._opened[self._count] = thing
         self._tell(thing)
@@ -51,7 +54,11 @@ class Resources(Owner):
     def add_server(
         self, kind: ServerKind, server: Serving, close: Callable[[], object]
     ) -> Closeable:
-        """Track a server as `add` does. ``close`` removes the server from the graph."""
+        """Track a server until the returned object is closed.
+
+        Closing the returned object also calls ``close``, which must remove the server from the
+        graph.
+        """
         self._count += 1
         self._opened[self._count] = server
         self._servers[kind][self._count] = server
@@ -59,7 +66,7 @@ class Resources(Owner):
         return _Membership(close, self._opened, self._count)
 
     def watch(self, told: Callable[[object], object]) -> None:
-        """Call ``told`` with everything that is open, and with everything that is opened later."""
+        """Call ``told`` with each object that is open now or is opened later."""
         self._watchers.append(told)
         for thing in tuple(self._opened.values()):
             told(thing)
@@ -78,7 +85,10 @@ class Resources(Owner):
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
-        """Leave a block when the node closes. Look at `is_open` before and after the block."""
+        """Cancel the waits in a ``with`` block when the node closes.
+
+        The block then ends without an exception. Check `is_open` before and after the block.
+        """
         with anyio.CancelScope() as scope:
             self._waits.add(scope)
             try:
@@ -100,7 +110,7 @@ class Resources(Owner):
                 last_first.push_async_callback(self._close_servers, "action server")
 
     async def _close_servers(self, kind: ServerKind) -> None:
-        """Close all servers of a kind, and wait for those that somebody else is closing."""
+        """Close all servers of a kind, and wait for those that are closing already."""
         servers = list(self._servers[kind].values())[::-1]
         async with anyio.create_task_group() as closing:
             for server in servers:
@@ -122,10 +132,10 @@ class Resources(Owner):
 
 
 class _Membership:
-    """Tracks one open object. Closing this removes the object from the node and the transport.
+    """The registration of one open object with its node.
 
-    A node may have thousands of memberships. Each membership is one object; a closure would be
-    four.
+    Closing the registration removes the object from the node and the transport. A node may have
+    thousands of registrations. Each is one Python object, while a closure would need four.
     """
 
     __slots__ = ("_close", "_number", "_things")

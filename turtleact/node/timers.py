@@ -1,6 +1,7 @@
 """Timers: ticks at a fixed rate, by the clock of the graph.
 
-Source: rcl ``timer.c``: a timer that is late ticks once, and keeps its phase.
+Source: rcl ``timer.c``: after a delay of several periods, a timer ticks once and then keeps its old
+schedule.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ class Tick(NamedTuple):
     Attributes:
         number: How many periods have passed since the timer was made: 1 for the first tick. Skipped
             ticks count, too.
-        elapsed: The scheduled time since the timer was made (s, by the graph's clock): ``number``
-            periods.
+        elapsed: The time from the timer's creation to the scheduled time of this tick (s, by the
+            graph's clock). It is ``number`` times the period.
         missed: How many ticks were skipped just before this one.
     """
 
@@ -35,13 +36,14 @@ class Tick(NamedTuple):
 class Timer:
     """Ticks at a fixed rate. `turtleact.Node.every` makes one.
 
-    ``async for tick in timer`` waits for each `Tick`. The first comes after one period. The
-    schedule is absolute, so delays do not add up. If your loop takes longer than a period, the
-    newest missed tick comes at once and the timer skips the older ones. The next tick comes at its
-    scheduled time. In virtual time the ticks come as fast as the program takes them. While a world
-    is paused, no ticks come. The loop ends when the node closes.
+    ``async for tick in timer`` waits for each `Tick`. The first tick comes one period after the
+    timer was made. The schedule is absolute, so delays do not add up. If your loop takes longer
+    than a period, the newest missed tick comes at once and the timer skips the older ones. The next
+    tick comes at its scheduled time. In virtual time, ticks come without real waiting. While a
+    simulated world has paused the graph's clock, no ticks come. The ``async for`` loop ends when
+    the node closes.
 
-    Only one task at a time can wait for ticks. Cancelling: safe, no tick is lost.
+    Only one task at a time can wait for ticks of a timer. Cancelling: safe, no tick is lost.
 
     Attributes:
         period: The time between two ticks (s, by the graph's clock).

@@ -1,4 +1,4 @@
-"""The part of ``ament_index_python`` that programs use: it finds packages."""
+"""The functions of ``ament_index_python`` that find packages."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = [
 
 
 class PackageNotFoundError(KeyError):
-    """There is no package of that name."""
+    """No package of that name was found."""
 
 
 def get_package_prefix(package_name: str) -> str:
-    """Return the prefix in which a package is installed, or the folder of its sources.
+    """Return the prefix of a package, or its source folder if the package is not installed.
 
     Raises:
         PackageNotFoundError: if there is no such package.
@@ -32,7 +32,7 @@ def get_package_prefix(package_name: str) -> str:
 
 
 def get_package_share_directory(package_name: str, print_warning: bool = True) -> str:  # noqa: ARG001  # ament's signature
-    """Return the folder with the data of a package, or the folder of its sources.
+    """Return the share folder of a package, or its source folder if the package is not installed.
 
     Raises:
         PackageNotFoundError: if there is no such package.
@@ -43,7 +43,7 @@ def get_package_share_directory(package_name: str, print_warning: bool = True) -
 
 
 def get_package_share_path(package_name: str, print_warning: bool = True) -> Path:
-    """Return the folder of `get_package_share_directory` as a path."""
+    """Return the folder of `get_package_share_directory` as a `Path`."""
     return Path(get_package_share_directory(package_name, print_warning))
 
 

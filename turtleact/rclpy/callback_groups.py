@@ -17,7 +17,7 @@ class Member(Protocol):
 
 
 class CallbackGroup:
-    """The base of all callback groups.
+    """The base class of callback groups.
 
     Attributes:
         entities: Weak references to the entities of the group.
@@ -39,31 +39,34 @@ class CallbackGroup:
         raise NotImplementedError
 
     def beginning_execution(self, entity: Member) -> bool:
-        """Take the right to run a callback of the entity. Return whether the right was free."""
+        """Reserve the group for a callback of the entity. Return False if the group is not free."""
         raise NotImplementedError
 
     def ending_execution(self, entity: Member) -> None:
-        """Give the right back."""
+        """Free the group again, because the callback of the entity has ended."""
         raise NotImplementedError
 
 
 class ReentrantCallbackGroup(CallbackGroup):
-    """Lets all callbacks run side by side."""
+    """Lets all callbacks run at the same time."""
 
     def can_execute(self, entity: Member) -> bool:  # noqa: ARG002  # any entity
         """Whether a callback of the entity may begin now."""
         return True
 
     def beginning_execution(self, entity: Member) -> bool:  # noqa: ARG002  # any entity
-        """Take the right to run a callback of the entity."""
+        """Return True, because any number of callbacks may run at the same time."""
         return True
 
     def ending_execution(self, entity: Member) -> None:
-        """Do nothing, because no callback waits."""
+        """Do nothing, because the group was not reserved."""
 
 
 class MutuallyExclusiveCallbackGroup(CallbackGroup):
-    """Lets one callback run at a time. A coroutine counts until its end."""
+    """Lets one callback run at a time.
+
+    If the callback is a coroutine, the next callback may run only after the coroutine has ended.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -72,7 +75,7 @@ class MutuallyExclusiveCallbackGroup(CallbackGroup):
 
     @property
     def active_entity(self) -> Member | None:
-        """The entity that holds the group."""
+        """The entity with the callback that runs now; None if no callback runs."""
         return self._active_entity
 
     def can_execute(self, entity: Member) -> bool:
@@ -82,7 +85,7 @@ class MutuallyExclusiveCallbackGroup(CallbackGroup):
             return self._active_entity is None
 
     def beginning_execution(self, entity: Member) -> bool:
-        """Take the right to run a callback of the entity. Return whether the right was free."""
+        """Reserve the group for a callback of the entity. Return False if the group is not free."""
         with self._lock:
             assert ref(entity) in self.entities  # noqa: S101  # as in rclpy
             if self._active_entity is None:
@@ -91,7 +94,7 @@ class MutuallyExclusiveCallbackGroup(CallbackGroup):
             return False
 
     def ending_execution(self, entity: Member) -> None:
-        """Give the right back."""
+        """Free the group again, because the callback of the entity has ended."""
         with self._lock:
             assert self._active_entity is entity  # noqa: S101  # as in rclpy
             self._active_entity = None

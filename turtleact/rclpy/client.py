@@ -30,17 +30,17 @@ logger = RcutilsLogger("rclpy.client")
 
 
 class Client(Introspected, Subscriptable, Entity):
-    """Calls a service. `Node.create_client` makes one.
+    """Calls a service. Make a client with `Node.create_client`.
 
     Args:
-        context: The context. Its shutdown ends every wait.
-        end: The client end of the service.
+        context: The context. If it is shut down, `call` and `wait_for_service` stop waiting.
+        end: Sends the requests, and receives the responses.
         srv_type: The class of the service.
-        srv_name: The name of the service, as it was given.
-        full_name: Its full name.
+        srv_name: The name of the service, as the program gave it.
+        full_name: The full name of the service.
         qos_profile: The quality of service.
         callback_group: Decides when a response may be handled.
-        wake: Called when a response has come.
+        wake: Called when a response has arrived.
     """
 
     def __init__(
@@ -78,16 +78,17 @@ class Client(Introspected, Subscriptable, Entity):
 
     @property
     def logger_name(self) -> str:
-        """The name of the service as it was given."""
+        """The name to use in log messages: that of the service, as the program gave it."""
         return self.srv_name
 
     def call(self, request: Anything, timeout_sec: float | None = None) -> Anything:
         """Send a request and wait for the response. Another thread must spin the node meanwhile.
 
         Raises:
-            TypeError: if the request is of another class, or a value does not fit its type.
+            TypeError: if the request is not a ``srv_type.Request``, or if a value does not fit the
+                type of its field.
             TimeoutError: if there is no response in time.
-            ROSInterruptException: if the context is shut down meanwhile.
+            ROSInterruptException: if the context is shut down before the response comes.
         """
         answered = threading.Event()
         future = self.call_async(request)
@@ -105,7 +106,8 @@ class Client(Introspected, Subscriptable, Entity):
         """Send a request, and return the future of the response.
 
         Raises:
-            TypeError: if the request is of another class, or a value does not fit its type.
+            TypeError: if the request is not a ``srv_type.Request``, or if a value does not fit the
+                type of its field.
         """
         data = encode(request, self.srv_type.Request)
         self._handle.check()
@@ -124,7 +126,10 @@ class Client(Introspected, Subscriptable, Entity):
             return self._pending[sequence_number]
 
     def remove_pending_request(self, future: Future) -> None:
-        """Forget a request. Its future will never be done."""
+        """Forget the request of a future.
+
+        If the future is not done yet, it will never be done.
+        """
         with self._lock:
             for number, pending in self._pending.items():
                 if pending is future:
@@ -137,15 +142,15 @@ class Client(Introspected, Subscriptable, Entity):
             return self._end.is_served
 
     def wait_for_service(self, timeout_sec: float | None = None) -> bool:
-        """Wait until the service has a server, without spinning. Return whether it has one."""
+        """Wait, without spinning, until the service has a server. Return whether it has one."""
         return wait_until(self.service_is_ready, timeout_sec, self.context.ok)
 
     def is_ready_now(self) -> bool:
-        """Whether a response waits."""
+        """Whether a response waits to be handled."""
         return bool(self._waiting) and not self._handle.is_destroyed
 
     def take(self) -> Anything:
-        """Take a response and the number of its request."""
+        """Return a response, with the number of its request; `NOTHING` if no response waits."""
         try:
             return self._waiting.popleft()
         except IndexError:

@@ -1,4 +1,4 @@
-"""Clocks: system time, steady time, and ROS time, which somebody else may set."""
+"""Clocks: system time, steady time, and ROS time, which an external source may set."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = [
 
 
 class ClockChange(IntEnum):
-    """The kinds of changes of the source of ROS time."""
+    """Tells whether, and how, a time jump has changed the source of ROS time."""
 
     ROS_TIME_NO_CHANGE = 1
     ROS_TIME_ACTIVATED = 2
@@ -39,16 +39,17 @@ class ClockChange(IntEnum):
 
 
 class JumpThreshold:
-    """The jumps of a clock for which a callback is called.
+    """Selects the time jumps for which a callback is called.
 
     Args:
-        min_forward: The smallest forward jump to report. With None, no such jump is reported.
-        min_backward: The smallest backward jump to report, negative. With None, no such jump is
-            reported.
-        on_clock_change: Whether to report changes of the source of the time.
+        min_forward: The smallest forward jump to report. With None, no forward jump is reported.
+        min_backward: The smallest backward jump to report, as a negative duration. With None, no
+            backward jump is reported.
+        on_clock_change: Whether to report when an external source starts or stops setting the time.
 
     Raises:
-        ValueError: if a jump has the wrong sign, or nothing would be reported.
+        ValueError: if ``min_forward`` is not above zero, if ``min_backward`` is not below zero, or
+            if no jump would be reported.
     """
 
     def __init__(
@@ -84,8 +85,8 @@ class TimeJump:
     """A jump of a clock.
 
     Args:
-        clock_change: Whether the source of the time has changed.
-        delta: How far the clock has jumped.
+        clock_change: Whether, and how, the source of the time has changed.
+        delta: How far the clock has jumped; negative for a jump backward.
     """
 
     def __init__(self, clock_change: ClockChange, delta: Duration) -> None:
@@ -94,26 +95,28 @@ class TimeJump:
 
     @property
     def clock_change(self) -> ClockChange:
-        """Whether the source of the time has changed."""
+        """Whether, and how, the source of the time has changed."""
         return self._clock_change
 
     @property
     def delta(self) -> Duration:
-        """How far the clock has jumped."""
+        """How far the clock has jumped; negative for a jump backward."""
         return self._delta
 
 
 class JumpHandle(Block):
-    """Callbacks that are called when the time jumps; a context manager.
+    """Calls callbacks when the time of a clock jumps, until `unregister` is called.
+
+    As a context manager, it calls `unregister` at the end of the block.
 
     Args:
         clock: The clock.
         threshold: The jumps for which the callbacks are called.
-        pre_callback: Called before a jump.
-        post_callback: Called with the jump, after it.
+        pre_callback: Called without arguments before a jump.
+        post_callback: Called after a jump, with the `TimeJump`.
 
     Raises:
-        ValueError: if there is no callback.
+        ValueError: if neither callback is given.
     """
 
     def __init__(
@@ -143,7 +146,7 @@ class JumpHandle(Block):
 
 
 class Clock:
-    """A clock; ``Clock(clock_type=ClockType.ROS_TIME)`` is a `ROSClock`.
+    """A clock. ``Clock(clock_type=ClockType.ROS_TIME)`` makes a `ROSClock`.
 
     Args:
         clock_type: The kind of clock.
@@ -156,7 +159,7 @@ class Clock:
     _changed: threading.Condition
 
     def __new__(cls, *, clock_type: ClockType = ClockType.SYSTEM_TIME) -> Self:
-        """Make a clock; its class depends on the kind of clock."""
+        """Make a clock; ``Clock`` makes a `ROSClock` for ROS time."""
         if not isinstance(clock_type, ClockType):
             raise TypeError("Clock type must be a ClockType enum")
         made = ROSClock if clock_type is ClockType.ROS_TIME and cls is Clock else cls
@@ -179,23 +182,23 @@ class Clock:
 
     @property
     def handle(self) -> Handle:
-        """Whether the clock may be used."""
+        """The handle of this clock. It shows whether the clock may still be used."""
         return self._handle
 
     @property
     def is_told(self) -> bool:
-        """Whether somebody else, such as a simulator, sets the time."""
+        """Whether an external source, such as a simulator, sets the time."""
         return False
 
     def __repr__(self) -> str:
         return f"Clock(clock_type={self.clock_type.name})"
 
     def now_ns(self) -> int:
-        """Return the time in nanoseconds."""
+        """Return the current time in nanoseconds; its origin depends on the kind of clock."""
         return self._now()
 
     def now(self) -> Time:
-        """Return the time."""
+        """Return the current time."""
         return Time(nanoseconds=self.now_ns(), clock_type=self._clock_type)
 
     def create_jump_callback(
@@ -205,10 +208,10 @@ class Clock:
         pre_callback: Callable[[], object] | None = None,
         post_callback: Callable[[TimeJump], object] | None = None,
     ) -> JumpHandle:
-        """Call callbacks when the time jumps.
+        """Call callbacks when the time jumps. Return the handle that can unregister them.
 
         Raises:
-            ValueError: if there is no callback.
+            ValueError: if neither callback is given, or if one is not callable.
         """
         if post_callback is not None and not callable(post_callback):
             raise ValueError("post_callback must be callable if given")
@@ -219,24 +222,24 @@ class Clock:
         )
 
     def add_jump_handle(self, handle: JumpHandle) -> None:
-        """Tell a handle about jumps from now on."""
+        """From now on, call the callbacks of a handle when the time jumps."""
         self._jump_handles.append(handle)
 
     def remove_jump_handle(self, handle: JumpHandle) -> None:
-        """Stop telling a handle about jumps."""
+        """Stop calling the callbacks of a handle."""
         if handle in self._jump_handles:
             self._jump_handles.remove(handle)
 
     def sleep_until(self, until: Time, context: Context | None = None) -> bool:
-        """Sleep until a time of this clock, or until the context is shut down.
+        """Sleep until this clock shows the time ``until``, or until the context is shut down.
 
         Returns:
-            Whether the time has come; False if the context was shut down or the source of ROS time
-            has changed.
+            True if the clock has reached the time; False if the context was shut down, or if the
+            source of ROS time has changed.
 
         Raises:
-            ValueError: if the time belongs to another kind of clock.
-            NotInitializedException: if the context is not initialised.
+            ValueError: if ``until`` is a time of another kind of clock.
+            NotInitializedException: if the context is not initialised, or was shut down before.
         """
         from turtleact.rclpy.utilities import get_default_context
 
@@ -258,7 +261,7 @@ class Clock:
         return False
 
     def sleep_for(self, rel_time: Duration, context: Context | None = None) -> bool:
-        """Sleep for some time of this clock; see `sleep_until`."""
+        """Sleep for a duration that this clock measures; see `sleep_until`."""
         return self.sleep_until(self.now() + rel_time, context)
 
     def _wake(self) -> None:
@@ -267,11 +270,11 @@ class Clock:
 
 
 _LONGEST = 0.5
-"""How long to sleep at most before looking again (s). A signal may not interrupt a lock."""
+"""How long to sleep before checking again (s), because a signal may not interrupt the sleep."""
 
 
 class ROSClock(Clock):
-    """A clock of ROS time. Somebody else, such as a simulator, may set its time."""
+    """A clock of ROS time, which an external source, such as a simulator, may set."""
 
     _told = 0
     _is_told = False
@@ -285,24 +288,24 @@ class ROSClock(Clock):
 
     @property
     def ros_time_is_active(self) -> bool:
-        """Whether somebody else, such as a simulator, sets the time."""
+        """Whether an external source, such as a simulator, sets the time."""
         return self._is_told
 
     @property
     def is_told(self) -> bool:
-        """Whether somebody else, such as a simulator, sets the time."""
+        """Whether an external source, such as a simulator, sets the time."""
         return self._is_told
 
     def now_ns(self) -> int:
-        """Return the time in nanoseconds."""
+        """Return the current time in nanoseconds; its origin depends on the kind of clock."""
         return self._told if self._is_told else time.time_ns()
 
     def _set_ros_time_is_active(self, enabled: bool) -> None:
-        """Choose whether somebody else sets the time."""
+        """Choose whether an external source sets the time."""
         self.activate(is_told=enabled)
 
     def activate(self, *, is_told: bool) -> None:
-        """Choose whether somebody else sets the time."""
+        """Choose whether an external source sets the time."""
         if is_told == self._is_told:
             return
         before = self.now_ns()
@@ -315,7 +318,7 @@ class ROSClock(Clock):
         self._jump(TimeJump(change, Duration(nanoseconds=after - before)), turn)
 
     def set_ros_time_override(self, time: Time) -> None:
-        """Set the time of the clock.
+        """Set the time that the clock shows while `ros_time_is_active`.
 
         Raises:
             TypeError: if ``time`` is not a `Time`.

@@ -8,7 +8,7 @@ __all__ = ["ClockType"]
 
 
 class ClockType(IntEnum):
-    """The time that a clock follows."""
+    """The kind of time that a clock shows."""
 
     UNINITIALIZED = 0
     ROS_TIME = 1

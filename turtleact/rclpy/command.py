@@ -1,7 +1,7 @@
 """Implements ``python -m turtleact.rclpy [OPTIONS] FILE.py|-m MODULE [ARGUMENTS]``.
 
-The program runs as under ``python FILE.py``: with its arguments, its folder on the path, Python's
-own tracebacks and exit statuses.
+The program runs as under ``python FILE.py``: it gets its arguments, Python finds modules in its
+folder, and tracebacks and exit statuses are the same.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def run(begin: Callable[[], object]) -> None:
 
 
 def _run(program: str, file: Path | None) -> None:
-    """Run a file or a module to its end. Its exceptions are raised here."""
+    """Run a file or a module to its end. An exception of the program is raised again."""
     error: BaseException | None = None
     try:
         if file is None:

@@ -1,4 +1,4 @@
-"""Contexts: the time between ``init`` and ``shutdown``."""
+"""Contexts, which ``init`` starts and ``shutdown`` ends."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Tracked(Protocol):
 
 
 class Context:
-    """The owner of nodes, executors and clocks. They work only between `init` and `shutdown`.
+    """The context of nodes and executors, which work only between `init` and `shutdown`.
 
-    Shutting the context down destroys the nodes, then calls the callbacks of `on_shutdown`.
+    The shutdown destroys the nodes, and then calls the callbacks of `on_shutdown`.
     """
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class Context:
 
     @property
     def handle(self) -> Handle | None:
-        """The handle; None before `init`."""
+        """The handle, which shows whether the context may be used; None before `init`."""
         return self._handle
 
     def init(
@@ -59,10 +59,11 @@ class Context:
         """Initialise the context.
 
         Args:
-            args: The arguments of the program, of which those after ``--ros-args`` are used. None
-                means ``sys.argv``.
+            args: The arguments of the program. Only those after ``--ros-args`` are used. None means
+                ``sys.argv``.
             initialize_logging: Whether to apply the log levels in the arguments.
-            domain_id: The ROS domain. None means the domain in the environment.
+            domain_id: The ROS domain. None means the domain in the environment variable
+                ``ROS_DOMAIN_ID``.
 
         Raises:
             RuntimeError: if the context was initialised before, or the domain is negative.
@@ -90,10 +91,10 @@ class Context:
 
     @property
     def connection(self) -> Connection:
-        """The graph, which is joined on first use.
+        """The connection to the graph, which is joined on first use.
 
         Raises:
-            NotInitializedException: if the context is not ok.
+            NotInitializedException: if the context is not `ok`.
         """
         with self._lock:
             self.check()
@@ -106,7 +107,7 @@ class Context:
         """Check that the context is initialised and not shut down.
 
         Raises:
-            NotInitializedException: if it is not ok.
+            NotInitializedException: if the context is not `ok`.
         """
         if not self._is_ok:
             raise NotInitializedException
@@ -122,11 +123,11 @@ class Context:
         return self._domain
 
     def destroy(self) -> None:
-        """Shut down the context, unless that has been done."""
+        """Shut down the context if it is initialised and not shut down yet."""
         self._shut_down()
 
     def shutdown(self) -> None:
-        """Shut down.
+        """Shut down the context.
 
         Raises:
             RuntimeError: if the context is not initialised, or was shut down before.
@@ -135,11 +136,11 @@ class Context:
             raise RuntimeError("Context must be initialized before it can be shutdown")
 
     def try_shutdown(self) -> None:
-        """Shut down the context, unless that has been done."""
+        """Shut down the context if it is initialised and not shut down yet."""
         self._shut_down()
 
     def on_shutdown(self, callback: Callable[[], object]) -> None:
-        """Call ``callback()`` when the context is shut down, or at once if it has been already.
+        """Call ``callback()`` at the shutdown, or at once if the context is shut down already.
 
         Raises:
             TypeError: if the callback is not callable.
@@ -156,15 +157,15 @@ class Context:
         callback()
 
     def track_node(self, node: Tracked) -> None:
-        """Destroy a node when the context is shut down."""
+        """Remember a node, so that the shutdown of the context destroys the node."""
         self._nodes.add(node)
 
     def untrack_node(self, node: Tracked) -> None:
-        """Forget a node."""
+        """Forget a node, so that the shutdown of the context does not destroy the node."""
         self._nodes.discard(node)
 
     def _shut_down(self) -> bool:
-        """Shut down and return True. If that was done before, or is impossible, return False."""
+        """Shut down and return True. If the context is not `ok`, do nothing and return False."""
         with PROCESS.ending():
             return self._end()
 

@@ -22,7 +22,7 @@ class Duration:
 
     Args:
         seconds: Seconds, as an int or float.
-        nanoseconds: Nanoseconds to add.
+        nanoseconds: Nanoseconds to add to ``seconds``.
 
     Raises:
         OverflowError: if the length does not fit into 64 bits.
@@ -92,7 +92,7 @@ class Duration:
 
     @classmethod
     def from_msg(cls, msg: Anything) -> Duration:
-        """Return the length in a ``builtin_interfaces.msg.Duration``.
+        """Return a ``builtin_interfaces.msg.Duration`` as a `Duration`.
 
         Raises:
             TypeError: if ``msg`` is of another type.

@@ -1,12 +1,14 @@
-"""Events of publishers and subscriptions: matched, incompatible, missed deadlines, liveliness.
+"""Events of publishers and subscriptions, such as matches and missed deadlines.
 
-Events cost time only for endpoints with callbacks for them. The endpoints of the topic are read
-from the graph whenever the graph has changed. This module checks deadlines, and the liveliness of
-publishers in this process, because transports enforce no time limits. A mismatch of quality of
-service is reported, but the messages still flow, as with rmw_zenoh. Lost messages are never
-noticed.
+The callback for an event gets an info object, such as a `QoSPublisherMatchedInfo`. An endpoint
+without callbacks for events spends no time on events. Whenever the graph has changed, this module
+reads the endpoints of the topic again. This module itself checks deadlines, and the liveliness of
+publishers in this process, because transports enforce no time limits. Endpoints with an
+incompatible quality of service are reported, but still exchange messages, as with rmw_zenoh. This
+module never notices lost messages.
 
-Source: rmw ``events_statuses`` for the facts; `turtleact.graph.misfits` for what is incompatible.
+Source: rmw ``events_statuses`` for the fields of the info objects; `turtleact.graph.misfits`
+decides which policies are incompatible.
 """
 
 from __future__ import annotations
@@ -59,7 +61,7 @@ KINDS: Final[dict[Policy, QoSPolicyKind]] = {
 
 
 class UnsupportedEventTypeError(RuntimeError):
-    """The middleware has no such event."""
+    """The middleware does not support this kind of event."""
 
 
 class QoSPublisherEventType(IntEnum):
@@ -84,11 +86,11 @@ class QoSSubscriptionEventType(IntEnum):
 
 
 class _Counted(msgspec.Struct, frozen=True, kw_only=True):
-    """How often something has happened.
+    """How often an event has happened.
 
     Attributes:
-        total_count: How often it has happened in total.
-        total_count_change: How often it has happened since the last callback.
+        total_count: How often the event has happened since the endpoint was opened.
+        total_count_change: How often the event has happened since the last callback.
     """
 
     total_count: int = 0
@@ -96,41 +98,44 @@ class _Counted(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class QoSOfferedDeadlineMissedInfo(_Counted, frozen=True):
-    """The publisher did not publish in time."""
+    """Reports that the publisher did not publish a message before its deadline."""
 
 
 class QoSRequestedDeadlineMissedInfo(_Counted, frozen=True):
-    """No message came in time."""
+    """Reports that the subscription got no message before its deadline."""
 
 
 class QoSLivelinessLostInfo(_Counted, frozen=True):
-    """The publisher did not show in time that it is alive."""
+    """Reports that the publisher did not show in time that it is alive."""
 
 
 class QoSMessageLostInfo(_Counted, frozen=True):
-    """Messages were lost."""
+    """Reports that messages were lost.
+
+    No callback gets this, because turtleact's rclpy never notices lost messages.
+    """
 
 
 class IncompatibleTypeInfo(_Counted, frozen=True):
-    """Endpoints of the topic have another type."""
+    """Reports that endpoints at the other end of the topic have a different message type."""
 
 
 class QoSRequestedIncompatibleQoSInfo(_Counted, frozen=True, kw_only=True):
-    """Endpoints of the topic have a quality of service that does not fit.
+    """Reports endpoints at the other end of the topic that have an incompatible quality of service.
 
     Attributes:
-        last_policy_kind: The policy in which the last such endpoint does not fit.
+        last_policy_kind: The policy that makes the last of these endpoints incompatible.
     """
 
     last_policy_kind: QoSPolicyKind = QoSPolicyKind.INVALID
 
 
 class QoSPublisherMatchedInfo(_Counted, frozen=True, kw_only=True):
-    """Endpoints have come or gone.
+    """Reports that endpoints at the other end of the topic have come or gone.
 
     Attributes:
-        current_count: How many endpoints there are now.
-        current_count_change: How many more endpoints there are than at the last callback.
+        current_count: How many of these endpoints there are now.
+        current_count_change: How much ``current_count`` has changed since the last callback.
     """
 
     current_count: int = 0
@@ -138,12 +143,12 @@ class QoSPublisherMatchedInfo(_Counted, frozen=True, kw_only=True):
 
 
 class QoSLivelinessChangedInfo(msgspec.Struct, frozen=True, kw_only=True):
-    """Publishers have come or gone.
+    """Reports that publishers of the topic have come or gone.
 
     Attributes:
         alive_count: How many publishers are alive.
-        not_alive_count: Always 0, because a publisher counts as alive until it has gone.
-        alive_count_change: How many more publishers are alive than at the last callback.
+        not_alive_count: Always 0, because a publisher counts as alive until it leaves the graph.
+        alive_count_change: How much ``alive_count`` has changed since the last callback.
         not_alive_count_change: Always 0.
     """
 
@@ -158,26 +163,32 @@ QoSSubscriptionMatchedInfo = QoSPublisherMatchedInfo
 
 
 class Event(Protocol):
-    """Notices one kind of event. Only one thread at a time calls its methods, except `noted`."""
+    """Notices one kind of event.
+
+    Any thread may call `noted`. Only one thread at a time calls the other methods.
+    """
 
     def poll(self) -> object | None:
-        """Return what has happened since the last call; None if nothing has happened."""
+        """If an event has happened since the last call, return its info object; otherwise None."""
 
     def due_in(self) -> float | None:
-        """How long until time alone causes the next event (s); None if it never does."""
+        """How long until a time limit is exceeded (s); None if no limit applies."""
 
     def noted(self, *, is_message: bool) -> None:
-        """Note a message, or a sign that the publisher is alive. Any thread may call this."""
+        """Record a message or, if ``is_message`` is false, a sign that the publisher is alive."""
 
 
 class _Late(Event):
-    """Notices that no message has come for too long. The first message starts the wait.
+    """Notices when no message comes for longer than a limit.
+
+    There is no limit before the first message.
 
     Args:
-        limit: How long messages may stay away (ns); None for no limit.
-        info: The class of the facts.
-        repeats: Whether each further period without a message counts, too. If false, a sign that
-            the publisher is alive counts like a message.
+        limit: The longest time without a message (ns); None for no limit.
+        info: The class of the info object.
+        repeats: Whether to count each further period of ``limit`` without a message. If false, only
+            the first period is counted, and a sign that the publisher is alive has the effect of a
+            message.
     """
 
     def __init__(self, limit: int | None, info: type[_Counted], *, repeats: bool) -> None:
@@ -211,17 +222,17 @@ Found: TypeAlias = "Counter[Endpoint]"
 """The endpoints of the other kind on the topic. Two equal endpoints count twice."""
 
 Tell: TypeAlias = "Callable[[Found, Found, Found], object | None]"
-"""Makes the facts of an event from three groups of endpoints: present now, new, and gone."""
+"""Makes the info object of an event from three groups of endpoints: present now, new, and gone."""
 
 
 class _Seen(Event):
-    """Notices that endpoints of the other kind have come or gone.
+    """Notices when a publisher's subscriptions, or a subscription's publishers, come or go.
 
     Args:
-        connection: The graph.
-        own: The endpoint with the callbacks.
-        wanted: Whether another endpoint counts.
-        tell: Makes the facts of the event; None if there is no event.
+        connection: The connection to the graph.
+        own: The publisher or subscription that has the callbacks.
+        wanted: A function that returns whether to watch an endpoint at the other end of the topic.
+        tell: A function that returns the info object of the event, or None if there is no event.
     """
 
     def __init__(
@@ -250,14 +261,14 @@ class _Seen(Event):
         return None if now == before else self._tell(now, now - before, before - now)
 
     def due_in(self) -> None:
-        """Return None. Time alone causes no event; a change of the graph wakes the executor."""
+        """Return None, because only changes of the graph cause these events."""
 
     def noted(self, *, is_message: bool) -> None:
-        """Do nothing, because messages do not matter here."""
+        """Do nothing, because messages do not cause these events."""
 
 
 class _Totals:
-    """Makes the facts about new endpoints, and counts these endpoints."""
+    """Makes the info objects of events, and counts the endpoints that have caused these events."""
 
     def __init__(self) -> None:
         self._total = 0
@@ -298,9 +309,9 @@ class EventHandler(Waitable):
 
     Args:
         callback_group: Decides when the callback may run.
-        callback: Called with the facts of each event.
-        event: Notices the event.
-        connection: Wakes the executor when the graph has changed.
+        callback: Called with the info object of each event.
+        event: Notices the events.
+        connection: Tells the handler when the graph has changed.
     """
 
     def __init__(
@@ -318,7 +329,7 @@ class EventHandler(Waitable):
         connection.watch(self.wake)
 
     def noted(self, *, is_message: bool = True) -> None:
-        """Note a message, or a sign that the publisher is alive."""
+        """Record a message or, if ``is_message`` is false, a sign that the publisher is alive."""
         self._event.noted(is_message=is_message)
         self.wake()  # the executor sleeps until the next event that was due
 
@@ -329,16 +340,16 @@ class EventHandler(Waitable):
         return self._info is not None
 
     def due_in(self) -> float | None:
-        """How long until time alone causes an event (s)."""
+        """How long until a time limit is exceeded (s); None if no limit applies."""
         return None if self._handle.is_destroyed else self._event.due_in()
 
     def take_data(self) -> object | None:
-        """Take the facts about the event."""
+        """Return the info object of the event, and forget it."""
         taken, self._info = self._info, None
         return taken
 
     async def execute(self, taken_data: object) -> None:
-        """Call the callback."""
+        """Call the callback with the info object."""
         await await_or_execute(self.callback, taken_data)
 
     def destroy(self) -> None:
@@ -348,14 +359,14 @@ class EventHandler(Waitable):
 
 
 class _EventCallbacks:
-    """The callbacks of the events of an endpoint.
+    """The callbacks for the events of an endpoint.
 
     Args:
         use_default_callbacks: Ignored, because there are no default callbacks.
-        **callbacks: The callbacks by the names of the events.
+        **callbacks: The callbacks. Each keyword is the name of an event.
 
     Raises:
-        TypeError: if there is no such event.
+        TypeError: if a keyword is not the name of an event.
     """
 
     NAMES: tuple[str, ...]
@@ -370,12 +381,12 @@ class _EventCallbacks:
     def create_event_handlers(
         self, callback_group: CallbackGroup, connection: Connection, own: Endpoint
     ) -> list[EventHandler]:
-        """Make a waitable for each callback.
+        """Make an `EventHandler` for each callback.
 
         Args:
             callback_group: Decides when the callbacks may run.
-            connection: The graph.
-            own: The endpoint.
+            connection: The connection to the graph.
+            own: The endpoint that has the events.
         """
         given = ((name, getattr(self, name)) for name in self.NAMES)
         return [
@@ -386,19 +397,19 @@ class _EventCallbacks:
 
 
 class PublisherEventCallbacks(_EventCallbacks):
-    """The callbacks of a publisher's events: keyword arguments with the names of the events."""
+    """Callbacks for a publisher's events. Each keyword argument is named after its event."""
 
     NAMES = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
 
 
 class SubscriptionEventCallbacks(_EventCallbacks):
-    """The callbacks of a subscription's events: keyword arguments with the names of the events."""
+    """Callbacks for a subscription's events. Each keyword argument is named after its event."""
 
     NAMES = (*PublisherEventCallbacks.NAMES, "message_lost")
 
 
 def _event(name: str, connection: Connection, own: Endpoint) -> Event:
-    """Return the object that notices an event of an endpoint."""
+    """Return the object that notices an endpoint's events of the kind ``name``."""
     is_publisher = own.kind == "publisher"
     totals = _Totals()
     if name == "deadline":

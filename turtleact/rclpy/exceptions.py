@@ -28,11 +28,11 @@ __all__ = [
 
 
 class InvalidHandle(RuntimeError):
-    """Something was used after it was destroyed."""
+    """An object was used after it was destroyed."""
 
 
 class RCLError(RuntimeError):
-    """An operation is not possible in the present state."""
+    """An operation failed, for example because an argument is malformed."""
 
 
 class UnknownROSArgsError(RuntimeError):
@@ -54,19 +54,19 @@ class NoTypeSupportImportedException(Exception):
 
 
 class ROSInterruptException(Exception):
-    """A wait was interrupted by the shutdown of its context."""
+    """A wait ended early, because its context was shut down."""
 
     def __init__(self, *args: object) -> None:
         super().__init__("rclpy.shutdown() has been called", *args)
 
 
 class NameValidationException(Exception):
-    """A name breaks the rules.
+    """A name breaks the naming rules.
 
     Attributes:
         name_type: The kind of name, such as "topic name".
         name: The name.
-        error_msg: What is wrong.
+        error_msg: What is wrong with the name.
         invalid_index: The index of the first wrong character.
     """
 
@@ -82,38 +82,38 @@ class NameValidationException(Exception):
 
 
 class InvalidNamespaceException(NameValidationException):
-    """A namespace breaks the rules."""
+    """A namespace breaks the naming rules."""
 
     def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
         super().__init__("namespace", name, error_msg, invalid_index, *args)
 
 
 class InvalidNodeNameException(NameValidationException):
-    """The name of a node breaks the rules."""
+    """The name of a node breaks the naming rules."""
 
     def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
         super().__init__("node name", name, error_msg, invalid_index, *args)
 
 
 class InvalidTopicNameException(NameValidationException):
-    """The name of a topic breaks the rules."""
+    """The name of a topic breaks the naming rules."""
 
     def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
         super().__init__("topic name", name, error_msg, invalid_index, *args)
 
 
 class InvalidServiceNameException(NameValidationException):
-    """The name of a service breaks the rules."""
+    """The name of a service breaks the naming rules."""
 
     def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
         super().__init__("service name", name, error_msg, invalid_index, *args)
 
 
 class ParameterException(Exception):
-    """Something is wrong with parameters.
+    """An operation on parameters has failed.
 
     Args:
-        error_msg: What is wrong.
+        error_msg: Why the operation has failed.
         parameters: The names of the parameters.
     """
 
@@ -132,21 +132,21 @@ class ParameterNotDeclaredException(ParameterException):
 
 
 class ParameterAlreadyDeclaredException(ParameterException):
-    """A parameter has been declared before."""
+    """A parameter was declared a second time."""
 
     def __init__(self, parameters: str | list[str], *args: object) -> None:
         super().__init__("Parameter(s) already declared", parameters, *args)
 
 
 class InvalidParameterException(ParameterException):
-    """The name of a parameter breaks the rules."""
+    """The name of a parameter is invalid."""
 
     def __init__(self, parameter: str, *args: object) -> None:
         super().__init__("Invalid parameter name", parameter, *args)
 
 
 class InvalidParameterTypeException(ParameterException):
-    """The type of a parameter does not fit its value."""
+    """The value of a parameter does not have the declared type."""
 
     def __init__(self, desired_parameter: Anything, expected_type: str, *args: object) -> None:
         name, value = desired_parameter.name, desired_parameter.value
@@ -159,7 +159,7 @@ class InvalidParameterTypeException(ParameterException):
 
 
 class InvalidParameterValueException(ParameterException):
-    """A value of a parameter was refused."""
+    """A descriptor or a callback has refused the value of a parameter."""
 
     def __init__(self, parameter: str, value: object, reason: str, *args: object) -> None:
         text = f"Invalid parameter value ({value!r}) for parameter. Reason: {reason}"
@@ -167,14 +167,14 @@ class InvalidParameterValueException(ParameterException):
 
 
 class ParameterUninitializedException(ParameterException):
-    """A parameter was declared without a value and has none yet."""
+    """A parameter was declared without a value, and has no value yet."""
 
     def __init__(self, parameter: str, *args: object) -> None:
         super().__init__(f"The parameter '{parameter}' is not initialized", parameter, *args)
 
 
 class ParameterImmutableException(ParameterException):
-    """A read-only parameter cannot be changed."""
+    """An operation has tried to change a read-only parameter."""
 
     def __init__(self, parameter: str, *args: object) -> None:
         super().__init__("Attempted to modify read-only parameter", parameter, *args)

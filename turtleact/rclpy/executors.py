@@ -1,15 +1,17 @@
-"""Executors: run the callbacks of nodes, one at a time or in several threads.
+"""Executors run the callbacks of nodes, one at a time or in several threads.
 
-There is no wait set. Everything that arrives waits in a queue of its entity, and wakes the
-executor. An executor works in rounds. A round first runs all tasks that can go on, and then each
-ready entity once: the waitables of all nodes, then the timers, subscriptions, guard conditions,
-clients and services of each node.
+These executors have no wait set, unlike those of the genuine rclpy. A message, request or response
+wakes the executor, and waits in a queue of its subscription, service or client until the executor
+takes it. An executor works in rounds. In a round, it serves each ready entity once: first the
+waitables of all nodes, then the timers, subscriptions, guard conditions, clients and services of
+each node. Before it serves an entity, it runs the tasks that can continue.
 
-Threads: the spinning thread waits, reserves an entity's group and takes its data; the callback
-itself may run in another thread. Several threads may spin at the same time, because a callback may
-spin its own executor. Each thread therefore pops a queue without looking at it first, and counts
-for itself which wakes it has seen. Nodes, tasks and groups have locks of their own; no callback
-runs, and no second lock is taken, while one of them is held.
+The spinning thread waits until an entity is ready, reserves the entity's callback group, and takes
+the entity's data. The callback itself may run in another thread. Several threads may spin one
+executor at the same time, because a callback may spin the executor that runs it. Each thread
+therefore pops from a queue without checking first whether the queue is empty. Each thread also
+remembers how many calls of `wake` it has seen. Nodes, tasks and callback groups have their own
+locks. A thread that holds one of these locks runs no callback and takes no second lock.
 """
 
 from __future__ import annotations
@@ -65,22 +67,22 @@ class Spinnable(Protocol):
 
     @property
     def executor(self) -> Executor | None:
-        """The executor that runs its callbacks."""
+        """The executor that runs the node's callbacks."""
 
     @executor.setter
     def executor(self, new_executor: Executor | None) -> None: ...
 
     @property
     def waitables(self) -> Iterable[Entity]:
-        """The waitables."""
+        """The waitables of the node."""
 
     @property
     def entities(self) -> Sequence[Sequence[Entity]]:
-        """All other entities with callbacks, by kind, in the order of a round."""
+        """The other entities of the node, by kind, in the order in which a round serves them."""
 
 
 class TimeoutException(Exception):
-    """Nothing was ready in time."""
+    """No callback was ready in time."""
 
 
 class ShutdownException(Exception):
@@ -92,14 +94,14 @@ class ExternalShutdownException(Exception):
 
 
 class ConditionReachedException(Exception):
-    """The condition that a wait was for has become true."""
+    """The condition that was passed to `Executor.wait_for_ready_callbacks` is true."""
 
 
 class TimeoutObject:
     """A timeout that can change.
 
     Attributes:
-        timeout: The timeout (s).
+        timeout: How long to wait (s). A negative number means for ever.
     """
 
     def __init__(self, timeout: float) -> None:
@@ -107,7 +109,10 @@ class TimeoutObject:
 
 
 async def await_or_execute(callback: Anything, *args: Anything) -> Anything:
-    """Call a function. If it returns a coroutine, await that."""
+    """Call a function, and return its result.
+
+    If the function returns a coroutine, await the coroutine, and return the coroutine's result.
+    """
     result = callback(*args)
     return await result if inspect.iscoroutine(result) else result
 
@@ -117,11 +122,11 @@ def _never() -> bool:
 
 
 class Executor(Block):
-    """The base of executors; a subclass defines `spin_once`.
+    """The base class of executors. A subclass defines `_spin_once`.
 
     Args:
-        context: The context, which ends every spin when it is shut down. None means the default
-            context.
+        context: The context. If the context is shut down, the executor stops spinning. None means
+            the default context.
     """
 
     def __init__(self, *, context: Context | None = None) -> None:
@@ -138,26 +143,26 @@ class Executor(Block):
 
     @property
     def context(self) -> Context:
-        """The context."""
+        """The context of the executor."""
         return self._context
 
     # tasks
 
     def create_task(self, callback: Anything, *args: Anything, **kwargs: Anything) -> Task:
-        """Run a function or coroutine during `spin`, and return its task."""
+        """Schedule a function or coroutine to run during `spin`, and return its task."""
         task = Task(callback, args, kwargs, executor=self)
         self.resume(task)
         return task
 
     def resume(self, task: Task) -> None:
-        """Run a task, or its next step, during `spin`. Any thread may call this."""
+        """Schedule a task, or its next step, to run during `spin`. Any thread may call this."""
         self._ready.append(task)
         self.wake()
 
     # nodes
 
     def add_node(self, node: Spinnable) -> bool:
-        """Run the callbacks of a node. Return False if the executor has the node already."""
+        """Run the callbacks of a node from now on. Return False if the node was added before."""
         with self._nodes_lock:
             if node in self._nodes:
                 return False
@@ -175,12 +180,12 @@ class Executor(Block):
         self.wake()
 
     def get_nodes(self) -> list[Spinnable]:
-        """Return the nodes."""
+        """Return the nodes of the executor."""
         with self._nodes_lock:
             return list(self._nodes)
 
     def wake(self) -> None:
-        """Make the executor look for work. Any thread may call this."""
+        """Make the executor check which callbacks are ready. Any thread may call this."""
         with self._wake:
             self._wakes += 1
             self._wake.notify_all()
@@ -188,7 +193,7 @@ class Executor(Block):
     # ending
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
-        """Stop, and wait for the callbacks that are running.
+        """Stop spinning, and wait until all running callbacks have ended.
 
         Args:
             timeout_sec: How long to wait (s). None or a negative number means for ever.
@@ -216,11 +221,12 @@ class Executor(Block):
             self.spin_once()
 
     def spin_until_future_complete(self, future: Future, timeout_sec: float | None = None) -> None:
-        """Run callbacks until a future is done, or for some time.
+        """Run callbacks until a future is done, the time is over, or the context is shut down.
 
         Args:
             future: The future.
-            timeout_sec: How long to run callbacks (s). None or a negative number means for ever.
+            timeout_sec: The longest time to run callbacks (s). None or a negative number means for
+                ever.
         """
         future.add_done_callback(self._future_done)
         is_endless = timeout_sec is None or timeout_sec < 0
@@ -238,7 +244,7 @@ class Executor(Block):
         self.wake()
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait for one callback and run it. An exception of a callback is raised here.
+        """Wait until a callback is ready, and run it. An exception of a callback is raised again.
 
         Args:
             timeout_sec: How long to wait (s). None or a negative number means for ever.
@@ -248,7 +254,7 @@ class Executor(Block):
     def spin_once_until_future_complete(
         self, future: Future, timeout_sec: float | TimeoutObject | None = None
     ) -> None:
-        """Wait for one callback and run it, unless a future is done first."""
+        """Wait until a callback is ready, and run it, unless a future is done first."""
         future.add_done_callback(self._future_done)
         self._spin_once(timeout_sec, future)
 
@@ -258,7 +264,7 @@ class Executor(Block):
         raise NotImplementedError
 
     def can_execute(self, entity: Entity) -> bool:
-        """Whether the group of an entity lets its callback run."""
+        """Whether the callback group of an entity lets the entity's callback run now."""
         return entity.callback_group.can_execute(entity)
 
     def wait_for_ready_callbacks(
@@ -269,10 +275,10 @@ class Executor(Block):
     ) -> Work:
         """Wait for the next task, and return it with its entity and its node.
 
-        Call the task to run it.
+        The caller runs the task by calling it.
 
         Raises:
-            TimeoutException: if there is nothing to run in time.
+            TimeoutException: if no task is ready in time.
             ShutdownException: if the executor is shut down.
             ExternalShutdownException: if the context is shut down.
             ConditionReachedException: if ``condition()`` is true.
@@ -302,12 +308,12 @@ class Executor(Block):
         nodes: list[Spinnable] | None = None,
         condition: Callable[[], bool] = _never,
     ) -> Generator[Work, None, None]:
-        """Yield the results of `wait_for_ready_callbacks`, again and again."""
+        """Call `wait_for_ready_callbacks` again and again, and yield each result."""
         while True:
             yield self.wait_for_ready_callbacks(timeout_sec, nodes, condition)
 
     def _next_work(self, nodes: list[Spinnable] | None) -> Work | None:
-        """Return a task that can go on, or the next ready entity of this or a new round."""
+        """Return a task that can continue, or else a task for the next ready entity, if any."""
         work = self._next_task(nodes)
         if work is None and self._round:
             work = self._next_entity(nodes)
@@ -344,7 +350,7 @@ class Executor(Block):
         return None
 
     def _begin(self, node: Spinnable, entity: Entity) -> Work | None:
-        """Take work from an entity if its callback group lets it run; otherwise return None."""
+        """Return a task that runs an entity's callback; None if the callback cannot run now."""
         group = entity.callback_group
         if not self.can_execute(entity) or not group.beginning_execution(entity):
             note_blocked(entity)
@@ -372,17 +378,20 @@ class Executor(Block):
             self.wake()  # others of the group may run now
 
     def _is_from_shutdown(self, error: BaseException) -> bool:
-        """Whether a callback failed because the context was shut down while it ran.
+        """Whether a callback failed because the context was shut down while the callback ran.
 
-        A signal may destroy a publisher right before the callback uses it.
+        For example, a signal shuts the context down, which destroys a publisher that the callback
+        is about to use.
         """
         return isinstance(error, InvalidHandle) and not self._context.ok()
 
     def _sleep(self, seen: int, end: float | None, nodes: list[Spinnable] | None) -> None:
-        """Wait until something is due, or until ``end`` (s, `time.monotonic`).
+        """Wait until `wake` is called, until an entity is due, or until ``end``.
 
-        Returns at once if the executor was woken again after the first ``seen`` wakes. A flag would
-        not do: another spinning thread would clear it, although it may wait for something else.
+        ``end`` is a time of `time.monotonic` (s). ``seen`` is the number of calls of `wake` that
+        the calling thread has noticed. If there have been more calls, return at once. The calls are
+        counted, because several threads may spin at the same time: if one thread cleared a flag,
+        the others would miss the call.
         """
         now = time.monotonic()
         left = None if end is None else end - now
@@ -426,7 +435,7 @@ class MultiThreadedExecutor(Executor):
     Args:
         num_threads: The number of threads. None means the number of cores that this process may
             use, but at least 2.
-        context: See `Executor`.
+        context: The context; see `Executor`.
     """
 
     def __init__(self, num_threads: int | None = None, *, context: Context | None = None) -> None:
@@ -443,11 +452,11 @@ class MultiThreadedExecutor(Executor):
         self._context.on_shutdown(self._let_threads_end)
 
     def shutdown(self, timeout_sec: float | None = None, *, wait_for_threads: bool = True) -> bool:
-        """Stop, and wait for the callbacks that are running.
+        """Stop spinning, and wait until all running callbacks have ended.
 
         Args:
             timeout_sec: How long to wait (s). None or a negative number means for ever.
-            wait_for_threads: Whether to wait for the pool's threads, too.
+            wait_for_threads: Whether to wait also until the threads of the pool have ended.
         """
         if not super().shutdown(timeout_sec):
             return False
@@ -455,7 +464,7 @@ class MultiThreadedExecutor(Executor):
         return True
 
     def _let_threads_end(self) -> None:
-        """Let idle threads end, because the interpreter waits for them."""
+        """Let idle threads end, because the interpreter waits for them before it exits."""
         self._executor.shutdown(wait=False)
 
     def _is_own_thread(self) -> bool:
@@ -518,9 +527,9 @@ class _WorkTracker:
             self._changed.notify_all()
 
     def wait(self, timeout_sec: float | None) -> bool:
-        """Wait until no callback runs except the caller's.
+        """Wait until no callback runs, except callbacks in the calling thread.
 
-        Return whether this happened in time.
+        Return False if other callbacks still run after the timeout.
         """
         own = getattr(self._own, "count", 0)
         timeout = None if timeout_sec is None or timeout_sec < 0 else timeout_sec
@@ -529,7 +538,7 @@ class _WorkTracker:
 
 
 def _in_order(nodes: Iterable[Spinnable]) -> Iterator[tuple[Spinnable, Entity]]:
-    """All entities of some nodes, in the order in which a round serves them."""
+    """Yield each entity of the nodes with its node, in the order in which a round serves them."""
     nodes = list(nodes)
     for node in nodes:
         for waitable in node.waitables:

@@ -1,8 +1,8 @@
 """Decides which rclpy a program gets: the genuine one, or turtleact's.
 
-The two are never mixed. The genuine rclpy is used if it can be imported and the type support of a
-message can be loaded. Another process tries both, because an import that fails halfway cannot be
-undone.
+No program uses modules of both rclpys. Unless the user asks for turtleact's, the genuine rclpy is
+used if it can be imported and the type support of a message can be loaded. A separate process tries
+the import and the loading, because an import that fails halfway cannot be undone.
 """
 
 from __future__ import annotations
@@ -31,13 +31,14 @@ ATTEMPT: Final = (
 
 
 def chosen_face(asked: str) -> tuple[Literal["turtleact", "ros"], str]:
-    """Return which rclpy to use. For the genuine rclpy, the second value names its middleware.
+    """Return the rclpy to use, and the genuine rclpy's middleware (empty for turtleact's).
 
     Args:
-        asked: The face that the user has asked for.
+        asked: The rclpy that the user has asked for: one of `FACES`.
 
     Raises:
-        UsageError: if ``asked`` is not a face, or the genuine rclpy is asked for and does not work.
+        UsageError: if ``asked`` is not one of `FACES`, or if it is "ros" and the genuine rclpy does
+            not work.
     """
     if asked not in FACES:
         raise UsageError(f"--face is one of {', '.join(FACES)}, not '{asked}'")
@@ -52,7 +53,7 @@ def chosen_face(asked: str) -> tuple[Literal["turtleact", "ros"], str]:
 
 
 def _genuine() -> str:
-    """Return the middleware of the genuine rclpy, or an empty text if it does not work."""
+    """Return the name of the genuine rclpy's middleware; an empty string if that rclpy fails."""
     from importlib.machinery import PathFinder
 
     if PathFinder.find_spec("rclpy") is None:  # saves starting a process

@@ -1,13 +1,13 @@
 """Makes ``import rclpy`` and ``from std_msgs.msg import String`` find turtleact's modules.
 
-`install` puts a finder in front of Python's own, for this process only. Nothing is ever installed
-under the name ``rclpy``. The finder serves
+`install` puts a finder in front of Python's own finders, for this process only. No file is ever
+installed under the name ``rclpy``. The finder provides
 
-- ``rclpy`` and its modules: those of this package, under both names;
+- ``rclpy`` and its modules, which are the modules of `turtleact.rclpy` under a second name;
 - ``PKG.msg``, ``PKG.srv`` and ``PKG.action`` of every package with known interfaces;
 - small parts of ``ament_index_python`` and ``rosidl_runtime_py``.
 
-Importing a ROS package that turtleact does not have raises an `ImportError` that explains this.
+If a program imports a part of ROS that turtleact does not have, an `ImportError` says so.
 
 Source: Python's ``importlib`` documentation, "Importing a source file directly" and "Finders".
 """
@@ -72,14 +72,14 @@ MISSING: Final = {
     "rclpy.experimental": "use a SingleThreadedExecutor or a MultiThreadedExecutor",
     "rclpy.type_adapter": "turtleact has no type adapters",
 }
-"""The modules that turtleact does not have, and what the error says about each."""
+"""The modules that turtleact does not have, and the reason or advice in the error for each."""
 
 
 class Finder(MetaPathFinder):
-    """Finds the modules that turtleact serves.
+    """Finds the modules that turtleact provides.
 
-    The packages with interfaces are looked up once, before the finder is asked for anything,
-    because the look-up itself imports modules.
+    The finder looks up the packages with interfaces once, when it is made, because the look-up
+    itself imports modules.
     """
 
     def __init__(self) -> None:
@@ -91,10 +91,10 @@ class Finder(MetaPathFinder):
         path: Sequence[str] | None,  # noqa: ARG002  # our modules are in no folder
         target: ModuleType | None = None,  # noqa: ARG002  # nothing is reloaded
     ) -> ModuleSpec | None:
-        """Return how to make a module, or None if another finder serves it.
+        """Return the spec of a module, or None to leave the module to other finders.
 
         Raises:
-            ImportError: if turtleact does not have the module.
+            ImportError: if the module is a part of ROS that turtleact does not have.
         """
         if fullname in MISSING:
             raise ImportError(f"turtleact has no '{fullname}': {MISSING[fullname]}", name=fullname)
@@ -121,10 +121,10 @@ class Finder(MetaPathFinder):
 
 
 class _Alias(Loader):
-    """Gives a module of ours a second name.
+    """Makes a module of turtleact importable under a second name.
 
     Args:
-        name: Its first name.
+        name: The full name of the module in turtleact.
     """
 
     def __init__(self, name: str) -> None:
@@ -132,31 +132,33 @@ class _Alias(Loader):
         self._spec: ModuleSpec | None = None
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:  # noqa: ARG002  # the module exists
-        """Return the module."""
+        """Import the module under its full name, and return it."""
         module = import_module(self._name)
         self._spec = module.__spec__
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Undo what the import system has changed. The module was executed before."""
+        """Restore the spec that the import system has replaced, but run no code again."""
         module.__spec__ = self._spec
 
 
 class _Package(Loader):
-    """Makes the empty package around ``msg``, ``srv`` and ``action``."""
+    """Makes the package that contains the modules ``msg``, ``srv`` and ``action``."""
 
     def create_module(self, spec: ModuleSpec) -> None:
-        """Let Python make the module."""
+        """Return None, so that Python makes an ordinary module."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Do nothing."""
+        """Do nothing, because the package itself defines no names."""
 
 
 class _Interfaces(Loader):
-    """Makes ``PKG.msg`` and its siblings, which make a class on first use.
+    """Loads ``PKG.msg``, ``PKG.srv`` or ``PKG.action``.
+
+    The loaded module makes each class on its first use.
 
     Args:
-        package: The package.
+        package: The name of the package.
         kind: ``msg``, ``srv`` or ``action``.
     """
 
@@ -164,10 +166,13 @@ class _Interfaces(Loader):
         self._prefix = f"{package}/{kind}/"
 
     def create_module(self, spec: ModuleSpec) -> None:
-        """Let Python make the module."""
+        """Return None, so that Python makes an ordinary module."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Give the module its names."""
+        """Define the module's ``__all__``, ``__dir__`` and ``__getattr__``.
+
+        The function ``__getattr__`` makes the classes.
+        """
         prefix = self._prefix
         known = [name for name in known_interfaces() if name.startswith(prefix)]
         names = [name.removeprefix(prefix) for name in known]
@@ -191,12 +196,12 @@ class _Interfaces(Loader):
 
 
 class _Missing(MetaPathFinder):
-    """The finder that Python asks last.
+    """Raises an error for a package with unknown interfaces. Python asks this finder last.
 
-    If a package's interfaces are unknown, its error names the places that were searched for them.
+    The error lists the places that were searched for interfaces.
 
     Args:
-        places: The places that were searched.
+        places: The places that were searched for interfaces.
     """
 
     def __init__(self, places: Sequence[str]) -> None:
@@ -225,7 +230,7 @@ def _spec(name: str, loader: Loader, *, is_package: bool) -> ModuleSpec:
 
 
 def _is_users_own(package: str) -> bool:
-    """Whether a package of that name is the user's: it has modules that rosidl has not made."""
+    """Whether Python finds a package of this name that has no ``msg``, ``srv`` or ``action``."""
     found = PathFinder.find_spec(package)
     if found is None or found.origin is None:  # none, or a folder without __init__.py
         return False
@@ -234,10 +239,10 @@ def _is_users_own(package: str) -> bool:
 
 
 def install(places: Sequence[str] = ()) -> None:
-    """Make this process find turtleact's modules before any others of the same names.
+    """Make imports find turtleact's modules before other modules of the same names.
 
     Args:
-        places: The places that were searched for interfaces; errors name them.
+        places: The places that were searched for interfaces. Error messages list them.
     """
     uninstall()
     sys.meta_path.insert(0, Finder())
@@ -245,5 +250,5 @@ def install(places: Sequence[str] = ()) -> None:
 
 
 def uninstall() -> None:
-    """Undo `install`. Modules that were imported stay."""
+    """Undo `install`. Modules that were imported before stay imported."""
     sys.meta_path[:] = [each for each in sys.meta_path if not isinstance(each, Finder | _Missing)]

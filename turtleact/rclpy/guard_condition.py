@@ -1,4 +1,4 @@
-"""Guard conditions: wake an executor from any thread."""
+"""Guard conditions, which wake an executor from any thread."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ __all__ = ["GuardCondition"]
 
 
 class GuardCondition(Entity):
-    """Calls a function once after `trigger`. `Node.create_guard_condition` makes one."""
+    """Makes an executor call a function once after a call of `trigger`.
+
+    Make a guard condition with `Node.create_guard_condition`.
+    """
 
     def __init__(
         self,
@@ -41,7 +44,7 @@ class GuardCondition(Entity):
         return self._is_triggered and not self._handle.is_destroyed
 
     def take(self) -> Anything:
-        """Forget that the condition was triggered."""
+        """Forget that the condition was triggered; return `NOTHING` if it was not."""
         if not self._is_triggered:
             return NOTHING
         self._is_triggered = False

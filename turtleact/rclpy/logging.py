@@ -27,7 +27,7 @@ _root_logger = RcutilsLogger()
 
 
 def get_logger(name: str) -> RcutilsLogger:
-    """Return the logger with that name.
+    """Return the logger with this name.
 
     Raises:
         ValueError: if the name is empty.
@@ -38,11 +38,11 @@ def get_logger(name: str) -> RcutilsLogger:
 
 
 def initialize() -> None:
-    """Do nothing: logging needs no preparation."""
+    """Do nothing, because logging needs no preparation."""
 
 
 def shutdown() -> None:
-    """Do nothing: every message is written at once."""
+    """Do nothing, because every log message is written at once."""
 
 
 def clear_config() -> None:
@@ -61,12 +61,12 @@ def get_logger_level(name: str) -> LoggingSeverity:
 
 
 def get_logger_effective_level(name: str) -> LoggingSeverity:
-    """Return the effective level of a logger."""
+    """Return the level that a logger has or inherits."""
     return LoggingSeverity(LOG.effective_level(name))
 
 
 def get_logging_severity_from_string(log_severity: str) -> LoggingSeverity:
-    """Return the severity of that name.
+    """Return the severity with this name, which may be in upper or lower case.
 
     Raises:
         RuntimeError: if there is no such severity.
@@ -78,7 +78,7 @@ def get_logging_severity_from_string(log_severity: str) -> LoggingSeverity:
 
 
 def get_logging_directory() -> Path:
-    """Return the folder for log files. turtleact writes no log files."""
+    """Return the folder in which rclpy would write log files. turtleact writes none."""
     given = os.environ.get("ROS_LOG_DIR")
     if given:
         return Path(given)
@@ -87,6 +87,6 @@ def get_logging_directory() -> Path:
 
 
 def apply_levels(levels: Iterable[tuple[str, int]]) -> None:
-    """Set the levels that the command line asks for."""
+    """Set the levels of loggers by their names."""
     for name, level in levels:
         LOG.set_level(name, level)

@@ -1,4 +1,4 @@
-"""The two services through which others see and set the log levels of a process."""
+"""The two services with which other nodes read and set the log levels of a process."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ __all__ = ["LoggingService"]
 
 
 class LoggingService:
-    """Offers the services. The node owns them.
+    """Creates a node's services for log levels. Destroying the node destroys the services.
 
     Args:
-        node: The node.
+        node: The node that offers the services.
     """
 
     def __init__(self, node: ServiceHost) -> None:

@@ -1,6 +1,7 @@
 """Checks names of topics, services, nodes, namespaces and parameters by rclpy's rules.
 
-rclpy has a module for each of these functions. The import hook finds all of them here.
+In rclpy, each of these functions has a module of its own. The import hook of
+`turtleact.rclpy.finder` imports this module in place of each of them.
 
 Source: rmw ``validate_*_name.c``; rcl ``expand_topic_name.c``.
 """
@@ -70,7 +71,7 @@ NOT_A_FAULT = "/"
 
 
 def validate_topic_name(name: str, *, is_service: bool = False) -> bool:
-    """Check a name, which may be relative, and return True.
+    """Check the name of a topic or service, which may be relative, and return True.
 
     Raises:
         InvalidTopicNameException: if the name of a topic breaks the rules.
@@ -83,7 +84,7 @@ def validate_topic_name(name: str, *, is_service: bool = False) -> bool:
 
 
 def validate_full_topic_name(name: str, *, is_service: bool = False) -> bool:
-    """Check an absolute name, and return True. The errors are those of `validate_topic_name`."""
+    """Check an absolute name, and return True. `validate_topic_name` lists the errors."""
     fault = _fault(name, FULL_FAULTS)
     if fault is not None:
         raise _error(is_service)(name, f"{_noun(is_service)} {fault[0]}", fault[1])
@@ -94,7 +95,7 @@ def validate_namespace(namespace: str) -> bool:
     """Check a namespace, and return True.
 
     Raises:
-        InvalidNamespaceException: if it breaks the rules.
+        InvalidNamespaceException: if the namespace breaks the rules.
     """
     fault = _fault(namespace, FULL_FAULTS)
     if fault is not None and namespace != NOT_A_FAULT:
@@ -106,7 +107,7 @@ def validate_node_name(node_name: str) -> bool:
     """Check the name of a node, and return True.
 
     Raises:
-        InvalidNodeNameException: if it breaks the rules.
+        InvalidNodeNameException: if the name breaks the rules.
     """
     fault = _fault(node_name, NODE_FAULTS)
     if fault is None and len(node_name) > LONGEST:
@@ -131,13 +132,13 @@ def expand_topic_name(topic_name: str, node_name: str, node_namespace: str) -> s
     """Return the absolute form of a name of a topic or service.
 
     Args:
-        topic_name: The name. ``~`` and ``{node}`` stand for the node, and ``{ns}`` for the
-            namespace.
+        topic_name: The name. A ``~`` at the beginning stands for the full name of the node,
+            ``{node}`` for its name, and ``{ns}`` or ``{namespace}`` for its namespace.
         node_name: The name of the node.
-        node_namespace: Its namespace.
+        node_namespace: The namespace of the node.
 
     Raises:
-        ValueError: if one of the names breaks the rules.
+        ValueError: if a name breaks the rules, or ``topic_name`` has any other text in braces.
     """
     if _fault(topic_name, RELATIVE_FAULTS) is not None:
         raise ValueError(f"topic name is invalid: '{topic_name}'")
@@ -165,7 +166,7 @@ def topic_or_service_is_hidden(name: str) -> bool:
 
 
 def _fault(name: str, faults: tuple[tuple[re.Pattern[str], str], ...]) -> tuple[str, int] | None:
-    """Return the first fault and its index; None if there is none."""
+    """Return the first fault of a name, and where it begins; None if the name has no fault."""
     for pattern, problem in faults:
         match = pattern.search(name)
         if match is not None:

@@ -1,4 +1,4 @@
-"""Parameters: names with values of a few types."""
+"""Parameters of nodes. A parameter has a name, a type and a value."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ FIELDS = (
 
 
 class Parameter(Subscriptable):
-    """A parameter.
+    """A parameter of a node.
 
     Args:
-        name: Its name.
+        name: The parameter's name.
         type_: The parameter's type. If left out, it is the type of the value.
-        value: Its value.
+        value: The parameter's value.
 
     Raises:
         TypeError: if the type is not a `Parameter.Type`.
@@ -66,7 +66,7 @@ class Parameter(Subscriptable):
 
         @classmethod
         def from_parameter_value(cls, parameter_value: object) -> Parameter.Type:
-            """Return the type of a value.
+            """Return the type of a parameter with this value.
 
             Raises:
                 TypeError: if no parameter can have this value.
@@ -96,7 +96,7 @@ class Parameter(Subscriptable):
 
     @classmethod
     def from_parameter_msg(cls, param_msg: Anything) -> Parameter:
-        """Return the parameter in a ``rcl_interfaces.msg.Parameter``."""
+        """Return the parameter that a ``rcl_interfaces.msg.Parameter`` describes."""
         kind = Parameter.Type(param_msg.value.type)
         return cls(param_msg.name, kind, parameter_value_to_python(param_msg.value))
 
@@ -154,13 +154,13 @@ class Parameter(Subscriptable):
 
 
 def _single(value: object) -> str | None:
-    """Return the name of the type of a single value; None if no type fits."""
+    """Return the name of the type of a value that is not a list; None if no type fits."""
     kinds = ((bool, "BOOL"), (int, "INTEGER"), (float, "DOUBLE"), (str, "STRING"))
     return next((name for kind, name in kinds if isinstance(value, kind)), None)
 
 
 def _array_type(values: Sequence[object]) -> Parameter.Type:
-    """Return the type of a list. An empty list counts as bytes.
+    """Return the type of a list. An empty list has the type BYTE_ARRAY.
 
     Raises:
         TypeError: if the elements are of different types, or of a type that no parameter can have.
@@ -174,7 +174,7 @@ def _array_type(values: Sequence[object]) -> Parameter.Type:
 
 
 def get_parameter_value(string_value: str) -> Anything:
-    """Read a text as YAML, and return its value as a ``rcl_interfaces.msg.ParameterValue``."""
+    """Parse a text as YAML, and return the value as a ``rcl_interfaces.msg.ParameterValue``."""
     value = parse_value(string_value)
     try:
         return Parameter("", value=value).get_parameter_value()
@@ -183,10 +183,10 @@ def get_parameter_value(string_value: str) -> Anything:
 
 
 def parameter_value_to_python(parameter_value: Anything) -> Anything:
-    """Return the value in a ``rcl_interfaces.msg.ParameterValue``.
+    """Return the Python value of a ``rcl_interfaces.msg.ParameterValue``.
 
     Raises:
-        RuntimeError: if its type is unknown.
+        RuntimeError: if the message has an unknown type.
     """
     kind = parameter_value.type
     if kind not in range(len(FIELDS)):
@@ -204,16 +204,17 @@ def parameter_dict_from_yaml_file(
     target_nodes: Sequence[str] | None = None,
     namespace: str = "",
 ) -> dict[str, Anything]:
-    """Return the parameters in a file as messages, by name.
+    """Return the parameters in a YAML file as messages, by name.
 
     Args:
         parameter_file: The path of the file.
-        use_wildcard: Whether parameters of ``/**`` count for the target nodes.
-        target_nodes: The full names of the nodes. None means all nodes in the file.
-        namespace: The prefix of each name, with its dot: ``"robot."``.
+        use_wildcard: Whether the file's parameters for ``/**`` apply to the target nodes.
+        target_nodes: The full names of the nodes whose parameters to return. None means all nodes
+            in the file.
+        namespace: A prefix for the name of each parameter, with a dot at the end: ``"robot."``.
 
     Raises:
-        RuntimeError: if the file has no parameters of these nodes.
+        RuntimeError: if the file has no parameters for one of the target nodes.
     """
     rules = read_parameters(Path(parameter_file))
     found: dict[str, object] = {}

@@ -35,7 +35,7 @@ SERVICES = (
 
 
 class AsyncParameterClient:
-    """Calls the parameter services of another node. Each call returns the future of the response.
+    """Calls the parameter services of another node. A call returns a future with the response.
 
     Args:
         node: The node that calls.
@@ -64,11 +64,11 @@ class AsyncParameterClient:
             )
 
     def services_are_ready(self) -> bool:
-        """Whether all services are there."""
+        """Whether all parameter services of the other node are available."""
         return all(client.service_is_ready() for client in self._clients.values())
 
     def wait_for_services(self, timeout_sec: float | None = None) -> bool:
-        """Wait until all services are there; return whether they are."""
+        """Wait until all services are available. Return False if ``timeout_sec`` ends first."""
         return wait_until(self.services_are_ready, timeout_sec, self.node.context.ok)
 
     def list_parameters(
@@ -77,7 +77,7 @@ class AsyncParameterClient:
         depth: int | None = None,
         callback: Callable[[Future], object] | None = None,
     ) -> Future:
-        """List the parameters below some prefixes."""
+        """Request the names of all parameters, or only of those with one of the prefixes."""
         fields: dict[str, Anything] = {}
         if prefixes:
             fields["prefixes"] = list(prefixes)
@@ -88,7 +88,7 @@ class AsyncParameterClient:
     def get_parameters(
         self, names: Sequence[str], callback: Callable[[Future], object] | None = None
     ) -> Future:
-        """Get the values of parameters."""
+        """Request the values of parameters."""
         return self._call("GetParameters", callback, names=list(names))
 
     def set_parameters(
@@ -96,7 +96,7 @@ class AsyncParameterClient:
         parameters: Sequence[Anything],
         callback: Callable[[Future], object] | None = None,
     ) -> Future:
-        """Set parameters one by one. They may be `Parameter` objects or messages."""
+        """Set parameters one by one. Each is a `Parameter` or a message."""
         return self._call("SetParameters", callback, parameters=_messages(parameters))
 
     def set_parameters_atomically(
@@ -104,19 +104,19 @@ class AsyncParameterClient:
         parameters: Sequence[Anything],
         callback: Callable[[Future], object] | None = None,
     ) -> Future:
-        """Set all parameters or none. They may be `Parameter` objects or messages."""
+        """Set all the given parameters, or none. Each is a `Parameter` or a message."""
         return self._call("SetParametersAtomically", callback, parameters=_messages(parameters))
 
     def describe_parameters(
         self, names: Sequence[str], callback: Callable[[Future], object] | None = None
     ) -> Future:
-        """Get the descriptors of parameters."""
+        """Request the descriptors of parameters."""
         return self._call("DescribeParameters", callback, names=list(names))
 
     def get_parameter_types(
         self, names: Sequence[str], callback: Callable[[Future], object] | None = None
     ) -> Future:
-        """Get the types of parameters."""
+        """Request the types of parameters."""
         return self._call("GetParameterTypes", callback, names=list(names))
 
     def delete_parameters(

@@ -1,4 +1,4 @@
-"""Calls functions when parameters of some node change."""
+"""Calls functions when parameters of any node change."""
 
 from __future__ import annotations
 
@@ -30,18 +30,21 @@ class ParameterCallbackHandle:
 
 
 class ParameterEventCallbackHandle:
-    """A callback for all events."""
+    """A callback for all parameter events."""
 
     def __init__(self, callback: Callable[[Anything], object]) -> None:
         self.callback = callback
 
 
 class ParameterEventHandler:
-    """Listens to ``/parameter_events``. The callback that was added last is called first.
+    """Calls callbacks for the events on ``/parameter_events``.
+
+    Callbacks for single parameters are called before callbacks for all events. Among the callbacks
+    of one parameter, and among those for all events, the callback that was added last comes first.
 
     Args:
-        node: The node that listens.
-        qos_profile: The quality of service.
+        node: The node that subscribes to the topic.
+        qos_profile: The quality of service of the subscription.
         callback_group: Decides when callbacks may run.
     """
 
@@ -49,7 +52,8 @@ class ParameterEventHandler:
         """The callbacks of a `ParameterEventHandler`.
 
         Attributes:
-            parameter_callbacks: The callbacks for single parameters, by parameter and node.
+            parameter_callbacks: The callbacks for single parameters, keyed by parameter name and
+                node name.
             event_callbacks: The callbacks for all events.
         """
 
@@ -61,7 +65,7 @@ class ParameterEventHandler:
             self.lock = threading.Lock()
 
         def event_callback(self, event: Anything) -> None:
-            """Call the callbacks that an event concerns."""
+            """Call the callbacks for the parameters in an event, then those for all events."""
             with self.lock:
                 ones = {key: list(each) for key, each in self.parameter_callbacks.items()}
                 alls = list(self.event_callbacks)
@@ -90,7 +94,7 @@ class ParameterEventHandler:
         )
 
     def destroy(self) -> None:
-        """Stop listening."""
+        """Close the subscription of ``/parameter_events``."""
         self.node.destroy_subscription(self.parameter_event_subscription)
 
     @staticmethod
@@ -112,7 +116,7 @@ class ParameterEventHandler:
     def add_parameter_callback(
         self, parameter_name: str, node_name: str, callback: Callable[[Anything], object]
     ) -> ParameterCallbackHandle:
-        """Call ``callback(parameter)`` when a parameter of a node changes."""
+        """Call ``callback(parameter)`` when a parameter of a node is new or changes."""
         handle = ParameterCallbackHandle(parameter_name, self._resolve_path(node_name), callback)
         with self._callbacks.lock:
             key = handle.parameter_name, handle.node_name
@@ -138,7 +142,7 @@ class ParameterEventHandler:
     def add_parameter_event_callback(
         self, callback: Callable[[Anything], object]
     ) -> ParameterEventCallbackHandle:
-        """Call ``callback(event)`` when any parameter of any node changes."""
+        """Call ``callback(event)`` on every event about parameters of any node."""
         handle = ParameterEventCallbackHandle(callback)
         with self._callbacks.lock:
             self._callbacks.event_callbacks.insert(0, handle)
@@ -156,7 +160,7 @@ class ParameterEventHandler:
             self._callbacks.event_callbacks.remove(handle)
 
     def _resolve_path(self, node_path: str | None = None) -> str:
-        """Return the full name of a node; None means the node that listens."""
+        """Return the full name of a node; None means the node of this handler."""
         if not node_path:
             return self.node.get_fully_qualified_name()
         if node_path.startswith("/"):

@@ -1,4 +1,4 @@
-"""The six services with which others read and set the parameters of a node."""
+"""The six services with which other nodes read and set the parameters of a node."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ __all__ = ["ParameterService"]
 
 
 class ParameterService:
-    """Offers the services. The node owns them.
+    """Creates the six parameter services on a node. They are destroyed with the node.
 
     Args:
-        node: The node, which offers the services.
-        parameters: Its parameters.
+        node: The node.
+        parameters: The parameters of the node.
     """
 
     def __init__(self, node: ServiceHost, parameters: NodeParameters) -> None:

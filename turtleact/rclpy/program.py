@@ -1,7 +1,7 @@
 """Prepares this process for a program that imports rclpy, and ends it when the program has ended.
 
-`prepare` must be called before the program's first import. It imports little, so a program that
-does not use rclpy starts almost as fast as without it.
+`prepare` must be called before the program's first import. This module imports little, so it hardly
+delays a program that does not use rclpy.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Options(msgspec.Struct, frozen=True):
 
     Attributes:
         face: Which rclpy the program gets; see `turtleact.rclpy.face`.
-        place: The graph that it joins.
-        interfaces: A folder with more interfaces.
+        place: The graph that the program joins.
+        interfaces: A folder with additional interface files, or None.
     """
 
     face: str = "auto"
@@ -47,18 +47,20 @@ class Options(msgspec.Struct, frozen=True):
 
 
 def prepare(options: Options, *folders: Path) -> None:
-    """Make rclpy and its interface packages importable, unless the genuine ones are used.
+    """Make turtleact's rclpy and interface packages importable, unless the genuine ones are used.
 
-    The caller has already made known the interfaces of the sourced workspace, and those near the
-    working directory.
+    The caller must already have called `turtleact.interfaces.load_workspace` for the sourced
+    workspace, and `turtleact.interfaces.offer_interfaces` for the working directory.
 
     Args:
         options: How the program is run.
-        *folders: Folders of the program, which are searched for more interfaces.
+        *folders: Folders of the program. Packages near them are searched for interfaces, too.
 
     Raises:
-        UsageError: if the options do not fit together.
-        InvalidInterface: if the folder with interfaces does not exist.
+        UsageError: if ``options.face`` is unknown, or if it asks for the genuine rclpy and that
+            does not work.
+        InvalidInterface: if the folder ``options.interfaces`` does not exist, or a file in it has
+            an invalid name.
     """
     face, middleware = chosen_face(options.face)
     if face == "ros":
@@ -76,9 +78,11 @@ def prepare(options: Options, *folders: Path) -> None:
 
 
 def offer_neighbours(*folders: Path) -> None:
-    """Make the interfaces of packages near these folders known. Other places take precedence.
+    """Offer the program the interfaces of packages near these folders.
 
-    A folder above them that is called ``src``, or contains a ``src``, is searched as well.
+    A parent folder that is called ``src``, or contains a ``src``, is searched as well. If the
+    sourced workspace or a package near the working directory has an interface with the same name,
+    that interface is used instead.
     """
     known = find_interfaces(Path())
     found: dict[str, Path] = {}
@@ -90,13 +94,11 @@ def offer_neighbours(*folders: Path) -> None:
 
 
 def end_threads() -> list[str]:
-    """Leave the graph, and wait for the threads of a program that has ended.
+    """Leave the graph after the program's end, and wait a while for its threads to end.
 
-    Return the names of the stuck threads.
-
-    A callback that sleeps or computes for ever would keep the process alive, because the
-    interpreter waits for its thread. If there are such threads, the caller must end the process
-    without waiting for them.
+    Return the names of the threads that still run, for example because a callback sleeps for ever.
+    Python would wait for them before it ends the process. If there are such threads, the
+    caller must therefore end the process itself, for example with `leave`.
     """
     process = sys.modules.get("turtleact.rclpy.impl.process")
     if process is None:
@@ -114,7 +116,7 @@ def end_threads() -> list[str]:
 
 
 def leave(error: BaseException | None) -> NoReturn:
-    """End the process as Python does, with or without an exception, but wait for no thread."""
+    """End the process as Python would, but without waiting for threads."""
     if error is not None and not isinstance(error, SystemExit):
         sys.excepthook(type(error), error, error.__traceback__)
     for stream in (sys.stdout, sys.stderr):
@@ -129,7 +131,7 @@ def leave(error: BaseException | None) -> NoReturn:
 
 
 def _places(folders: Sequence[Path]) -> Iterator[Path]:
-    """The folders to search for packages: these, and each above that is or has a ``src``."""
+    """Yield ``folders``, and those of their parent folders that are called or contain ``src``."""
     for folder in folders:
         yield folder
         for above in list(folder.absolute().parents)[:PARENTS]:
@@ -138,7 +140,7 @@ def _places(folders: Sequence[Path]) -> Iterator[Path]:
 
 
 def _searched(options: Options, folders: Sequence[Path]) -> list[str]:
-    """The places that were searched for interfaces, as an error shows them."""
+    """Return the places that are searched for interfaces, as texts for an error message."""
     given = [] if options.interfaces is None else [f"{options.interfaces} (--interfaces)"]
     sourced = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     near = [str(place.absolute()) for place in (Path(), *_places(folders))]

@@ -19,19 +19,19 @@ __all__ = ["Publisher"]
 
 
 class Publisher(Subscriptable, Destroyable):
-    """Sends messages to a topic. `Node.create_publisher` makes one.
+    """Sends messages to a topic. `Node.create_publisher` makes a publisher.
 
-    A message is encoded in the thread that publishes it. You may change the message afterwards.
+    `publish` encodes a message before it returns, so you may change the message afterwards.
 
     Args:
         sender: Sends the encoded messages.
         msg_type: The class of the messages.
-        topic: The name of the topic, as it was given.
+        topic: The name of the topic, as it was given to `Node.create_publisher`.
         full_name: The full name of the topic.
         qos_profile: The quality of service.
-        event_handlers: The waitables of its events.
-        callback_group: The callback group of these events.
-        count_subscriptions: Counts the subscriptions of the topic.
+        event_handlers: The waitables that call the callbacks for events of the publisher.
+        callback_group: The callback group of these callbacks.
+        count_subscriptions: Returns the number of subscriptions of the topic.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Publisher(Subscriptable, Destroyable):
 
     @property
     def handle(self) -> Handle:
-        """Whether the publisher may be used."""
+        """The handle, which shows whether the publisher may still be used."""
         return self._handle
 
     @property
@@ -69,14 +69,14 @@ class Publisher(Subscriptable, Destroyable):
 
     @property
     def logger_name(self) -> str:
-        """The name of the topic as it was given."""
+        """The name of the topic, as it was given to `Node.create_publisher`."""
         return self.topic
 
     def publish(self, msg: Anything) -> None:
-        """Send a message, or bytes that hold an encoded one.
+        """Send a message, or the bytes of an encoded message.
 
         Raises:
-            TypeError: if the message is of another class, or a value does not fit its type.
+            TypeError: if the message is of another class, or a value does not fit its field.
             InvalidHandle: if the publisher was destroyed.
         """
         data = msg if isinstance(msg, bytes) else encode(msg, self.msg_type)
@@ -91,13 +91,16 @@ class Publisher(Subscriptable, Destroyable):
             return self._count_subscriptions()
 
     def assert_liveliness(self) -> None:
-        """Assert that the publisher is alive. Only the publisher's own events notice this."""
+        """Show that the publisher is alive.
+
+        This matters only for the publisher's own event callbacks. Other nodes do not notice it.
+        """
         with self._handle:
             for each in self.event_handlers:
                 each.noted(is_message=False)
 
     def wait_for_all_acked(self, timeout: Duration | None = None) -> bool:  # noqa: ARG002  # as in rclpy
-        """Return True once all reliable messages have been handed to the network."""
+        """Return True at once, without waiting for the subscriptions."""
         with self._handle:
             return True
 

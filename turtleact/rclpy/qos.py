@@ -1,8 +1,8 @@
-"""Quality of service: profiles, policies, presets, and whether two profiles fit.
+"""Quality of service: policies, profiles, preset profiles, and a check of their compatibility.
 
-turtleact's transports know depth, reliability and durability, and connect endpoints even if their
-profiles do not fit. Peers are told the other policies, and `turtleact.rclpy.event_handler` checks
-deadlines and liveliness.
+turtleact's transports apply only depth, reliability and durability. They connect endpoints even if
+their profiles are incompatible. They only show the other policies to other nodes. Deadlines and
+liveliness are checked by `turtleact.rclpy.event_handler`.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ P = TypeVar("P", bound="QoSPolicyEnum")
 T = TypeVar("T")
 
 UNSPECIFIED = Duration()
-"""The duration of a policy in time that is not set."""
+"""The duration of a policy that is not set."""
 
 
 class InvalidQoSProfileException(Exception):
@@ -61,7 +61,7 @@ class InvalidQoSProfileException(Exception):
 
 
 class QoSPolicyKind(IntEnum):
-    """The policies, by number."""
+    """The numbers that identify the policies."""
 
     INVALID = 1 << 0
     DURABILITY = 1 << 1
@@ -81,7 +81,7 @@ def qos_policy_name_from_kind(policy_kind: QoSPolicyKind | int) -> str:
 
 
 class QoSPolicyEnum(IntEnum):
-    """The base of policies with a few possible values."""
+    """The base class of the policies that have a few possible values."""
 
     @classmethod
     def short_keys(cls) -> list[str]:
@@ -90,21 +90,17 @@ class QoSPolicyEnum(IntEnum):
 
     @classmethod
     def get_from_short_key(cls: type[P], name: str) -> int:
-        """Return the value with this short name."""
+        """Return the number of the value with this short name."""
         return cls[name.upper()].value
 
     @property
     def short_key(self) -> str:
-        """The short name of the value.
-
-        Raises:
-            AttributeError: if the value has no short name.
-        """
+        """The short name of the value."""
         return self.name.lower()
 
 
 class HistoryPolicy(QoSPolicyEnum):
-    """How many messages are kept."""
+    """Whether all messages are kept, or only the latest, as many as the profile's ``depth``."""
 
     SYSTEM_DEFAULT = 0
     KEEP_LAST = 1
@@ -123,7 +119,7 @@ class ReliabilityPolicy(QoSPolicyEnum):
 
 
 class DurabilityPolicy(QoSPolicyEnum):
-    """Whether late subscriptions get the last messages."""
+    """Whether a new subscription gets messages that were published before it existed."""
 
     SYSTEM_DEFAULT = 0
     TRANSIENT_LOCAL = 1
@@ -149,10 +145,10 @@ QoSLivelinessPolicy = LivelinessPolicy
 
 
 class _Policy(Generic[T]):
-    """An attribute of a profile that checks its type. It converts a number to a policy.
+    """An attribute of a profile. Setting it turns a number into a policy, and checks the type.
 
     Args:
-        kind: The type.
+        kind: The type of the attribute.
     """
 
     def __init__(self, kind: type[T]) -> None:
@@ -173,23 +169,25 @@ class _Policy(Generic[T]):
 
 
 class QoSProfile:
-    """A quality of service.
+    """The quality of service of an endpoint.
 
     Args:
-        **kwargs: The attributes; ``depth`` or ``history`` is needed.
+        **kwargs: The attributes below. ``depth`` or ``history`` is required.
 
     Raises:
-        InvalidQoSProfileException: if both are missing, or KEEP_LAST has no depth.
+        InvalidQoSProfileException: if neither ``depth`` nor ``history`` is given, or KEEP_LAST is
+            given without ``depth``.
 
     Attributes:
         history: KEEP_LAST or KEEP_ALL.
-        depth: How many messages are kept.
+        depth: How many messages are kept with KEEP_LAST.
         reliability: RELIABLE or BEST_EFFORT.
         durability: VOLATILE or TRANSIENT_LOCAL.
         lifespan: How long a message is valid.
-        deadline: The longest time between two messages.
+        deadline: The longest allowed time between two messages.
         liveliness: AUTOMATIC or MANUAL_BY_TOPIC.
-        liveliness_lease_duration: How long a publisher counts as alive.
+        liveliness_lease_duration: The longest allowed time until a publisher shows again that it is
+            alive.
         avoid_ros_namespace_conventions: Ignored.
     """
 
@@ -265,7 +263,7 @@ class QoSProfile:
         return f"{type(self).__name__}({', '.join(values)})"
 
     def get_c_qos_profile(self) -> QoSProfile:
-        """Return the profile itself: turtleact has no profiles in C."""
+        """Return the profile itself, because turtleact has no profiles in C."""
         return self
 
     def to_dict(self) -> dict[str, Anything]:
@@ -273,7 +271,7 @@ class QoSProfile:
         return {slot[1:]: getattr(self, slot) for slot in self.__slots__}
 
     def for_transport(self) -> QoS:
-        """Return the policies that turtleact's transports know."""
+        """Return the policies that turtleact's transports apply."""
         is_latched = self.durability == DurabilityPolicy.TRANSIENT_LOCAL
         is_lossy = self.reliability == ReliabilityPolicy.BEST_EFFORT
         return QoS(
@@ -283,7 +281,7 @@ class QoSProfile:
         )
 
     def times(self) -> TimePolicies:
-        """Return the deadline, lifespan and liveliness policies, as peers see them."""
+        """Return the deadline, lifespan and liveliness policies, as other nodes see them."""
         manual = self.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
         return TimePolicies(
             deadline=_limit(self.deadline),
@@ -314,7 +312,7 @@ def _limit(duration: Duration) -> int | None:
 
 
 def profile_of(given: QoSProfile | int) -> QoSProfile:
-    """Return a profile. A number is the depth of a default profile.
+    """Return ``given`` if it is a profile. If it is a number, return a profile with this depth.
 
     Raises:
         TypeError: if ``given`` is neither a profile nor a number.
@@ -365,7 +363,7 @@ qos_profile_rosout_default = _preset(
 
 
 class QoSPresetProfiles(Enum):
-    """The profiles that have a name."""
+    """The predefined profiles."""
 
     UNKNOWN = qos_profile_unknown
     DEFAULT = qos_profile_default
@@ -380,7 +378,7 @@ class QoSPresetProfiles(Enum):
 
     @classmethod
     def short_keys(cls) -> list[str]:
-        """Return the names in lower case."""
+        """Return the names of the profiles, in lower case."""
         return [name.lower() for name in cls.__members__]
 
     @classmethod
@@ -390,7 +388,7 @@ class QoSPresetProfiles(Enum):
 
 
 class QoSCompatibility(IntEnum):
-    """Whether a publisher and a subscription fit."""
+    """Whether the profiles of a publisher and a subscription are compatible."""
 
     OK = 0
     WARNING = 1
@@ -400,9 +398,9 @@ class QoSCompatibility(IntEnum):
 def qos_check_compatible(
     publisher_qos: QoSProfile, subscription_qos: QoSProfile
 ) -> tuple[QoSCompatibility, str]:
-    """Return whether these profiles of a publisher and a subscription fit, and if not, why.
+    """Return whether two profiles are compatible, and the reason if they are not.
 
-    turtleact and rmw_zenoh connect endpoints with any profiles, so the answer is always OK.
+    turtleact and rmw_zenoh connect endpoints with any profiles, so the result is always OK.
     """
     del publisher_qos, subscription_qos
     return QoSCompatibility.OK, ""

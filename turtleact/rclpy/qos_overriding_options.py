@@ -26,16 +26,17 @@ DEFAULT = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY
 
 
 class InvalidQosOverridesError(Exception):
-    """The callback has refused an overridden profile."""
+    """The callback of `QoSOverridingOptions` has rejected a profile."""
 
 
 class QoSOverridingOptions:
-    """Which policies parameters may override.
+    """Which policies of a profile may be overridden by parameters.
 
     Args:
-        policy_kinds: The policies.
-        callback: Called with the overridden profile. Its result may refuse the profile.
-        entity_id: A part of the parameters' names, which tells endpoints of a topic apart.
+        policy_kinds: The policies that may be overridden.
+        callback: Called with the overridden profile. The callback's result may reject the profile.
+        entity_id: A part of the parameters' names, which distinguishes a node's endpoints of the
+            same topic.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class QoSOverridingOptions:
         callback: Callable[[QoSProfile], Anything] | None = None,
         entity_id: str | None = None,
     ) -> QoSOverridingOptions:
-        """Return options for history, depth and reliability."""
+        """Return options that let parameters override history, depth and reliability."""
         return cls(DEFAULT, callback=callback, entity_id=entity_id)
 
 
@@ -68,10 +69,10 @@ def declare_qos_parameters(
     *,
     is_publisher: bool,
 ) -> QoSProfile:
-    """Declare the parameters of an endpoint, and return its profile with their values.
+    """Declare a parameter for each policy. Return ``qos`` with the values of the parameters.
 
     Raises:
-        InvalidQosOverridesError: if the callback refuses the profile.
+        InvalidQosOverridesError: if the callback rejects the profile.
     """
     kind = "publisher" if is_publisher else "subscription"
     suffix = f"_{options.entity_id}" if options.entity_id else ""
@@ -98,7 +99,7 @@ def declare_qos_parameters(
 
 
 def _parameter_of(qos: QoSProfile, policy: QoSPolicyKind) -> str | int | bool:
-    """Return a policy as the value of a parameter."""
+    """Return a policy of a profile as the value of a parameter."""
     value = getattr(qos, policy.name.lower())
     if isinstance(value, QoSPolicyEnum):
         return value.short_key

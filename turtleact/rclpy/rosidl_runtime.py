@@ -1,4 +1,7 @@
-"""The part of ``rosidl_runtime_py`` that programs use: classes by name, messages as plain data."""
+"""The part of ``rosidl_runtime_py`` that programs use.
+
+It finds the classes of interfaces by name, and converts messages to plain data and back.
+"""
 
 from __future__ import annotations
 
@@ -28,22 +31,22 @@ def get_interface(identifier: str) -> Anything:
 
 
 def get_message(identifier: str) -> Anything:
-    """Return the class of a message."""
+    """Return the class of a message by its name."""
     return get_interface(identifier)
 
 
 def get_service(identifier: str) -> Anything:
-    """Return the class of a service."""
+    """Return the class of a service by its name."""
     return get_interface(identifier)
 
 
 def get_action(identifier: str) -> Anything:
-    """Return the class of an action."""
+    """Return the class of an action by its name."""
     return get_interface(identifier)
 
 
 def message_to_ordereddict(msg: Anything) -> dict[str, Anything]:
-    """Return a message as plain values by field."""
+    """Return the fields of a message as plain values, by name."""
     return {
         field.name: _plain(getattr(msg, field.attribute)) for field in shape_of(type(msg)).fields
     }
@@ -61,7 +64,7 @@ def set_message_fields(msg: Anything, values: Mapping[str, Anything]) -> None:
     """Set the fields of a message from plain values.
 
     Raises:
-        AttributeError: if there is no such field.
+        AttributeError: if one of the names is not a field of the message.
     """
     shape = shape_of(type(msg))
     known = {

@@ -14,5 +14,5 @@ def serialize_message(message: Anything) -> bytes:
 
 
 def deserialize_message(serialized_message: bytes, message_type: Anything) -> Anything:
-    """Return the message that some bytes encode."""
+    """Decode the bytes that ROS 2 sends, and return the message."""
     return decode(bytes(serialized_message), message_type)

@@ -1,8 +1,9 @@
 """Signals: SIGINT and SIGTERM shut every context down.
 
 Python may call a signal handler anywhere in the program, even while the program holds a lock. The
-handler therefore only tells a thread, which shuts the contexts down. After that, the signal handler
-itself calls the earlier handler. For SIGINT, Python's own handler raises KeyboardInterrupt.
+handler therefore only wakes a thread, which shuts the contexts down. Then the handler calls the
+handler that was installed before it. For SIGINT, that is usually Python's own handler, which raises
+KeyboardInterrupt.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ Handler: TypeAlias = Callable[[int, FrameType | None], object] | int | None
 
 
 class SignalHandlerOptions(IntFlag):
-    """Which signals are handled."""
+    """Which signals shut contexts down."""
 
     NO = 0
     SIGINT = 1
@@ -43,7 +44,7 @@ SIGNALS = {
 
 
 class _Handlers:
-    """The installed handlers, and the thread that does their work."""
+    """Installs and restores signal handlers, and owns the thread that shuts contexts down."""
 
     def __init__(self) -> None:
         self.installed = SignalHandlerOptions.NO
@@ -52,9 +53,9 @@ class _Handlers:
         self._thread: threading.Thread | None = None
 
     def install(self, options: SignalHandlerOptions) -> None:
-        """Install handlers.
+        """Install handlers for the given signals.
 
-        Only Python's main thread can do that. In other threads, this does nothing.
+        Python allows this only in the main thread. In other threads, this method does nothing.
         """
         if threading.current_thread() is not threading.main_thread():
             return
@@ -71,7 +72,7 @@ class _Handlers:
                 self.installed |= option
 
     def uninstall(self) -> None:
-        """Restore the earlier handlers, unless somebody has replaced ours."""
+        """Restore the earlier handlers, unless other code has replaced turtleact's handlers."""
         if threading.current_thread() is not threading.main_thread():
             return
         for option, number in SIGNALS.items():
@@ -96,15 +97,15 @@ HANDLERS = _Handlers()
 
 
 def install_signal_handlers(options: SignalHandlerOptions = SignalHandlerOptions.ALL) -> None:
-    """Install handlers of these signals. `rclpy.init` calls this."""
+    """Install handlers for the given signals. `rclpy.init` calls this function."""
     HANDLERS.install(options)
 
 
 def get_current_signal_handlers_options() -> SignalHandlerOptions:
-    """Return which signals are handled."""
+    """Return which signals shut contexts down."""
     return HANDLERS.installed
 
 
 def uninstall_signal_handlers() -> None:
-    """Restore the earlier signal handlers."""
+    """Restore the signal handlers that were set before `install_signal_handlers` was called."""
     HANDLERS.uninstall()

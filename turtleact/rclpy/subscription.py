@@ -26,26 +26,29 @@ logger = RcutilsLogger("rclpy.subscription")
 
 
 class MessageInfo(dict[str, Anything]):
-    """The facts about a message besides its content: when it was sent and received (ns)."""
+    """When a message was received (ns since 1970).
+
+    ``source_timestamp`` and ``received_timestamp`` have the same value.
+    """
 
 
 class Subscription(Subscriptable, Entity):
-    """Receives the messages of a topic. `Node.create_subscription` makes one.
+    """Receives the messages of a topic. `Node.create_subscription` makes a subscription.
 
-    Messages wait as bytes and are decoded in the thread of the callback. If more messages wait than
-    the profile's depth, the oldest are dropped.
+    Received messages wait as bytes until the thread that runs the callback decodes them. If more
+    messages wait than the profile's depth, the oldest are dropped.
 
     Args:
         msg_type: The class of the messages.
-        topic: The name of the topic, as it was given.
+        topic: The name of the topic, as it was given to `Node.create_subscription`.
         full_name: The full name of the topic.
         callback: Called with each message and, if it takes two arguments, a `MessageInfo`.
         callback_group: Decides when the callback may run.
         qos_profile: The quality of service.
-        raw: Whether the callback gets bytes.
-        event_handlers: The waitables of its events.
+        raw: Whether the callback gets encoded messages (bytes).
+        event_handlers: The waitables that call the callbacks for events of the subscription.
         wake: Called when a message has come.
-        count_publishers: Counts the publishers of the topic.
+        count_publishers: Returns the number of publishers of the topic.
     """
 
     class CallbackType(Enum):
@@ -82,7 +85,7 @@ class Subscription(Subscriptable, Entity):
 
     @property
     def callback(self) -> Anything:
-        """The callback."""
+        """The function that is called with each message."""
         return self._callback
 
     @callback.setter
@@ -97,7 +100,7 @@ class Subscription(Subscriptable, Entity):
             return self._full_name
 
     def deliver(self, data: bytes) -> None:
-        """Receive a message. The transport may call this in any thread."""
+        """Queue a message for the callback. The transport may call this method in any thread."""
         # A deque needs no lock: with a full one, appending drops the oldest message in one step.
         self._waiting.append((data, time.time_ns()))
         for each in self.event_handlers:
@@ -105,15 +108,15 @@ class Subscription(Subscriptable, Entity):
         self.wake()
 
     def opened(self, opened: Closeable) -> None:
-        """Remember what the transport has opened, to close it later."""
+        """Store the transport's object for this subscription, which `destroy` closes."""
         self._opened = opened
 
     def is_ready_now(self) -> bool:
-        """Whether a message waits."""
+        """Whether a message waits; False after `destroy`."""
         return bool(self._waiting) and not self._handle.is_destroyed
 
     def take(self) -> Anything:
-        """Take a message, and the facts about it."""
+        """Remove the oldest message that waits; return it and its `MessageInfo`."""
         try:
             data, received = self._waiting.popleft()
         except IndexError:
@@ -128,7 +131,7 @@ class Subscription(Subscriptable, Entity):
             return NOTHING
 
     async def run(self, taken: tuple[Anything, MessageInfo]) -> None:
-        """Call the callback."""
+        """Call the callback with a message."""
         if self._callback_type is self.CallbackType.MessageOnly:
             result = self._callback(taken[0])
         else:
@@ -157,7 +160,7 @@ class Subscription(Subscriptable, Entity):
 
 
 def _callback_type(callback: Anything) -> Subscription.CallbackType:
-    """Return which arguments a callback takes.
+    """Return which arguments a callback gets.
 
     Raises:
         RuntimeError: if the callback takes neither one nor two arguments.

@@ -1,7 +1,8 @@
 """Futures and tasks.
 
-Clients wait for a `Future`. A `Task` is a callback or coroutine that an executor runs. A coroutine
-that awaits a future is parked at the future, and costs nothing until the future is done.
+A `Future` stands for a result that may come later, such as the response of a service. A `Task` is
+the future of a callback or coroutine that an executor runs. While the coroutine awaits another
+future, the executor does not run the task.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ __all__ = ["Future", "Task"]
 
 
 class Runner(Protocol):
-    """The part of an executor that a future uses."""
+    """The methods of an executor that a future uses."""
 
     def create_task(self, callback: Anything, *args: Anything) -> object:
         """Run a function or coroutine."""
 
     def resume(self, task: Task) -> None:
-        """Run a task, or its next step."""
+        """Run a task, or the next step of its coroutine."""
 
 
 class _Running(threading.local):
-    """The task whose step runs in this thread."""
+    """Holds the task that the current thread is running."""
 
     task: Task | None = None
 
@@ -40,10 +41,11 @@ RUNNING = _Running()
 
 
 class Future(Subscriptable):
-    """The outcome of something that may not have ended yet.
+    """The result or exception of an operation that may not have ended yet.
 
     Args:
-        executor: Runs the done callbacks. Without an executor, they run at once.
+        executor: Runs the done callbacks. Without an executor, they run in the thread that sets the
+            result.
     """
 
     def __init__(self, *, executor: Runner | None = None) -> None:
@@ -130,7 +132,7 @@ class Future(Subscriptable):
         self._run_callback(callback)
 
     def remove_done_callback(self, callback: Callable[[Anything], object]) -> bool:
-        """Remove a callback that has not been called. Return whether it was registered."""
+        """Remove a done callback. Return False if it is not registered, or was called already."""
         with self._lock:
             try:
                 self._callbacks.remove(callback)
@@ -139,7 +141,10 @@ class Future(Subscriptable):
             return True
 
     def park(self, task: Task) -> bool:
-        """Resume a task when the future is done. Return False if it is done already."""
+        """Resume a task when the future is done or cancelled.
+
+        If the future is done or cancelled already, do nothing and return False.
+        """
         with self._lock:
             if self._is_pending:
                 self._parked.append(task)
@@ -171,17 +176,20 @@ class Future(Subscriptable):
 
 
 class Task(Future):
-    """A function or coroutine that an executor runs. Calling the task runs it, or its next step.
+    """The future of a function or coroutine that an executor runs.
+
+    Calling the task runs the function, or the next step of the coroutine.
 
     Args:
         handler: A function, a coroutine function, or a coroutine.
-        args: Its arguments.
-        kwargs: Its keyword arguments.
-        executor: Runs the task, and its done callbacks.
+        args: The arguments of the function.
+        kwargs: The keyword arguments of the function.
+        executor: Runs the task and its done callbacks.
 
     Attributes:
-        awaited: The future that the last step awaits; None if the step awaits something else.
-        origin: The entity and the node that the task belongs to, if any.
+        awaited: The future that the coroutine awaits; None if it awaits something else.
+        origin: The entity whose callback the task runs, and its node; None and None if there is no
+            entity.
     """
 
     def __init__(
@@ -212,7 +220,10 @@ class Task(Future):
         super().__del__()
 
     def __call__(self) -> None:
-        """Run the task, or its next step. If the task is done, cancelled or running, do nothing."""
+        """Run the function, or the next step of the coroutine.
+
+        If the task is done, cancelled or running, do nothing.
+        """
         if not self._is_pending or self._executing or not self._task_lock.acquire(blocking=False):
             return
         before, RUNNING.task, self.awaited = RUNNING.task, self, None
@@ -252,17 +263,17 @@ class Task(Future):
         self._handler, self._args, self._kwargs = None, (), {}
 
     def resume(self) -> None:
-        """Make the executor run the next step."""
+        """Make the executor run the next step of the coroutine."""
         executor = None if self._executor is None else self._executor()
         if executor is not None:
             executor.resume(self)
 
     def executing(self) -> bool:
-        """Whether a step runs now."""
+        """Whether a thread is running the task at the moment."""
         return self._executing
 
     def cancel(self) -> None:
-        """Cancel the task, unless it is done. A coroutine does not run any further."""
+        """Cancel the task, unless it is done. The executor runs no further step of a coroutine."""
         super().cancel()
         if self._is_coroutine and self.cancelled() and not self._executing:
             with contextlib.suppress(Exception):

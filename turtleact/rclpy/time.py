@@ -19,13 +19,13 @@ class Time:
     """A point in time, in whole nanoseconds since the start of its clock.
 
     Args:
-        seconds: Seconds, as an int or float.
-        nanoseconds: Nanoseconds to add.
+        seconds: The seconds since the start of the clock.
+        nanoseconds: Nanoseconds to add to ``seconds``.
         clock_type: The kind of clock that the time belongs to.
 
     Raises:
-        ValueError: if the time is negative.
-        OverflowError: if the time does not fit into 64 bits.
+        ValueError: if ``seconds`` or ``nanoseconds`` is negative.
+        OverflowError: if the time in nanoseconds is 2**63 or more.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Time:
 
     @property
     def nanoseconds(self) -> int:
-        """Nanoseconds since the start of the clock."""
+        """The time in nanoseconds since the start of the clock."""
         return self._nanoseconds
 
     @property
@@ -60,7 +60,7 @@ class Time:
         return self._clock_type
 
     def seconds_nanoseconds(self) -> tuple[int, int]:
-        """Return whole seconds, and the nanoseconds left."""
+        """Return the time as whole seconds and the remaining nanoseconds."""
         return divmod(self._nanoseconds, S_TO_NS)
 
     def __repr__(self) -> str:
@@ -122,7 +122,7 @@ class Time:
 
     @classmethod
     def from_msg(cls, msg: Anything, clock_type: ClockType = ClockType.ROS_TIME) -> Time:
-        """Return the time in a ``builtin_interfaces.msg.Time``.
+        """Return a ``builtin_interfaces.msg.Time`` as a `Time`.
 
         Raises:
             TypeError: if ``msg`` is of another type.

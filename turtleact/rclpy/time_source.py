@@ -24,7 +24,7 @@ USE_SIM_TIME_NAME = "use_sim_time"
 
 
 class Timed(Protocol):
-    """The part of a node that a time source uses."""
+    """The methods of a node that a time source uses."""
 
     def has_parameter(self, name: str) -> bool:
         """Whether a parameter is declared."""
@@ -36,7 +36,7 @@ class Timed(Protocol):
         """Return a parameter."""
 
     def add_on_set_parameters_callback(self, callback: Anything) -> None:
-        """Ask ``callback(parameters)`` before parameters are set."""
+        """Call ``callback(parameters)`` before parameters are set. Its result may reject them."""
 
     def get_logger(self) -> RcutilsLogger:
         """Return the node's logger."""
@@ -51,10 +51,10 @@ class Timed(Protocol):
 
 
 class TimeSource:
-    """Sets the clocks of a node, if the parameter ``use_sim_time`` is true.
+    """Sets clocks to the time on ``/clock`` while a node's parameter ``use_sim_time`` is true.
 
     Args:
-        node: The node. With None, attach a node later.
+        node: The node. If it is None, call `attach_node` later.
     """
 
     def __init__(self, *, node: Timed | None = None) -> None:
@@ -68,7 +68,7 @@ class TimeSource:
 
     @property
     def ros_time_is_active(self) -> bool:
-        """Whether a simulator sets the time."""
+        """Whether the clocks follow ``/clock``."""
         return self._ros_time_is_active
 
     @ros_time_is_active.setter
@@ -86,7 +86,7 @@ class TimeSource:
             self._clock_sub = None
 
     def attach_node(self, node: Timed) -> None:
-        """Follow the parameter ``use_sim_time`` of a node. If necessary, declare it.
+        """Follow the parameter ``use_sim_time`` of a node. Declare the parameter if necessary.
 
         Raises:
             TypeError: if the object is not a node.
@@ -109,22 +109,25 @@ class TimeSource:
         node.add_on_set_parameters_callback(self._on_parameter_event)
 
     def detach_node(self) -> None:
-        """Leave the node."""
+        """Forget the node, and close the subscription of ``/clock``."""
         node = self._get_node()
         if node is not None and self._clock_sub is not None:
             node.destroy_subscription(self._clock_sub)
         self._clock_sub, self._node = None, None
 
     def destroy(self) -> None:
-        """Leave the node, which is being destroyed."""
+        """Forget the node and the subscription of ``/clock``.
+
+        The subscription stays open, because the node itself destroys it.
+        """
         self._node = None
         self._clock_sub = None
 
     def attach_clock(self, clock: Clock) -> None:
-        """Set a clock to the source's time from now on.
+        """Set a clock to the time of this source, now and whenever that time changes.
 
         Raises:
-            ValueError: if the clock is not a clock of ROS time.
+            ValueError: if the clock is not of the type ROS_TIME.
         """
         if clock.clock_type is not ClockType.ROS_TIME or not isinstance(clock, ROSClock):
             raise ValueError("Only clocks with type ROS_TIME can be attached.")
@@ -134,7 +137,7 @@ class TimeSource:
         self._associated_clocks.append(clock)
 
     def clock_callback(self, msg: Anything) -> None:
-        """Take the time from a message of ``/clock``."""
+        """Set the attached clocks to the time in a message of ``/clock``."""
         time = Time.from_msg(msg.clock)
         self._last_time_set = time
         for clock in self._associated_clocks:

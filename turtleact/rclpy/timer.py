@@ -1,7 +1,8 @@
 """Timers and rates.
 
-A timer that is late fires once and keeps its phase. The clock of a timer may stand still: a timer
-of simulated time becomes due only when somebody sets that time.
+A timer that is late calls its function once, however many calls it has missed. The later calls
+come at the times that were planned at the start. A timer with a simulated clock becomes due only
+when somebody sets the time of the clock, for example with a message on ``/clock``.
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ class TimerInfo:
     """When a timer's callback was due, and when it was called.
 
     Args:
-        expected_call_time: When the call was due (ns).
-        actual_call_time: When the call was made (ns).
-        clock_type: The kind of clock.
+        expected_call_time: When the call was due (ns since the start of the clock).
+        actual_call_time: When the call was made (ns since the start of the clock).
+        clock_type: The kind of clock that both times belong to.
     """
 
     def __init__(
@@ -48,15 +49,16 @@ class TimerInfo:
 
 
 class Timer(Entity):
-    """Calls a function again and again. `Node.create_timer` makes one.
+    """Calls a function periodically. `Node.create_timer` makes a timer.
 
     Args:
-        callback: The function to call. It may take a `TimerInfo`.
+        callback: The function to call. A parameter that is annotated with `TimerInfo` gets the
+            `TimerInfo` of the call.
         callback_group: Decides when the callback may run.
         timer_period_ns: The time between two calls (ns).
         clock: The clock to follow.
-        context: The context.
-        autostart: Whether the timer starts at once.
+        context: Ignored.
+        autostart: Whether the timer starts at once. Otherwise `reset` starts it.
 
     Raises:
         RCLError: if the period is negative.
@@ -101,7 +103,7 @@ class Timer(Entity):
 
     @property
     def clock(self) -> Clock:
-        """The clock."""
+        """The clock that the timer follows."""
         return self._clock
 
     @property
@@ -122,17 +124,17 @@ class Timer(Entity):
             return not self._is_canceled and self._next_call <= self._clock.now_ns()
 
     def is_canceled(self) -> bool:
-        """Whether the timer was canceled."""
+        """Whether the timer is stopped: it was canceled, or was not started yet."""
         with self.handle:
             return self._is_canceled
 
     def cancel(self) -> None:
-        """Stop calling the function until `reset`."""
+        """Stop calling the function until `reset` is called."""
         with self.handle:
             self._is_canceled = True
 
     def reset(self) -> None:
-        """Start a new period. This also restarts a timer after `cancel`."""
+        """Start a new period now. A timer that was canceled runs again."""
         with self.handle:
             self._next_call = self._clock.now_ns() + self._period
             self._is_canceled = False
@@ -144,7 +146,7 @@ class Timer(Entity):
             return self._clock.now_ns() - self._last_call
 
     def time_until_next_call(self) -> int | None:
-        """Return how long until the next call (ns); negative if late, None if canceled."""
+        """Return the time until the next call (ns): negative if late, None if canceled."""
         with self.handle:
             return None if self._is_canceled else self._next_call - self._clock.now_ns()
 
@@ -157,13 +159,13 @@ class Timer(Entity):
         return self._next_call <= self._clock.now_ns()
 
     def due_in(self) -> float | None:
-        """How long until the timer is due (s); None if canceled, or if its time is simulated."""
+        """The time until the timer is due (s); None if it is canceled or its clock is simulated."""
         if self._is_canceled or self._handle.is_destroyed or self._clock.is_told:
             return None
         return max(0.0, (self._next_call - self._clock.now_ns()) / 1e9)
 
     def take(self) -> Anything:
-        """Count a call, and return its `TimerInfo`."""
+        """Plan the next call, and return the `TimerInfo` of the call that is due now."""
         with self._lock:  # two threads that spin must not call it twice for one beat
             if not self.is_ready_now():
                 return NOTHING
@@ -178,7 +180,7 @@ class Timer(Entity):
         )
 
     async def run(self, taken: TimerInfo) -> None:
-        """Call the function."""
+        """Call the timer's function."""
         wants_info = _info_parameter(self.callback)
         result = self.callback(**{wants_info: taken}) if wants_info else self.callback()
         if inspect.iscoroutine(result):
@@ -190,7 +192,7 @@ class Timer(Entity):
 
 
 def _info_parameter(callback: Anything) -> str:
-    """Return the name of a callback's parameter that is declared to be a `TimerInfo`."""
+    """Return the name of the parameter that is annotated with `TimerInfo`; "" if there is none."""
     while isinstance(callback, partial):
         callback = callback.func
     annotations = getattr(callback, "__annotations__", None)
@@ -207,13 +209,13 @@ def _info_parameter(callback: Anything) -> str:
 
 
 class Rate:
-    """Lets a thread sleep until the next beat. `Node.create_rate` makes one.
+    """Lets a thread sleep until the next call of a timer. `Node.create_rate` makes a rate.
 
-    Another thread must spin the node meanwhile.
+    While a thread sleeps, another thread must spin the node.
 
     Args:
-        timer: Makes the beats.
-        context: The context. Its shutdown ends every sleep.
+        timer: The timer. The rate replaces the timer's callback.
+        context: The context. Its shutdown wakes all threads that sleep.
     """
 
     def __init__(self, timer: Timer, *, context: Context) -> None:
@@ -227,7 +229,7 @@ class Rate:
 
     @property
     def timer(self) -> Timer:
-        """The timer that makes the beats."""
+        """The timer whose calls wake the threads that sleep."""
         return self._timer
 
     def _tick(self) -> None:
@@ -241,7 +243,10 @@ class Rate:
             self._beat.notify_all()
 
     def destroy(self) -> None:
-        """Destroy the rate and its timer. Sleeping threads wake up."""
+        """Destroy the rate and its timer.
+
+        In threads that sleep, `sleep` raises ROSInterruptException.
+        """
         with self._beat:
             self._is_destroyed = True
             self._beat.notify_all()
@@ -256,7 +261,7 @@ class Rate:
             raise InvalidHandle("cannot use Destroyable because destruction was requested")
 
     def sleep(self) -> None:
-        """Sleep until the next beat.
+        """Sleep until the next call of the timer.
 
         Raises:
             ROSInterruptException: if the context is shut down, or the rate is destroyed.

@@ -1,4 +1,4 @@
-"""The facts about a publisher or subscription on the graph."""
+"""Descriptions of the publishers and subscriptions on the graph."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ class TopicEndpointTypeEnum(IntEnum):
 
 
 class TopicEndpointInfo:
-    """A publisher or subscription.
+    """A description of an endpoint: a publisher or subscription.
 
     Attributes:
-        node_name: The name of its node.
-        node_namespace: The namespace of its node.
-        topic_type: The type of its messages.
+        node_name: The name of the endpoint's node.
+        node_namespace: The namespace of the node.
+        topic_type: The type of the messages.
         topic_type_hash: The hash of that type.
-        endpoint_type: Whether it is a publisher or a subscription.
-        endpoint_gid: The bytes that identify it.
-        qos_profile: Its quality of service.
+        endpoint_type: Whether the endpoint is a publisher or a subscription.
+        endpoint_gid: The bytes that identify the endpoint.
+        qos_profile: The quality of service of the endpoint.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class TopicEndpointInfo:
 
 
 def info_of(endpoint: Endpoint) -> TopicEndpointInfo:
-    """Return the facts about an endpoint of the graph."""
+    """Return the `TopicEndpointInfo` of an endpoint of the graph."""
     namespace, _, name = endpoint.node.rpartition("/")
     is_publisher = endpoint.kind == "publisher"
     kind = TopicEndpointTypeEnum.PUBLISHER if is_publisher else TopicEndpointTypeEnum.SUBSCRIPTION

@@ -45,7 +45,7 @@ __all__ = [
 
 
 class _Global:
-    """Holds the executor of `spin`."""
+    """Holds the global executor, which `spin` uses by default."""
 
     def __init__(self) -> None:
         self.executor: Executor | None = None
@@ -56,7 +56,7 @@ _global = _Global()
 
 
 class InitContextManager(Block):
-    """The result of `init`: a context manager that shuts the context down.
+    """The result of `init`. As a context manager, it shuts its context down when the block ends.
 
     Args:
         context: The context.
@@ -84,8 +84,8 @@ def init(
         args: The arguments of the program. None means ``sys.argv``.
         context: The context. None means the default context.
         domain_id: The ROS domain. None means the domain in the environment.
-        signal_handler_options: Which signals shut contexts down. None means all signals for the
-            default context, and no signals for any other.
+        signal_handler_options: Which signals shut contexts down. None means SIGINT and SIGTERM if
+            this is the default context, and no signals otherwise.
 
     Raises:
         RuntimeError: if the context was initialised before.
@@ -100,7 +100,7 @@ def init(
 
 
 def get_global_executor() -> Executor:
-    """Return the executor of `spin`."""
+    """Return the global executor, which `spin` uses by default."""
     with _global.lock:
         if _global.executor is None:
             _global.executor = SingleThreadedExecutor()
@@ -111,7 +111,7 @@ def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None 
     """Shut down a context, or the default one.
 
     Raises:
-        RuntimeError: if the context is not initialised, or was shut down before.
+        RuntimeError: if the context was not initialised, or is already shut down.
     """
     _drop_executor()
     _shutdown(context=context)
@@ -120,7 +120,7 @@ def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None 
 
 
 def try_shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
-    """Shut down a context, or the default one, unless that has been done."""
+    """Shut down a context, or the default one, unless it is already shut down."""
     _drop_executor()
     _try_shutdown(context=context)
     if uninstall_handlers or (uninstall_handlers is None and context is None):
@@ -141,9 +141,9 @@ def create_node(node_name: str, **options: Anything) -> Node:
 
 @contextmanager
 def _borrowed(node: Node, executor: Executor | None) -> Iterator[Executor]:
-    """Put a node into an executor for a while, then return it to its earlier executor.
+    """Put a node into an executor for a ``with`` block, then back into its earlier executor.
 
-    rclpy would leave the node without an executor, and its callbacks would never run again.
+    The genuine rclpy leaves the node without an executor, so its callbacks never run again.
     """
     used = get_global_executor() if executor is None else executor
     before = node.executor
@@ -167,7 +167,7 @@ def spin_once(
     Args:
         node: The node.
         executor: The executor; None means the global one.
-        timeout_sec: How long to wait (s). None or a negative number means for ever.
+        timeout_sec: How long to wait for a callback (s). None or a negative number means for ever.
     """
     with _borrowed(node, executor) as used:
         used.spin_once(timeout_sec=timeout_sec)
@@ -181,7 +181,7 @@ def spin(node: Node, executor: Executor | None = None) -> None:
         executor: The executor; None means the global one.
 
     Raises:
-        ExternalShutdownException: if the context is shut down elsewhere than in a callback.
+        ExternalShutdownException: if something other than a callback shuts the context down.
     """
     with _borrowed(node, executor) as used:
         while used.context.ok():
@@ -194,20 +194,21 @@ def spin_until_future_complete(
     executor: Executor | None = None,
     timeout_sec: float | None = None,
 ) -> None:
-    """Run the callbacks of a node until a future is done, or for some time.
+    """Run the callbacks of a node until a future is done, or the time is over.
 
     Args:
         node: The node.
         future: The future.
         executor: The executor; None means the global one.
-        timeout_sec: How long to run callbacks (s). None or a negative number means for ever.
+        timeout_sec: The longest time to wait for the future (s). None or a negative number means
+            for ever.
     """
     with _borrowed(node, executor) as used:
         used.spin_until_future_complete(future, timeout_sec)
 
 
 def __getattr__(name: str) -> object:
-    """Import a module of rclpy when it is used as an attribute: ``rclpy.qos``."""
+    """Import a module of rclpy when it is used as an attribute, such as ``rclpy.qos``."""
     if not name.startswith("_"):
         try:
             return import_module(f"rclpy.{name}")

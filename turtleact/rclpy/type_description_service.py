@@ -19,11 +19,13 @@ PACKAGE = "type_description_interfaces"
 
 
 class TypeDescriptionService:
-    """Offers the service unless the parameter ``start_type_description_service`` is false.
+    """Creates ``~/get_type_description`` on a node. The service is destroyed with the node.
+
+    If the node's parameter ``start_type_description_service`` is false, no service is created.
 
     Args:
-        node: The node, which owns the service.
-        parameters: Its parameters.
+        node: The node.
+        parameters: The parameters of the node.
     """
 
     def __init__(self, node: ServiceHost, parameters: NodeParameters) -> None:

@@ -1,4 +1,4 @@
-"""Hashes of types, as endpoints show them."""
+"""The hashes of interface types, for `TopicEndpointInfo`."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ SIZE = 32
 
 
 class TypeHash:
-    """The hash of a type.
+    """The hash of an interface type.
 
     Args:
         version: The version of the algorithm; -1 if there is no hash.
-        value: Its 32 bytes.
+        value: The 32 bytes of the hash.
     """
 
     __slots__ = ("_value", "_version")
@@ -23,7 +23,7 @@ class TypeHash:
 
     @classmethod
     def from_text(cls, text: str) -> TypeHash:
-        """Parse a hash such as ``RIHS01_…``. Any other text gives an empty hash."""
+        """Parse a hash such as ``RIHS01_…``. For any other text, return a hash with version -1."""
         version, _, digits = text.removeprefix("RIHS").partition("_")
         try:
             return cls(int(version), bytes.fromhex(digits))
@@ -32,7 +32,7 @@ class TypeHash:
 
     @property
     def version(self) -> int:
-        """The version of the algorithm."""
+        """The version of the algorithm; -1 if there is no hash."""
         return self._version
 
     @version.setter

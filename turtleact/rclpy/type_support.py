@@ -1,4 +1,4 @@
-"""Checks that something is a message, service or action."""
+"""Checks that a class is the class of a message, service or action."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ HINT = (
 
 
 def check_for_type_support(msg_or_srv_type: Anything) -> None:
-    """Check that something is a class of an interface.
+    """Check that an object is the class of a message, service or action.
 
     Raises:
-        AttributeError: if it is no such class.
-        NoTypeSupportImportedException: if it is a class of ROS without loaded type support.
+        AttributeError: if the object is not such a class.
+        NoTypeSupportImportedException: if the class is from the genuine ROS, and ROS has not loaded
+            its type support.
     """
     if is_interface(msg_or_srv_type):
         return
@@ -46,7 +47,7 @@ def _check(interface: Anything, parts: tuple[str, ...], noun: str) -> None:
 
 
 def check_is_valid_msg_type(msg_type: Anything) -> None:
-    """Check that a class is a message class. Raises RuntimeError for a service or action."""
+    """Check that a class is a message class. Raise RuntimeError for a service or action."""
     _check(msg_type, (), "message")
     if hasattr(msg_type, "type_name"):
         raise RuntimeError(
@@ -55,10 +56,10 @@ def check_is_valid_msg_type(msg_type: Anything) -> None:
 
 
 def check_is_valid_srv_type(srv_type: Anything) -> None:
-    """Check that a class is a service. Raises RuntimeError for a message or action."""
+    """Check that a class is a service class. Raise RuntimeError for a message or action."""
     _check(srv_type, ("Request", "Response"), "service")
 
 
 def check_is_valid_action_type(action_type: Anything) -> None:
-    """Check that a class is an action. Raises RuntimeError for a message or service."""
+    """Check that a class is an action class. Raise RuntimeError for a message or service."""
     _check(action_type, ("Goal", "Result", "Feedback"), "action")

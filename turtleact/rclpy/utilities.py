@@ -1,4 +1,4 @@
-"""The default context, and facts about the installation."""
+"""Functions for the default context, the command line and the middleware."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ DEFAULT = _Default()
 
 
 def get_default_context(*, shutting_down: bool = False) -> Context:
-    """Return the context that is used if none is given.
+    """Return the default context, which is used if no context is given.
 
     Args:
         shutting_down: Whether the context is about to be shut down. The next call then returns a
@@ -60,12 +60,12 @@ def ok(*, context: Context | None = None) -> bool:
 
 
 def shutdown(*, context: Context | None = None) -> None:
-    """Shut down a context, or the default one. The errors are those of `Context.shutdown`."""
+    """Shut down a context, or the default one. `Context.shutdown` lists the errors."""
     (get_default_context(shutting_down=True) if context is None else context).shutdown()
 
 
 def try_shutdown(*, context: Context | None = None) -> None:
-    """Shut down a context, or the default one, unless that has been done."""
+    """Shut down a context, or the default one, unless it is already shut down."""
     given = get_default_context() if context is None else context
     if context is None and given.handle is not None:  # it may also have been shut down by a signal
         get_default_context(shutting_down=True)
@@ -73,12 +73,12 @@ def try_shutdown(*, context: Context | None = None) -> None:
 
 
 def remove_ros_args(args: Sequence[str] | None = None) -> list[str]:
-    """Return the arguments without those for ROS. None means ``sys.argv``."""
+    """Return ``args``, by default ``sys.argv``, without the part from ``--ros-args`` to ``--``."""
     return without_ros_arguments(list(sys.argv if args is None else args))
 
 
 def timeout_sec_to_nsec(timeout_sec: float | None) -> int:
-    """Return a timeout in nanoseconds; -1 if it is None, negative or very long."""
+    """Return a timeout in nanoseconds; -1 if it is None, negative or above `LONGEST`."""
     if timeout_sec is None or timeout_sec < 0 or timeout_sec > LONGEST:
         return -1
     return int(float(timeout_sec) * 1_000_000_000)

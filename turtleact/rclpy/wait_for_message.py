@@ -28,12 +28,12 @@ def wait_for_message(
     Args:
         msg_type: The class of the message.
         node: The node.
-        topic: The topic.
-        qos_profile: The quality of service, or the depth of a default profile.
+        topic: The name of the topic.
+        qos_profile: The quality of service, or a number; see `Node.create_publisher`.
         time_to_wait: How long to wait (s); -1 means for ever.
 
     Returns:
-        Whether a message has come, and the message or None.
+        Whether a message has come, and the message. Without a message, the second value is None.
     """
     from turtleact.rclpy.node import Node
 

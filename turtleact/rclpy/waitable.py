@@ -1,4 +1,4 @@
-"""Waitables: entities with logic of their own."""
+"""Waitables: entities that decide in their own code when they are ready and what they run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["NumberOfEntities", "Waitable"]
 class NumberOfEntities:
     """How many entities of each kind a waitable of rclpy waits for.
 
-    Executors here do not use it.
+    turtleact's executors do not use this class.
     """
 
     def __init__(
@@ -34,14 +34,17 @@ class NumberOfEntities:
 
 
 class Waitable(Subscriptable, Entity):
-    """The base of waitables. Executors have no wait sets: they call ``is_ready(None)``.
+    """The base class of waitables. turtleact has no wait sets: executors call ``is_ready(None)``.
 
     Args:
         callback_group: Decides when `execute` may run.
     """
 
     def call_on_wake(self, wake: Callable[[], object]) -> None:
-        """Set the function to call when the waitable may have become ready. The node calls this."""
+        """Set the function to call when the waitable may have become ready.
+
+        `Node.add_waitable` calls this method.
+        """
         self._wake = wake
 
     def is_ready(self, wait_set: object) -> bool:
@@ -49,7 +52,7 @@ class Waitable(Subscriptable, Entity):
         raise NotImplementedError("Must be implemented by subclass")
 
     def take_data(self) -> Anything:
-        """Take the argument for `execute`."""
+        """Remove and return the argument for `execute`; None if there is none."""
         raise NotImplementedError("Must be implemented by subclass")
 
     async def execute(self, taken_data: Anything) -> None:
@@ -57,14 +60,14 @@ class Waitable(Subscriptable, Entity):
         raise NotImplementedError("Must be implemented by subclass")
 
     def is_ready_now(self) -> bool:
-        """Whether `take_data` would return something."""
+        """Whether `take_data` would return something; False after `destroy`."""
         return not self._handle.is_destroyed and self.is_ready(None)
 
     def take(self) -> Anything:
-        """Take the argument for `execute`."""
+        """Return the result of `take_data`, or `NOTHING` instead of None."""
         taken = self.take_data()
         return NOTHING if taken is None else taken
 
     async def run(self, taken: Anything) -> None:
-        """Handle the result of `take`."""
+        """Pass the result of `take` to `execute`."""
         await self.execute(taken)

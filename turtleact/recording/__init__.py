@@ -8,7 +8,7 @@ Record with a node, and read without one::
     async for message in recording.read("run"):
         print(message.topic, message.stamp, message.value)
 
-This package needs the extra ``bag``.
+This package needs turtleact's extra ``bag``.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> object:
-    """Import a name from its module on first use, because ``bag info`` needs few names."""
+    """Import a name from its module on first use, so that unused modules cost no time."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib

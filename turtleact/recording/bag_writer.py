@@ -1,9 +1,9 @@
-"""Writes a bag: files, split by size or duration, and ``metadata.yaml`` at the end.
+"""Writes a bag: a single file, or a folder with files and ``metadata.yaml``.
 
-A disk may fill up during a recording. So while a bag is written, a hidden file in its folder keeps
-room for the index and ``metadata.yaml``.
+A disk may fill up during a recording. A hidden file in the folder therefore reserves disk space for
+the index of the last file and for ``metadata.yaml``.
 
-Everything here blocks, so a thread calls it; see `turtleact.recording.spool`.
+Writing to the disk blocks, so `turtleact.recording.spool` does it in a thread of its own.
 
 Source: rosbag2 ``sequential_writer.cpp``.
 """
@@ -47,23 +47,23 @@ DISTRO: Final = "turtleact"
 
 
 STEP: Final = 32 * 1024
-"""The room that is kept for the end of a bag grows by so many bytes."""
+"""The reserved disk space grows in steps of this many bytes."""
 
 TOPIC_SIZE: Final = 500
-"""A description has at most this many bytes for a topic, besides its names and offers."""
+"""``metadata.yaml`` has at most this many bytes for a topic, besides its names and offers."""
 
 FILE_SIZE: Final = 300
-"""A description has at most this many bytes for a file, besides its name."""
+"""``metadata.yaml`` has at most this many bytes for a file, besides its name."""
 
 
 class Split(msgspec.Struct, frozen=True, kw_only=True):
     """When to begin another file, and how to compress files.
 
     Attributes:
-        max_size: A file that has this many bytes is followed by another; 0 for no limit.
-        max_duration: A file is followed by another after this time from its first message (ns); 0
-            for no limit.
-        compression: How chunks are compressed.
+        max_size: The size at which a file is closed and another is begun (bytes); 0 for no limit.
+        max_duration: The longest time from the first message of a file to its last (ns); 0 for no
+            limit.
+        compression: How the chunks of a file are compressed.
     """
 
     max_size: int = 0
@@ -75,11 +75,12 @@ class BagWriter:
     """Writes a bag.
 
     Args:
-        path: The folder, which must not exist. A path that ends in ``.mcap`` names a single file.
-        split: When to begin another file.
+        path: The folder to create, or the single file if the path ends in ``.mcap``.
+        split: When to begin another file, and how to compress files.
 
     Raises:
-        BagError: if the folder or file exists, or cannot be created.
+        BagError: if the folder or file exists already or cannot be created, or if ``split`` has a
+            limit although the bag is a single file.
 
     Attributes:
         path: The folder or file.
@@ -111,7 +112,10 @@ class BagWriter:
 
     @property
     def waiting(self) -> int:
-        """How many messages were passed to `write` but are not on disk. Any thread may ask."""
+        """How many messages were passed to `write` but are not on disk.
+
+        Any thread may read this property.
+        """
         return self._writer.waiting
 
     def add(self, number: int, channel: Channel) -> None:
@@ -127,10 +131,11 @@ class BagWriter:
         self._register(number)
 
     def write(self, number: int, stamp: int, sent: int, data: bytes) -> None:
-        """Add a message to the current chunk, which is written when it is full.
+        """Add a message to the current chunk. The chunk is written to disk when it is full.
 
         Raises:
-            OSError: if the disk is full or gone. Call `close` then.
+            OSError: if the disk is full or gone, or the file was deleted. The caller must then call
+                `close`.
         """
         if self._is_time_to_split(stamp):
             try:
@@ -146,10 +151,11 @@ class BagWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Put all messages so far on disk, so that a killed process would not lose them.
+        """Write all messages added so far to disk, so that they survive if the process is killed.
 
         Raises:
-            OSError: if the disk is full or gone, or the file was deleted. Call `close` then.
+            OSError: if the disk is full or gone, or the file was deleted. The caller must then call
+                `close`.
         """
         self._look_for([self._name])
         if self._room is not None:
@@ -157,14 +163,14 @@ class BagWriter:
         self._writer.flush()
 
     def close(self, lost: dict[str, int]) -> None:
-        """Close the last file and describe the bag.
+        """Close the last file and, if the bag is a folder, write ``metadata.yaml``.
 
         Args:
-            lost: How many messages of each topic were lost before they came here.
+            lost: How many messages of each topic were dropped instead of being passed to `write`.
 
         Raises:
-            OSError: if something could not be written, or was deleted. All that was written and
-                not deleted can be read.
+            OSError: if something could not be written, or a file or the folder was deleted. The
+                messages that were written and not deleted can still be read.
         """
         errors: list[OSError] = []
         for step in (self._close_file, self._describe):
@@ -216,7 +222,7 @@ class BagWriter:
         """Check that nobody has deleted these files or the folder.
 
         Raises:
-            FileNotFoundError: if one is missing.
+            FileNotFoundError: if the folder or one of the files is missing.
         """
         if not self._folder.exists():
             raise FileNotFoundError(errno.ENOENT, GONE, str(self._folder))
@@ -225,7 +231,7 @@ class BagWriter:
                 raise FileNotFoundError(errno.ENOENT, GONE, str(self._folder / name))
 
     def _begin_another(self) -> None:
-        """Close the file and begin another."""
+        """Close the current file and begin another."""
         self.flush()
         self._end()
         self._writer = self._begin()
@@ -256,7 +262,7 @@ class BagWriter:
         )
 
     def _close_file(self, lost: dict[str, int]) -> None:
-        """Close the last file, with the room that was kept for its index."""
+        """Close the last file, after freeing the disk space that is reserved for its index."""
         if not self._is_open:
             return
         problem: OSError | None = None
@@ -271,7 +277,10 @@ class BagWriter:
             raise problem
 
     def _end(self, lost: dict[str, int] | None = None) -> None:
-        """Close the current file. If the disk has no room for the index, drop the last messages."""
+        """Close the current file.
+
+        If the disk has no room for the file's index, the file loses its last messages.
+        """
         writer, self._is_open = self._writer, False
         try:
             writer.finish(ABOUT, lambda: self._about_bag(lost or {}))
@@ -298,7 +307,7 @@ class BagWriter:
         return lost
 
     def _about_bag(self, lost: dict[str, int]) -> dict[str, str]:
-        """The metadata at the end of a file."""
+        """Return the metadata to write at the end of a file."""
         custom = _custom(self.lost + self._lost_of_file() + Counter(lost))
         if not custom:
             return self._head
@@ -336,12 +345,12 @@ class BagWriter:
 
 
 class _Room:
-    """Keeps room on the disk in a hidden file, which becomes ``metadata.yaml`` in the end.
+    """Reserves disk space with a hidden file, which becomes ``metadata.yaml`` in the end.
 
-    The file is filled with zeros. Then its bytes can be replaced even if the disk is full.
+    The file is filled with zeros, which can be overwritten even if the disk is full.
 
     Args:
-        path: The hidden file, which must not exist.
+        path: The hidden file, which must not exist yet.
 
     Raises:
         OSError: if the file cannot be created.
@@ -353,7 +362,7 @@ class _Room:
         self._size = 0
 
     def keep(self, size: int) -> None:
-        """Keep room for at least so many bytes. Raise OSError if the disk does not have it."""
+        """Reserve at least ``size`` bytes. Raise OSError if the disk has too little space."""
         if size <= self._size:
             return
         wanted = (size // STEP + 1) * STEP
@@ -366,13 +375,13 @@ class _Room:
         self._size = wanted
 
     def leave_only(self, size: int) -> None:
-        """Give up the room behind the first bytes."""
+        """Keep the first ``size`` bytes of the reserved space, and free the rest."""
         if size < self._size:
             self._file.truncate(size)
             self._size = size
 
     def become(self, path: Path, content: bytes) -> None:
-        """Replace the zeros, and rename the file. Raise OSError if this is impossible."""
+        """Write ``content`` over the zeros and rename the file. Raise OSError if this fails."""
         self._file.seek(0)
         _write(self._file, content)
         self._file.truncate()
@@ -387,7 +396,11 @@ class _Room:
 
 
 def _write(file: FileIO, data: bytes) -> None:
-    """Write all of the data: a nearly full disk takes a part, and then raises."""
+    """Write all of the data.
+
+    On a nearly full disk, the first call of ``file.write`` writes only a part of the data, and the
+    second call raises OSError.
+    """
     view = memoryview(data)
     while view:
         view = view[file.write(view) or 0 :]

@@ -1,4 +1,4 @@
-"""Rewrites bags: merges, cuts by time or topic, splits, compresses, or restores the index.
+"""Rewrites bags: merges, filters, splits or compresses them, or restores a missing index.
 
 Source: rosbag2 ``bag_rewrite.cpp``.
 """
@@ -30,11 +30,11 @@ class Output(msgspec.Struct, frozen=True, kw_only=True):
     """A bag to write.
 
     Attributes:
-        path: The folder to create, or a single file.
-        selection: Which messages to write to it.
-        start: The earliest stamp (ns).
-        end: The latest stamp (ns); None for no limit.
-        split: When to begin another file, and how to compress.
+        path: The folder to create. A path that ends in ``.mcap`` names a single file instead.
+        selection: Which messages to write to the bag.
+        start: The lowest stamp of the messages to write (ns since 1970).
+        end: The highest stamp of the messages to write (ns since 1970); None for no limit.
+        split: When to begin another file, and how to compress the files.
     """
 
     path: Path
@@ -47,18 +47,19 @@ class Output(msgspec.Struct, frozen=True, kw_only=True):
 def convert(
     inputs: Sequence[Path], outputs: Sequence[Output], goes_on: Callable[[], bool] = lambda: True
 ) -> list[int]:
-    """Read bags and write their messages to others, in the order of their stamps. Blocks.
+    """Write the messages of bags to new bags, in the order of their stamps. This call blocks.
 
-    If an error is raised, no output is left.
+    If an error is raised, all outputs are removed.
 
     Args:
         inputs: The bags to read.
         outputs: The bags to write.
-        goes_on: Called now and then. If it returns False, the outputs are closed with what they
-            have so far.
+        goes_on: Called before the first message, and again after every 1,000 messages. If it
+            returns False, `convert` stops reading, and the outputs keep the messages written so
+            far.
 
     Returns:
-        How many messages each output has.
+        How many messages were written to each output.
 
     Raises:
         BagError: if a bag cannot be read or written.
@@ -85,14 +86,14 @@ def convert(
 
 
 def _range(outputs: Sequence[Output]) -> Range:
-    """The range with the messages of all outputs."""
+    """Return the smallest time range that covers the ranges of all outputs."""
     ends = [each.end for each in outputs if each.end is not None]
     start = min((each.start for each in outputs), default=0)
     return Range(start, max(ends) if ends and len(ends) == len(outputs) else None)
 
 
 class _Writing:
-    """One bag that is written."""
+    """Writes one bag."""
 
     def __init__(self, output: Output) -> None:
         self.count = 0
@@ -101,7 +102,7 @@ class _Writing:
         self._numbers: dict[Channel, int | None] = {}
 
     def take(self, raw: Raw) -> None:
-        """Write a message, if it is wanted."""
+        """Write a message, if the output's range and selection include it."""
         output = self._output
         if raw.stamp < output.start or (output.end is not None and raw.stamp > output.end):
             return
@@ -121,7 +122,7 @@ class _Writing:
             raise self._error(error) from error
 
     def discard(self) -> None:
-        """Remove the bag, because it would look complete."""
+        """Remove the bag, because an unfinished bag would look complete."""
         with suppress(OSError):
             self._writer.close({})
         path = self._output.path

@@ -1,7 +1,7 @@
 """Reads one MCAP file, with its index if it has one.
 
-A file that was not closed has no index. Such a file is read from its start, up to a record that is
-cut off; damaged records are left out. Messages are read a chunk at a time.
+A file that was not closed has no index. Such a file is read from its start, until it ends or a
+record is cut off. Damaged records are skipped. Messages are read one chunk at a time.
 
 Source: the MCAP specification.
 """
@@ -55,13 +55,13 @@ _AFTER: Final = "this record and everything after it are left out"
 
 
 class _Piece(NamedTuple):
-    """A part of the file that is read at once: a chunk, or a single message outside of chunks.
+    """A part of the file that is read as a whole: a chunk, or a single message outside of chunks.
 
     Attributes:
         start: The time of its earliest message (ns).
-        offset: Where its record begins.
+        offset: Where its record begins, in bytes from the start of the file.
         end: The time of its latest message (ns).
-        channels: The channels with messages in it; None if they are not known.
+        channels: The channels that have messages in this part; None if they are not known.
     """
 
     start: int
@@ -71,14 +71,16 @@ class _Piece(NamedTuple):
 
 
 class _Summary(NamedTuple):
-    """What is needed from the index at the end of a file.
+    """What `McapFile` uses of the index at the end of a file.
 
     Attributes:
-        statistics: How many messages the file has.
+        statistics: How many messages each channel has, and the times of the earliest and latest
+            message.
         declared: The records of schemas and channels, each with its opcode.
-        chunks: The records with the places of chunks. A gigabyte has a thousand of them, and only
-            `McapFile.messages` needs them, so they are left as bytes.
-        about: Where the last metadata record about the bag is; 0 if there is none.
+        chunks: The records that say where the chunks are. They are not decoded yet, because a file
+            of 1 GB has about a thousand of them, and only `McapFile.messages` needs them.
+        about: Where the last metadata record about the bag begins, in bytes from the start of the
+            file; 0 if there is none.
     """
 
     statistics: Statistics
@@ -94,7 +96,7 @@ class McapFile:
         path: The file.
 
     Raises:
-        BagError: if the file cannot be opened, or is no MCAP file.
+        BagError: if the file cannot be opened, or is not an MCAP file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -123,9 +125,9 @@ class McapFile:
         self._file.close()
 
     def messages(self, wanted: Range) -> Iterator[Raw]:
-        """Yield the messages of a range, ordered by stamp.
+        """Yield the messages that ``wanted`` selects, ordered by stamp.
 
-        Messages with the same stamp stay in the file's order.
+        Messages with the same stamp keep their order in the file.
 
         Raises:
             BagError: if a chunk is damaged.
@@ -162,7 +164,7 @@ class McapFile:
             self._pieces.sort()
 
     def _summary(self) -> _Summary | None:
-        """The index at the end of the file; None if no index can be read."""
+        """Return the index at the end of the file; None if no index can be read."""
         self._file.seek(-len(MAGIC), 2)
         self.is_closed = self._file.read() == MAGIC and self._file.tell() > 16
         if not self.is_closed:
@@ -195,7 +197,10 @@ class McapFile:
         return None if statistics is None else _Summary(statistics, declared, chunks, about)
 
     def _takes(self, summary: _Summary) -> bool:
-        """Take what is needed from the index. Return False, and take nothing, if it is damaged."""
+        """Copy the contents of the index into this object.
+
+        If the index is damaged, copy nothing and return False.
+        """
         try:
             self._take(summary)
         except _DAMAGED:
@@ -206,7 +211,7 @@ class McapFile:
         return self.is_closed
 
     def _take(self, summary: _Summary) -> None:
-        """Take what is needed from the index."""
+        """Copy the contents of the index into this object. A damaged index raises an error."""
         for opcode, content in sorted(summary.declared, key=itemgetter(0)):  # schemas first
             self._declare(opcode, content)
         self.counts.update(summary.statistics.channel_message_counts)
@@ -218,7 +223,10 @@ class McapFile:
             self._note(Metadata.read(ReadDataStream(self._file)))
 
     def _read_index(self) -> None:
-        """Read where the chunks are; if that is damaged, look through the whole file."""
+        """Decode the records that say where the chunks are.
+
+        If such a record is damaged, read the whole file instead.
+        """
         unread, self._unread = self._unread, []
         try:
             self._pieces += map(_piece, unread)
@@ -230,7 +238,10 @@ class McapFile:
         self._pieces.sort()
 
     def _scan(self) -> None:
-        """Read the whole file, up to a record that is cut off. Leave out damaged records."""
+        """Find the chunks and messages by reading the whole file.
+
+        Stop at a record that is cut off. Skip damaged records.
+        """
         size = self._file.seek(0, 2)
         place, damaged = len(MAGIC), 0
         self.flaw = "it was not closed, so messages may be missing at its end"
@@ -257,7 +268,7 @@ class McapFile:
         self.is_closed &= not self.flaw
 
     def _see(self, opcode: int, place: int, content: bytes) -> None:
-        """Remember what a record outside of chunks says."""
+        """Note what a top-level record contains: a chunk, a message, metadata or a declaration."""
         if opcode == Opcode.CHUNK:
             found = self._records(Chunk.read(_stream(content)))
             if found:
@@ -285,7 +296,7 @@ class McapFile:
     # records
 
     def _read(self, piece: _Piece) -> Iterator[Raw]:
-        """Yield the messages of a part of the file."""
+        """Yield the messages of a chunk, or the message of a record outside of chunks."""
         try:
             self._file.seek(piece.offset)
             opcode, length = _HEAD.unpack(self._file.read(_HEAD.size))
@@ -302,7 +313,7 @@ class McapFile:
             raise BagError(self.path, f"{problem}; {_REST}") from error
 
     def _records(self, chunk: Chunk) -> list[tuple[int, int, int, bytes]]:
-        """The messages of a chunk: channel, log time, publish time and data."""
+        """Return the messages of a chunk, each as channel, log time, publish time and data."""
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)
         content = stream.read(length)
         if len(content) < length:
@@ -320,7 +331,7 @@ class McapFile:
         return found
 
     def _declare(self, opcode: int, content: bytes) -> None:
-        """Remember a schema or channel. Other records are ignored."""
+        """Store the schema or channel that a record declares. Ignore other records."""
         if opcode == Opcode.SCHEMA:
             self._add_schema(SchemaRecord.read(_stream(content)))
         elif opcode == Opcode.CHANNEL:
@@ -343,7 +354,7 @@ class McapFile:
 
 
 def _is_complete(summary: _Summary) -> bool:
-    """Whether the index lists all messages. In a file without chunks, the index lists none."""
+    """Whether the index lists all messages. Messages outside of chunks are never listed."""
     return bool(summary.chunks) or not summary.statistics.message_count
 
 
@@ -360,7 +371,7 @@ def _piece(content: bytes) -> _Piece:
 
 
 def _reason(error: Exception) -> str:
-    """What is wrong with a damaged chunk."""
+    """Describe what is wrong with a damaged chunk."""
     if isinstance(error, KeyError):
         return f"the file does not declare channel {error}"
     if isinstance(error, struct.error | EOFError):
@@ -369,7 +380,7 @@ def _reason(error: Exception) -> str:
 
 
 def _split(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the opcode and the content of each record."""
+    """Yield the opcode and the content of each record in ``data``."""
     place = 0
     while place < len(data):
         opcode, length = _HEAD.unpack_from(data, place)

@@ -1,13 +1,13 @@
 """Writes one MCAP file.
 
-Messages gather in a chunk. Only whole chunks are written. A process that is killed leaves complete
-chunks behind, and perhaps a last one that is cut off. If a write fails, the file is cut back to the
-end of its last complete record, and can still be closed.
+Messages are collected in memory until they fill a chunk, which is written as a whole. If the
+process is killed, only the last chunk in the file may be incomplete. If a write fails, the file is
+cut back to the end of its last complete record, and can still be closed.
 
-The classes of records are those of the ``mcap`` package. Its ``Writer`` takes 25 us for a message.
-With that ``Writer`` in the process of a server, a recorder would take more time than the goals. A
-message and its entry in the index are therefore packed here, which takes 2 us. Besides, ``Writer``
-cannot be closed after a failed write.
+The classes of records come from the ``mcap`` package. The package's ``Writer`` takes 25 us per
+message. In the process of an action server, a recorder with that ``Writer`` would take more time
+than the goals. This module therefore packs each message and its index entry itself, which takes 2
+us. Also, a ``Writer`` cannot be closed after a failed write.
 
 Source: the MCAP specification; rosbag2 ``mcap_storage.cpp`` for the profile and the metadata.
 """
@@ -68,26 +68,30 @@ _INDEX_HEAD: Final = struct.Struct("<BQHI")
 
 
 class _Written(msgspec.Struct):
-    """A chunk in the file: its place, and how many messages of each channel it has."""
+    """A chunk in the file: where it begins (bytes), and its number of messages per channel."""
 
     offset: int
     counts: Counter[int]
 
 
 class McapWriter:
-    """Writes a file. Any method except `add` may raise OSError.
+    """Writes an MCAP file.
+
+    The constructor, `flush`, `add_metadata` and `finish` may raise OSError.
 
     Args:
-        path: The file, which must not exist.
+        path: The file to create. It must not exist yet.
         compression: How to compress chunks.
 
     Attributes:
-        counts: How many messages each channel has.
-        start: The time of the earliest message (ns); 0 before the first.
-        end: The time of the latest message (ns).
-        waiting: How many messages the current chunk has.
-        index_size: About how many bytes `finish` will write.
-        is_finished: Whether the file has its index.
+        counts: How many messages of each channel are in the written chunks.
+        start: The time of the earliest message in the written chunks (ns since 1970); 0 if there is
+            none.
+        end: The time of the latest message in the written chunks (ns since 1970); 0 if there is
+            none.
+        waiting: How many messages wait in the current chunk.
+        index_size: The approximate number of bytes that `finish` will write.
+        is_finished: Whether the index has been written.
     """
 
     def __init__(self, path: Path, compression: Compression = "none") -> None:
@@ -114,16 +118,16 @@ class McapWriter:
 
     @property
     def size(self) -> int:
-        """How many bytes the file would have if the current chunk were written."""
+        """The size of the file (bytes) if the current chunk were written without compression."""
         return self._end + self._chunk_size
 
     @property
     def count(self) -> int:
-        """How many messages were added."""
+        """How many messages are in the written chunks."""
         return self.counts.total()
 
     def add_channel(self, topic: str, schema: Schema, metadata: dict[str, str]) -> int:
-        """Add a channel and return its number."""
+        """Add a channel and return its number in the file."""
         record = self._schemas.get(schema)
         if record is None:
             number = len(self._schemas) + 1
@@ -147,10 +151,10 @@ class McapWriter:
         """Add a message.
 
         Args:
-            channel: The number of its channel.
-            stamp: When it was received (ns).
-            sent: When it was published (ns).
-            data: Its bytes.
+            channel: The number of the message's channel, from `add_channel`.
+            stamp: When the message was received (ns since 1970).
+            sent: When the message was published (ns since 1970).
+            data: The encoded message.
         """
         entries = self._entries.get(channel)
         if entries is None:
@@ -165,15 +169,15 @@ class McapWriter:
 
     @property
     def is_full(self) -> bool:
-        """Whether the chunk is large enough to be written."""
+        """Whether the current chunk is large enough to be written."""
         return self._chunk_size >= CHUNK
 
     def flush(self) -> None:
-        """Write the chunk, if it has messages.
+        """Write the current chunk to the file, if the chunk has messages.
 
         Raises:
-            OSError: if the chunk cannot be written. The chunk's messages are lost, and the file
-                does not change.
+            OSError: if the chunk cannot be written. Its messages are then lost, and the file stays
+                as it was.
         """
         if not self._entries:
             return
@@ -225,16 +229,18 @@ class McapWriter:
     def finish(self, name: str = "", values: Callable[[], dict[str, str]] = dict) -> None:
         """Write a last metadata record and the index, and close the file.
 
-        The current chunk must have been written. If the disk has no room, the last chunks are
-        removed. `counts` then counts the remaining messages.
+        Call `flush` first. If the disk has no room for the index, the last chunks are removed until
+        it has. `counts` then counts the messages of the remaining chunks.
 
         Args:
             name: The name of the metadata record; empty for no record.
-            values: Returns the content of the record. Called again whenever `counts` has changed.
+            values: A function that returns the content of the record. It is called again whenever a
+                chunk has been removed.
 
         Raises:
-            OSError: if there was no room for everything. Unless `is_finished` is set, there was no
-                room for the index either; the file is readable then, but not closed.
+            OSError: if the disk had no room for everything. If `is_finished` is True
+                afterwards, the index was written, but chunks had to be removed. Otherwise, the
+                file has no index, but its messages can be read.
         """
         problem: OSError | None = None
         try:
@@ -259,14 +265,17 @@ class McapWriter:
         self.waiting = 0
 
     def _declare(self, record: McapRecord) -> None:
-        """Add a schema or channel to the chunk. The index repeats it."""
+        """Add the record of a schema or channel to the current chunk.
+
+        The index repeats the record.
+        """
         data = _bytes_of(record)
         self._parts.append(data)
         self._chunk_size += len(data)
         self.index_size += len(data)
 
     def _append(self, data: bytes | bytearray) -> None:
-        """Write data at the end of the file, or nothing at all."""
+        """Write all of the data at the end of the file, or none of it."""
         view = memoryview(data)
         try:
             while view:  # a nearly full disk takes a part, and then raises
@@ -287,7 +296,10 @@ class McapWriter:
         self._file.seek(self._end)
 
     def _ending(self, name: str, values: Callable[[], dict[str, str]]) -> bytes:
-        """All that follows the chunks: a metadata record, unless it has no name, and the index."""
+        """Return what follows the chunks: the metadata record, and then the index.
+
+        If ``name`` is empty, there is no metadata record.
+        """
         if not name:
             return self._summary(self._end, self._metadata)
         record = _bytes_of(Metadata(name=name, metadata=values()))
@@ -295,7 +307,10 @@ class McapWriter:
         return record + self._summary(self._end + len(record), [*self._metadata, index])
 
     def _summary(self, offset: int, metadata: list[MetadataIndex]) -> bytes:
-        """All that follows the data at an offset: index, statistics and footer."""
+        """Return the index, the statistics and the footer, with which the file ends.
+
+        ``offset`` is where they begin, in bytes from the start of the file.
+        """
         head = _bytes_of(DataEnd(0))
         start = offset + len(head)
         groups = (

@@ -1,10 +1,11 @@
-"""Reads and writes the text of ``metadata.yaml``, which describes a bag. Pure functions.
+"""Reads and writes the text of ``metadata.yaml``, which describes a bag.
 
-The files have a type hash for each channel, but ``metadata.yaml`` has none, because rosbags would
-compare it with a hash of its own, which differs for the types of actions.
+A bag's MCAP files have the type hash of each channel, but its ``metadata.yaml`` has no type hashes.
+If it had them, the package rosbags would compare them with its own hashes, which differ for the
+types of actions.
 
-Source: rosbag2 ``metadata_io.cpp``, ``yaml.hpp`` and ``qos.cpp``. Version 9 is written; older ones
-are read.
+Source: rosbag2 ``metadata_io.cpp``, ``yaml.hpp`` and ``qos.cpp``. This module writes version 9 of
+``metadata.yaml``, and also reads older versions.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class BagError(TurtleactError):
     """A bag cannot be written or read.
 
     Attributes:
-        path: The file or folder.
+        path: The bag's file or folder.
         problem: What is wrong, and what to do about it.
     """
 
@@ -82,9 +83,9 @@ class BagTopic(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         name: The fully qualified name.
         type_name: The type, ``pkg/kind/Name``.
-        count: How many messages were recorded.
+        count: How many messages the topic has in the bag.
         offers: The quality of service that its publishers offered.
-        type_hash: The hash of the type, if the bag has it.
+        type_hash: The hash of the type; empty if the bag does not have it.
         format: The encoding of the messages: ``"cdr"`` for everything that ROS 2 sends.
     """
 
@@ -100,10 +101,10 @@ class BagFile(msgspec.Struct, frozen=True, kw_only=True):
     """A file of a bag.
 
     Attributes:
-        path: The path, relative to the folder.
+        path: The path, relative to the bag's folder.
         start: The time of the first message (ns since 1970).
         duration: The time from the first message to the last (ns).
-        count: How many messages it has.
+        count: How many messages the file has.
     """
 
     path: str
@@ -121,13 +122,15 @@ class BagInfo(msgspec.Struct, frozen=True, kw_only=True):
         storage: The format of the files, ``"mcap"`` or ``"sqlite3"``.
         start: The time of the first message (ns since 1970).
         duration: The time from the first message to the last (ns).
-        count: How many messages there are.
+        count: How many messages the bag has.
         size: The size of all files (bytes).
-        distro: The distribution of ROS, or the program, that recorded it.
-        custom: Texts that the recorder added.
-        compression: What rosbag2 has compressed: ``"file"`` (whole files), ``"message"`` (each
-            message) or empty. Compression of chunks inside a file does not count.
-        is_closed: Whether every file was closed. A recorder that is killed leaves its file open.
+        distro: The name of the ROS distribution or of the program that recorded the bag.
+        custom: Texts that the recorder added, by their names.
+        compression: What rosbag2 has compressed: ``"file"`` (whole files) or ``"message"`` (each
+            message); otherwise empty. It is also empty if only the chunks inside a file are
+            compressed.
+        is_closed: Whether the recorder closed every file. A recorder that is killed does not close
+            its last file.
     """
 
     files: tuple[BagFile, ...] = ()
@@ -144,10 +147,10 @@ class BagInfo(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def read_yaml(text: str) -> object:
-    """Read a text as plain values.
+    """Parse YAML into plain values.
 
     Raises:
-        ValueError: if it is not YAML.
+        ValueError: if the text is not YAML.
     """
     try:
         value: object = yaml.load(text, Loader=_LOADER)  # noqa: S506  # a safe loader
@@ -157,7 +160,7 @@ def read_yaml(text: str) -> object:
 
 
 def span(files: Iterable[BagFile]) -> tuple[int, int]:
-    """The first stamp and the duration of all files together.
+    """Return when all files together begin (ns since 1970), and how long they last (ns).
 
     Files without messages are ignored.
     """
@@ -174,15 +177,17 @@ def write_info(info: BagInfo) -> str:
 
 
 def embedded(info: BagInfo) -> str:
-    """Return the text with which a file describes itself."""
+    """Return the description of a bag, as each of the bag's MCAP files contains it."""
     return _dump(_described(info))
 
 
 def read_info(text: str, path: Path) -> BagInfo:
-    """Read the text of ``metadata.yaml``. The result lacks the size of the files.
+    """Parse the text of ``metadata.yaml``.
+
+    The text does not contain the size of the files, so ``size`` is 0.
 
     Raises:
-        BagError: if it is not such a text.
+        BagError: if ``text`` is not a valid ``metadata.yaml``.
     """
     try:
         said: Any = read_yaml(text)
@@ -193,13 +198,13 @@ def read_info(text: str, path: Path) -> BagInfo:
 
 
 def offers_text(offers: Iterable[Offer]) -> str:
-    """Return the QoS that a channel's publishers offered, as text for its metadata."""
+    """Return the offers of a channel's publishers as text for the channel's metadata."""
     said = [_offer(each) for each in offers]
     return _dump(said).strip() if said else ""
 
 
 def read_offers(given: object) -> tuple[Offer, ...]:
-    """Read offers from a text, or from the values in such a text. Anything else is left out.
+    """Read offers from YAML text, or from values parsed from YAML. Anything else gives no offers.
 
     >>> read_offers("- {depth: 1, reliability: 2, durability: transient_local}")[0].qos
     QoS(depth=1, durability='transient_local', reliability='best_effort')
@@ -214,13 +219,13 @@ def read_offers(given: object) -> tuple[Offer, ...]:
 
 
 def read_qos_overrides(path: Path) -> dict[str, QoS]:
-    """Read the file of ``--qos-profile-overrides-path``: the quality of service of topics by name.
+    """Read the file given by ``--qos-profile-overrides-path``: a quality of service per topic.
 
-    It has the form that ``ros2 bag`` reads. The policies about time, such as ``deadline``, are
-    accepted and have no effect, because turtleact enforces none.
+    The file has the same format as for ``ros2 bag``. Policies about time, such as ``deadline``, are
+    accepted but have no effect.
 
     Raises:
-        UsageError: if the file cannot be read, or is not of that form.
+        UsageError: if the file cannot be read, or has another format.
     """
     try:
         given = read_yaml(path.read_text(encoding="utf-8"))
@@ -260,7 +265,7 @@ _LOADER: Final[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # as _LOADER
-    """Writes YAML like yaml-cpp: repeats equal parts in full, and puts lists below their key."""
+    """Writes YAML without aliases, as yaml-cpp does: a value that occurs twice is written twice."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002  # any
         return True
@@ -309,7 +314,10 @@ def _described(info: BagInfo) -> dict[str, object]:
 
 
 def _info(said: dict[str, Any]) -> BagInfo:
-    """Return what the values of a ``metadata.yaml`` say. Any exception means a wrong value."""
+    """Build the description of a bag from the parsed ``metadata.yaml``.
+
+    A missing or wrong value raises KeyError, TypeError, ValueError or AttributeError.
+    """
     start, duration = (
         int(said["starting_time"]["nanoseconds_since_epoch"]),
         int(said["duration"]["nanoseconds"]),

@@ -1,14 +1,15 @@
 """Plays a bag: publishes its messages again, and sends its goals again.
 
-Messages come at the intervals at which they were recorded, by the clock of the graph. Over a
-network they are sent as the bytes in the bag. Instead of publishing the topics of an action, a
-client can send its goals again. Such goals get new ids, because a server that still holds the old
-goals would refuse their ids.
+Messages are published at the intervals at which they were recorded, measured by the graph's clock.
+Over a network, the bytes in the bag are sent without decoding them. Instead of publishing the
+topics of an action, the player can send the action's goals again. These goals get new ids, because
+a server may still hold the recorded goals and would then reject their ids.
 
-In virtual time, many things happen at the same moment, and their order matters. Of the messages of
-one moment, those recorded before the first one that is not played come a little earlier, and all
-others a little later. The same messages therefore drive a simulation to the same poses, to the last
-bit.
+In virtual time, many messages have the same stamp, and their order matters to a simulation. The
+player assumes that the simulation itself publishes all messages that are not played from the bag.
+Among messages with the same stamp, the player therefore looks for the first message that is not
+played. Messages recorded before that message are played `NUDGE` early, and all others `NUDGE` late.
+The simulation then gets all messages in the recorded order, and reaches exactly the recorded poses.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ from turtleact.transports.base import Endpoint, Publication, QoS, RawFormat
 __all__ = ["PlayOptions", "Played", "play"]
 
 NUDGE: Final = 1000
-"""How much earlier or later a message is played than others of its moment (ns)."""
+"""In virtual time, each message is played this much earlier or later than its stamp (ns)."""
 
 PATIENCE: Final = 2.0
 """How long to wait until known readers can be reached (s)."""
@@ -85,10 +86,12 @@ class Played(msgspec.Struct):
 
     Attributes:
         messages: How many messages were published.
-        goals: How many of the sent goals ended in each way, by action and by state or reason.
-        skipped: Why messages or goals of a topic could not be played, by topic.
-        failed: How many of the goals to send were not sent or were rejected, or have no known end.
-            They are also in ``goals``, unless the type of their action is in ``skipped``.
+        goals: How many goals ended in each way. A key is a pair: the name of the action, and the
+            goal's last state. If the goal is counted in ``failed``, the pair has a reason in place
+            of the state.
+        skipped: Why messages or goals could not be played, by the name of their topic or action.
+        failed: How many goals could not be sent, were rejected, or have no known end. These goals
+            also count in ``goals``, unless their action is in ``skipped``.
     """
 
     messages: int = 0
@@ -98,29 +101,31 @@ class Played(msgspec.Struct):
 
 
 async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> Played:
-    """Play a bag on a graph, to its end.
+    """Play a bag on a graph, until the bag ends.
 
-    Cancelling: safe. Goals that were sent are then canceled.
+    Cancelling: safe. `play` then cancels the goals that it has sent.
 
     Args:
         node: A node on the graph.
         path: The folder of the bag, or a single file.
-        **options: ``rate`` is the speed relative to the recording. With "max", playing waits for
-            nothing, not even for a clock that stands still. ``loop`` starts over at the end.
-            Playing starts ``start_offset`` seconds after the bag's beginning and covers
-            ``duration`` seconds. ``topics`` are the names to play; without them, everything is
-            played. ``selection`` is a `Selection`, which replaces ``topics``. ``remap`` gives
-            topics and actions other names. With ``send_goals``, a client sends the recorded goals
-            and cancel requests and waits for the goals' ends; the topics of actions are then not
-            published. With ``clock``, the time in the bag is published on ``/clock`` that many
-            times a second. ``qos`` is the quality of service to offer, by topic; other topics keep
-            that of the bag.
+        **options: ``rate`` is the speed relative to the recording. With "max", messages are
+            published without pauses, even if the clock stands still. With ``loop``, playing starts
+            over whenever the bag ends. Playing starts ``start_offset`` seconds after the bag's
+            beginning and covers ``duration`` seconds. ``topics`` are the names of the topics to
+            play; if left out, all topics are played. ``selection``, a `Selection`, replaces
+            ``topics``. ``remap`` maps recorded names of topics and actions to new names. With
+            ``send_goals``, the recorded goals and cancel requests are sent again, and `play` waits
+            until the goals end; the topics of actions are then not published. ``clock`` is how
+            often per second the time in the bag is published on ``/clock``; 0 for never. ``qos``
+            maps recorded topic names to the quality of service to offer; other topics get their
+            recorded quality of service.
 
     Raises:
-        BagError: if there is no bag, or a place in it is damaged.
-        InvalidOption: if the rate is neither a number above zero nor "max", or ``start_offset`` or
-            ``duration`` is negative or above 1,000,000,000.
-        TurtleactError: if the node is closed, or the caller runs in another event loop.
+        BagError: if there is no bag at ``path``, or if the bag is damaged.
+        InvalidOption: if ``rate`` is neither a number above zero nor "max", or if ``start_offset``
+            or ``duration`` is negative or above 1,000,000,000.
+        TurtleactError: if the node is closed, or the caller runs in another event loop than the
+            node.
         TypeError: if an option does not exist.
     """
     for unknown in options.keys() - PlayOptions.__annotations__.keys():
@@ -160,8 +165,9 @@ class _Player:
     Args:
         node: A node on the graph.
         bag: The bag.
-        options: See `play`.
-        times: Where to begin and how much to play (ns); None for the rest of the bag.
+        options: The options of `play`.
+        times: The options ``start_offset`` and ``duration`` in nanoseconds. Without a duration, the
+            bag is played to its end.
     """
 
     def __init__(
@@ -211,7 +217,7 @@ class _Player:
             await self._goals.aclose()
 
     async def wait_for_readers(self) -> None:
-        """Wait until readers and servers can be reached, at most `PATIENCE` seconds."""
+        """Wait until subscriptions and servers can be reached, at most `PATIENCE` seconds."""
         transport = self._node.transport
         endpoints = transport.endpoints()
         read = {each.name for each in endpoints if each.kind == "subscription"}
@@ -225,11 +231,11 @@ class _Player:
 
     @property
     def is_idle(self) -> bool:
-        """Whether `run` has found nothing in the bag that can be played."""
+        """Whether the last `run` had no topics to publish and no goals to send."""
         return not (self._outlets or (self._goals is not None and self._goals.has_sent))
 
     async def run(self, rate: float | None) -> None:
-        """Play the bag once. Without a rate, wait for nothing."""
+        """Play the bag once. If ``rate`` is None, play without pauses."""
         if self._goals is not None:
             self._goals.start_over()
         begun = self._node.clock.time()
@@ -261,9 +267,9 @@ class _Player:
                 await self._play(message)
 
     async def _tick(self, begun: float, rate: float | None) -> None:
-        """Publish the time in the bag, until cancelled.
+        """Publish the time in the bag on ``/clock``, until cancelled.
 
-        Without a rate, this is the time of the newest message.
+        If ``rate`` is None, this time is the stamp of the message that was played last.
         """
         clock = self._node.clock
         while self._clock is not None:
@@ -274,7 +280,7 @@ class _Player:
             await clock.sleep(1 / self._frequency)
 
     async def _messages(self) -> AsyncGenerator[tuple[Recorded, int]]:
-        """Yield the messages to play, each with its shift from its stamp (ns)."""
+        """Yield the messages to play, each with its delay relative to its stamp (ns)."""
         is_exact = not isinstance(self._node.clock, WallClock)
         # Messages that are not played tell what came first, where that matters.
         wants = None if is_exact else self._is_wanted
@@ -296,7 +302,11 @@ class _Player:
             yield pair
 
     def _ordered(self, moment: list[Recorded]) -> Iterable[tuple[Recorded, int]]:
-        """Yield the messages of one moment that are played, each with its shift (ns)."""
+        """Yield the messages to play, each with its delay relative to its stamp (ns).
+
+        All messages in ``moment`` have the same stamp. A message with a negative delay is played
+        before its stamp.
+        """
         others = [place for place, each in enumerate(moment) if not self._is_wanted(each.topic)]
         first = others[0] if others else -1
         for place, each in enumerate(moment):
@@ -322,7 +332,7 @@ class _Player:
             await publication.drained()
 
     def _open(self, channel: Channel) -> None:
-        """Open the publisher of a topic, unless its type is unknown."""
+        """Open the publisher of a topic, unless the topic's type is unknown."""
         cls = class_of(channel.schema, channel.type_hash)
         hash_of = channel.type_hash or ("" if cls is None else type_hash(cls))
         if channel.format != "cdr" or not hash_of:
@@ -355,7 +365,7 @@ class _Resent(msgspec.Struct):
     """A recorded goal that is sent again.
 
     Attributes:
-        stamp: When the goal was requested in the bag (ns).
+        stamp: When the goal was requested during the recording (ns since 1970).
         handle: The handle of the new goal; None until the server has accepted it.
         is_canceled: Whether to cancel the goal as soon as it is accepted.
     """
@@ -372,17 +382,17 @@ class _Resent(msgspec.Struct):
 
 
 class _GoalSender:
-    """Sends the goals of a bag again, and cancels those that were canceled.
+    """Sends the goals of a bag again, and repeats the recorded cancel requests.
 
     Args:
         node: A node on the graph.
         tasks: The task group in which the goals are awaited.
-        remap: Other names of actions.
-        played: Where to count how the goals end.
-        start: Where playing begins in the bag (ns).
+        remap: New names of actions, by their recorded names.
+        played: The outcome of `play`, in which the sender counts how its goals end.
+        start: The time in the bag at which playing begins (ns since 1970).
 
     Attributes:
-        has_sent: Whether a goal was sent since the bag was started.
+        has_sent: Whether a goal was sent since the last call of `start_over`.
     """
 
     def __init__(
@@ -414,7 +424,12 @@ class _GoalSender:
             self._played.skipped[action] = str(error)
 
     async def wait_for_servers(self, served: Collection[str]) -> None:
-        """Wait until the servers of these services can be reached. Cancelling: safe."""
+        """Wait until the action servers can be reached.
+
+        An action is left out if ``served`` does not contain the name of its ``send_goal`` service.
+
+        Cancelling: safe.
+        """
         for client in self._clients.values():
             if f"{client.name}{SEND_GOAL}" in served:
                 await client.wait_for_server()
@@ -425,14 +440,14 @@ class _GoalSender:
             await client.aclose()
 
     def start_over(self) -> None:
-        """Forget the goals sent so far, so that the next round sends all of them again."""
+        """Forget the goals sent so far, so that all goals in the bag can be sent again."""
         self.has_sent = False
         self._goals.clear()
         self._canceled.clear()
         self._accepted.clear()
 
     def note_unsent(self) -> None:
-        """Count as failed the accepted goals whose requests are not in the bag."""
+        """Count an accepted goal as failed if its request is not in the bag."""
         for goal_id, action in self._accepted.items():
             if goal_id in self._goals:
                 continue
@@ -442,7 +457,11 @@ class _GoalSender:
                 self._fail(self._remap.get(action, action), UNSENT)
 
     async def take(self, message: Recorded) -> None:
-        """Take a message of an action's topics. Only states and events of requests matter."""
+        """Handle a message of an action's topics.
+
+        If the message is a goal request or a cancel request, send the request again. If it is a
+        status message, note its goals as accepted. Ignore all other messages.
+        """
         _, action, part = part_of(message.topic)
         if part not in ("send_goal", "cancel_goal", "status"):
             return
@@ -526,7 +545,7 @@ class _GoalSender:
 
 
 async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncGenerator[list[Recorded]]:
-    """Yield the batches. Virtual time stands still while a thread reads the next one."""
+    """Yield the batches, and stop virtual time while a thread reads the next batch."""
     while True:
         with thread_work().counted():
             batch = await anext(batches, None)
@@ -536,7 +555,7 @@ async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncGenerator[list[
 
 
 def _times(options: PlayOptions) -> tuple[int, int | None]:
-    """The offset and the duration in the options (ns)."""
+    """Return the options ``start_offset`` and ``duration`` in nanoseconds."""
     offset = in_nanoseconds("start_offset", options.get("start_offset", 0.0))
     duration = options.get("duration")
     return offset, None if duration is None else in_nanoseconds("duration", duration)
@@ -552,6 +571,6 @@ def _selection(node: Node, options: PlayOptions) -> Selection:
 
 
 def _offered(offers: tuple[Offer, ...]) -> QoS:
-    """The quality of service to offer: the one that all publishers offered, or else the default."""
+    """Return the QoS if all publishers offered the same one; otherwise return the default QoS."""
     found = {each.qos for each in offers}
     return found.pop() if len(found) == 1 else QoS()

@@ -1,8 +1,8 @@
-"""Reads the goals in a bag: puts them together from the topics of their actions.
+"""Reads the goals in a bag: puts them together from the messages on their actions' topics.
 
 Requests and responses come from the service events of the server, of the client, or of both. A
-response names no goal: the client's gid and the sequence number lead to the request. A bag without
-service events has only states and feedback.
+response does not contain the goal id, so its request is found by the client's gid and the sequence
+number. If the bag has no service events, the goal messages and the results are unknown.
 """
 
 from __future__ import annotations
@@ -32,11 +32,13 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
     Attributes:
         action: The name of the action.
         type_name: The type of the action; empty if the bag does not have it.
-        id: Its id, 16 bytes.
-        goal: The goal message; None without service events.
-        accepted: Whether the server accepted it; None if the bag does not show that.
-        stamp: When it was accepted, or when it was first seen (ns since 1970).
-        states: Each state with the time at which it was recorded (ns), in order.
+        id: The id of the goal (16 bytes).
+        goal: The goal message; None if the bag does not have it.
+        accepted: Whether the server accepted the goal; None if the bag does not show that.
+        stamp: When the goal was accepted or, if the bag does not show that, when the goal's first
+            message was recorded (ns since 1970).
+        states: The goal's states in order, each as a pair of the time at which it was recorded (ns
+            since 1970) and the state.
         feedback_count: How many feedback messages were recorded.
         result: The result; None if it was not recorded.
         is_begun_before: Whether the goal was accepted before the recording began.
@@ -63,19 +65,20 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
 
     @property
     def ended(self) -> int:
-        """When the goal ended (ns); 0 if its end is not in the bag."""
+        """When the goal's end was recorded (ns since 1970); 0 if the end is not in the bag."""
         return self.states[-1][0] if self.status in ENDED else 0
 
     @property
     def duration(self) -> float | None:
-        """The time from its acceptance to its end (s), if both were recorded."""
+        """The time from ``stamp`` to the goal's end (s); None if the end is not in the bag."""
         return (self.ended - self.stamp) / 1e9 if self.ended else None
 
     @property
     def reason(self) -> str:
-        """Why the goal did not succeed, as far as the bag shows it.
+        """Why the goal did not succeed; empty if it succeeded, or if the bag does not show why.
 
-        Servers of turtleact publish reasons. The messages of ROS 2 have no field for them.
+        Only servers of turtleact publish reasons, because the messages of ROS 2 have no field for
+        them.
         """
         if self.told:
             return self.told
@@ -85,14 +88,14 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
 
 
 async def goals(path: str | Path, *, actions: Collection[str] | None = None) -> list[RecordedGoal]:
-    """Return the goals in a bag, in the order in which they were first seen.
+    """Return the goals in a bag, in the order of their first messages.
 
     Args:
         path: The folder of the bag, or a single file.
         actions: The names of the actions. If left out, the goals of all actions are returned.
 
     Raises:
-        BagError: if there is no bag, or a place in it is damaged.
+        BagError: if there is no bag at ``path``, or if the bag is damaged.
     """
     wanted = Selection(actions=frozenset(actions or ()), all_actions=actions is None)
     bag = await anyio.to_thread.run_sync(Bag, path)
@@ -109,10 +112,10 @@ async def goals(path: str | Path, *, actions: Collection[str] | None = None) -> 
 
 
 class Gathering:
-    """Puts goals together from messages.
+    """Builds goals from recorded messages.
 
     Args:
-        start: When the recording began (ns).
+        start: When the recording began (ns since 1970).
     """
 
     def __init__(self, start: int) -> None:
@@ -122,11 +125,14 @@ class Gathering:
 
     @property
     def goals(self) -> list[RecordedGoal]:
-        """The goals so far."""
+        """The goals found so far."""
         return list(self._goals.values())
 
     def take(self, message: Recorded) -> None:
-        """Take a message. Messages that cannot be read or belong to other topics are ignored."""
+        """Add what a message says about goals.
+
+        A message has an effect only if it is on a topic of an action.
+        """
         owner, action, part = part_of(message.topic)
         if owner != "action" or message.value is None:
             return
@@ -184,7 +190,7 @@ class Gathering:
 
 
 def _add_state(goal: RecordedGoal, stamp: int, number: int) -> None:
-    """Add a state, unless it equals the one before or comes after the end."""
+    """Add a state, unless it equals the goal's last state or the goal has ended already."""
     try:
         status = GoalStatus(number)
     except ValueError:

@@ -1,15 +1,15 @@
-"""Makes and reads the schema of a topic: the text of its type and of all types in it.
+"""Makes and reads the schema of a topic: the definitions of its type and of all nested types.
 
-Types are called ``pkg/Name`` in fields and in headings alike. Some readers refuse any other
-spelling. The root comes first, without a heading. Each other type follows once, below a line of 80
-equals signs and ``MSG: pkg/Name``.
+In a schema, a type is written as ``pkg/Name``, both in fields and in headings, because some readers
+accept only this form. The topic's own type, called the root, comes first and has no heading. Each
+other type follows once, below a line of 80 equals signs and a line ``MSG: pkg/Name``.
 
-A message is read with the known class of the schema's name, if that class has the layout of the
-schema. Otherwise a class is made from the schema. The new class is not registered, so a file never
-changes what a program knows.
+A message is decoded with the class that the program knows by the schema's name, if that class has
+the layout of the schema. Otherwise, a class is made from the schema. The new class is not
+registered, so reading a file does not change the types that the program knows.
 
-Source: rosbag2 ``docs/message_definition_encoding.md``; tests with rosbags, @foxglove/rosmsg and
-mcap-ros2-support for what readers accept.
+Source: rosbag2 ``docs/message_definition_encoding.md``. Tests with rosbags,
+@foxglove/rosmsg and mcap-ros2-support showed what readers accept.
 """
 
 from __future__ import annotations
@@ -44,12 +44,13 @@ _HEADING = re.compile(rf"^{SEPARATOR}\r?\nMSG: *(\S+)[^\n]*\n?", re.MULTILINE)
 
 
 class Schema(msgspec.Struct, frozen=True):
-    """What a file says about a type.
+    """The definition of a type in a file.
 
     Attributes:
         name: The full name, ``pkg/kind/Name``.
-        encoding: ``"ros2msg"`` for a text that this module reads; empty if there is no text.
-        text: The text.
+        encoding: The format of ``text``; empty if there is no text. This module can read only
+            ``"ros2msg"``.
+        text: The definitions of the type and of all nested types.
     """
 
     name: str
@@ -74,12 +75,13 @@ def schema_of(cls: type[Message]) -> Schema:
 
 
 def class_of(schema: Schema, known_hash: str = "") -> type[Message] | None:
-    """Return the class that reads the messages of a schema; None if they cannot be read.
+    """Return the class that decodes the messages of a schema; None if they cannot be decoded.
 
     Args:
         schema: The schema.
-        known_hash: The type hash in the file, or empty. If the schema has no text to read, the
-            known class must have this hash.
+        known_hash: The type hash in the file, or empty. If this module cannot read the schema's
+            text, it can only return the class that the program knows. The type hash of that class
+            must then equal ``known_hash``, unless ``known_hash`` is empty.
     """
     known = _known(schema.name)
     if schema.encoding == "ros2msg" and schema.text:
@@ -93,7 +95,7 @@ def class_of(schema: Schema, known_hash: str = "") -> type[Message] | None:
 
 
 def _short(name: str) -> str:
-    """A name without its kind.
+    """Return the name of a type without its kind.
 
     >>> _short("geometry_msgs/msg/Point"), _short("Point")
     ('geometry_msgs/Point', 'Point')
@@ -103,7 +105,7 @@ def _short(name: str) -> str:
 
 
 def _collect(cls: type[Message], found: dict[str, type[Message]]) -> None:
-    """Add a class and the classes of its fields, each once, in the order of their first use."""
+    """Add a class and the classes of its fields to ``found``, in the order of their first use."""
     if cls.type_name in found:
         return
     found[cls.type_name] = cls
@@ -113,7 +115,10 @@ def _collect(cls: type[Message], found: dict[str, type[Message]]) -> None:
 
 
 def _text(cls: type[Message]) -> str:
-    """The text of one type. A default that no text can hold is left out."""
+    """Return the definition of one type as text.
+
+    If the text cannot express one of the default values, all of them are left out.
+    """
     said = definition(cls)
     spelled = [
         msgspec.structs.replace(
@@ -129,7 +134,7 @@ def _text(cls: type[Message]) -> str:
 
 
 def _known(name: str) -> type[Message] | None:
-    """The known message class with a name, or None."""
+    """Return the message class that the program knows by this name, or None."""
     try:
         found = get_interface(name)
     except (UnknownInterface, InvalidInterface):
@@ -138,11 +143,11 @@ def _known(name: str) -> type[Message] | None:
 
 
 def _from_text(schema: Schema, known: type[Message] | None) -> type[Message]:
-    """Return the known class if it has the layout of the text, otherwise make a class.
+    """Return ``known`` if it has the layout of the schema; otherwise make a class from the schema.
 
     Raises:
         InvalidInterface: if the text is malformed, or a type in it contains itself.
-        UnknownInterface: if the text uses a type that is not defined anywhere.
+        UnknownInterface: if the text uses a type that neither the text nor the program defines.
     """
     root, *rest = _HEADING.split(schema.text)
     texts = {_short(name): text for name, text in zip(rest[::2], rest[1::2], strict=True)}
@@ -155,8 +160,10 @@ class _Making:
     """Makes the classes of one schema.
 
     Args:
-        root: The full name of the root. The kind in this name is also that of the other types.
-        texts: The texts of the other types, by their short names.
+        root: The full name of the topic's own type, ``pkg/kind/Name``. The schema names other types
+            without their kind. Types of the same action or service, such as ``Name_Goal``, have the
+            same kind; all others have the kind ``msg``.
+        texts: The definitions of the other types, by their names ``pkg/Name``.
     """
 
     def __init__(self, root: str, texts: dict[str, str]) -> None:
@@ -167,7 +174,7 @@ class _Making:
         self._making = set[str]()
 
     def make(self, name: str, text: str) -> type[Message]:
-        """Make the class with this full name from its text."""
+        """Make a class from a type's full name and its definition."""
         package, _, own = name.split("/")
         # The parser reads a .msg, whatever the type belongs to.
         plain = _PART.sub(lambda found: found[0].replace("_", UNDERSCORE), text)
@@ -196,7 +203,7 @@ class _Making:
 
 
 def _layout(cls: type[Message]) -> tuple[object, ...]:
-    """The layout of a message: the names of its fields, and how their bytes are read."""
+    """Return the layout of a message: the names of its fields, and how their bytes are decoded."""
     pairs = zip(fields(cls), nested_classes(cls), strict=True)
     return tuple(
         (

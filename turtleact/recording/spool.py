@@ -1,11 +1,12 @@
 """Takes messages from any thread, and writes them to a bag in a thread of its own.
 
-Messages wait in a list, which the thread takes as a whole. If the thread falls behind and more than
-``capacity`` bytes wait, further messages are dropped and counted. In virtual time no message needs
-to be dropped: `put` waits until there is room, and time stands still.
+Messages wait in a list. The writing thread removes all of them from the list at once. If the thread
+falls behind and more than ``capacity`` bytes wait, further messages are dropped and counted. In
+virtual time, no message is dropped, because `put` waits until there is room, and time stands still
+meanwhile.
 
-A message may come as bytes or as an object. Objects are encoded in the thread. That is safe because
-nobody changes a message once it is published.
+A message may come as bytes or as an object. Objects are encoded in the writing thread. This is
+safe, because nobody changes a message after it was published.
 """
 
 from __future__ import annotations
@@ -48,11 +49,11 @@ class Spool:
     """Writes messages to a bag.
 
     Args:
-        writer: The bag, which is closed at the end.
-        on_end: Called in the thread when the bag has been closed, for example because the disk is
-            full.
-        capacity: How many bytes may wait.
-        is_patient: Whether `put` waits until there is room.
+        writer: Writes the bag. The spool closes the writer when writing ends.
+        on_end: Called in the writing thread when the bag has been closed. That happens after
+            `close`, or early, for example because the disk is full.
+        capacity: How many bytes may wait to be written.
+        is_patient: Whether `put` waits until there is room, instead of dropping the message.
 
     Attributes:
         error: Why writing has ended early, or None.
@@ -88,7 +89,7 @@ class Spool:
         self._thread = threading.Thread(target=self._work, name=f"bag {writer.path}", daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the writing thread."""
         self._thread.start()
 
     def add(self, channel: Channel, encode: Encode | None, *, is_there: bool) -> int:
@@ -97,7 +98,7 @@ class Spool:
         Args:
             channel: The topic.
             encode: Encodes messages that come as objects; None if all come as bytes.
-            is_there: Whether the bag lists the topic even if it has no message.
+            is_there: Whether the bag lists the topic even if no message of the topic arrives.
         """
         with self._changed:
             self._channels.append(channel)
@@ -108,15 +109,16 @@ class Spool:
             return len(self._channels) - 1
 
     def put(self, number: int, stamp: int, message: object) -> None:
-        """Take a message. Any thread may call this.
+        """Queue a message to be written. Any thread may call this.
 
-        Once writing has ended, or `close` was called, messages are ignored and not counted. A
-        transport may still deliver some after a subscription is closed.
+        After writing has ended or `close` was called, messages are ignored and not counted. Such
+        messages may come, because a transport may deliver messages even after a subscription is
+        closed.
 
         Args:
-            number: The number of its topic.
-            stamp: When it was received (ns).
-            message: The message, or its bytes.
+            number: The number of the message's topic, from `add`.
+            stamp: When the message was received (ns since 1970).
+            message: The message as an object, or its encoded bytes.
         """
         if self._is_closing or self._is_over:
             return
@@ -136,7 +138,10 @@ class Spool:
             self._weight += size + OVERHEAD
 
     def close(self) -> None:
-        """Write the remaining messages, close the bag, and wait for the thread. This blocks."""
+        """Write the remaining messages and close the bag.
+
+        This call blocks until the writing thread has ended.
+        """
         with self._changed:
             self._is_closing = True
             self._changed.notify_all()
@@ -151,7 +156,10 @@ class Spool:
 
     @property
     def waiting(self) -> int:
-        """How many messages are not on disk yet. Takes no lock, so a signal handler may ask."""
+        """How many messages are not on disk yet.
+
+        Reading this needs no lock, so a signal handler may do it.
+        """
         return len(self._entries) + len(self._taken_out) + self._writer.waiting
 
     @property
@@ -188,7 +196,7 @@ class Spool:
             self._end()
 
     def _take(self) -> list[Entry]:
-        """Take all entries that wait, after a pause in which more may gather."""
+        """Wait a moment for more entries, then remove and return all that wait."""
         with self._changed:
             if not self._is_closing and self._weight <= self._capacity:
                 self._changed.wait(PAUSE)
@@ -203,7 +211,10 @@ class Spool:
             self._added.add(number)
 
     def _write(self, entries: list[Entry]) -> None:
-        """Write entries, and remove each from the list. If this fails, the list holds the rest."""
+        """Write entries. Each entry is removed from the list before it is written.
+
+        If an entry cannot be written, only the later entries are still in the list.
+        """
         entries.reverse()
         write, turn = self._writer.write, 0
         while entries:
@@ -232,7 +243,7 @@ class Spool:
         return data
 
     def _end(self) -> None:
-        """Close the bag, whatever has happened."""
+        """Close the bag, even after an error. Entries that were not written count as lost."""
         with self._changed:
             self._is_over = True
             for number, _, _ in (*self._taken_out, *self._entries):
@@ -248,7 +259,7 @@ class Spool:
             self._on_end()
 
     def _fail(self, error: Exception) -> None:
-        """Remember why writing has ended. Only a disk that is full or gone is expected."""
+        """Store the error that ended writing, and log it unless it is an OSError."""
         self.error = self.error or error
         if not isinstance(error, OSError):
             logger.error("a bag cannot be written any more", exc_info=error)

@@ -1,7 +1,9 @@
 """Reads one SQLite file of rosbag2. turtleact never writes such files.
 
-Source: rosbag2 ``sqlite_storage.cpp``. Old files have no definitions of types, so the known classes
-with the same names are used.
+Old files contain no definitions of types, only the names of the types. Messages of old files are
+therefore decoded with the classes that the program has under these names.
+
+Source: rosbag2 ``sqlite_storage.cpp``.
 """
 
 from __future__ import annotations
@@ -56,7 +58,7 @@ class SqliteFile:
         self._database.close()
 
     def messages(self, wanted: Range) -> Iterator[Raw]:
-        """Yield the messages of a range, ordered by stamp.
+        """Yield the messages that ``wanted`` selects, ordered by stamp.
 
         Raises:
             BagError: if the file is damaged.

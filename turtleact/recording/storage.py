@@ -1,4 +1,4 @@
-"""The interface of a bag's files, the same for every file format."""
+"""The interface for reading a file of a bag, the same for every file format."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
         topic: The topic's name.
         schema: The schema of its messages.
         offers: The quality of service that its publishers offered.
-        type_hash: The hash of the type, if the file has it.
-        format: The encoding of its messages.
+        type_hash: The hash of the type; empty if the file does not have it.
+        format: The encoding of its messages, such as ``"cdr"``.
     """
 
     topic: str
@@ -37,13 +37,13 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Raw(NamedTuple):
-    """A message as it is in a file.
+    """A message in a file, not decoded.
 
     Attributes:
-        stamp: When it was received (ns since 1970).
-        sent: When it was published (ns since 1970).
-        channel: Its topic.
-        data: Its bytes.
+        stamp: When the message was received (ns since 1970).
+        sent: When the message was published (ns since 1970).
+        channel: The topic of the message.
+        data: The encoded message.
     """
 
     stamp: int
@@ -53,12 +53,13 @@ class Raw(NamedTuple):
 
 
 class Range(msgspec.Struct, frozen=True):
-    """Which messages to read.
+    """Selects the messages to read, by time and topic.
 
     Attributes:
-        start: The earliest stamp (ns).
-        end: The latest stamp (ns); None for no limit.
-        wants: A function that says whether to read a topic; None for all topics.
+        start: The lowest stamp of the messages to read (ns since 1970).
+        end: The highest stamp of the messages to read (ns since 1970); None for no limit.
+        wants: A function that gets a topic's name and returns whether to read the topic; None to
+            read all topics.
     """
 
     start: int = 0
@@ -66,15 +67,15 @@ class Range(msgspec.Struct, frozen=True):
     wants: Callable[[str], bool] | None = None
 
     def has(self, topic: str) -> bool:
-        """Whether a topic is read."""
+        """Whether the messages of a topic are read."""
         return self.wants is None or self.wants(topic)
 
 
 def in_nanoseconds(option: str, seconds: float) -> int:
-    """Return a length of time in nanoseconds.
+    """Convert the value of an option from seconds to nanoseconds.
 
     Raises:
-        InvalidOption: if it is negative or above `LONGEST`, or is no number.
+        InvalidOption: if ``seconds`` is negative, above `LONGEST` or NaN.
     """
     if not 0 <= seconds <= LONGEST:
         raise InvalidOption(option, f"expected 0 to {LONGEST:,} seconds, not {seconds!r}")
@@ -86,11 +87,11 @@ class BagStorage(Protocol):
 
     Attributes:
         path: The file.
-        start: The time of the earliest message (ns); 0 if there is none.
-        end: The time of the latest message (ns).
+        start: The time of the earliest message (ns since 1970); 0 if there is none.
+        end: The time of the latest message (ns since 1970); 0 if there is none.
         is_closed: Whether the recorder closed the file.
         about: The text in the file that describes the bag; empty if there is none.
-        flaw: What is missing because the file is cut off or damaged; empty if nothing is.
+        flaw: What is missing because the file is cut off or damaged; empty if nothing is missing.
     """
 
     path: Path
@@ -102,14 +103,18 @@ class BagStorage(Protocol):
 
     @property
     def channels(self) -> Mapping[int, Channel]:
-        """The topics of the file, by number."""
+        """The topics in the file, by their numbers."""
 
     @property
     def counts(self) -> Mapping[int, int]:
-        """How many messages each topic has."""
+        """How many messages each topic has, by the topic's number."""
 
     def messages(self, wanted: Range) -> Iterator[Raw]:
-        """Yield the messages of a range, ordered by stamp. Raise BagError at a damaged place."""
+        """Yield the messages that ``wanted`` selects, ordered by stamp.
+
+        Raises:
+            BagError: if a part of the file is damaged.
+        """
 
     def close(self) -> None:
         """Close the file."""

@@ -1,7 +1,7 @@
-"""Draws goals, feedback and turtles for a terminal: makes rich renderables from plain values.
+"""Draws goals, feedback and turtles for a terminal, with the library rich.
 
-This package has no logic and no time: `turtleact.commands` decides what to show, and how often.
-Only this package imports rich.
+The functions get plain values and return renderables of rich. `turtleact.commands` decides what to
+show, and how often. No other package imports rich.
 """
 
 from turtleact.render.lines import Picture, lines

@@ -1,4 +1,4 @@
-"""Turns rich renderables into lines of text, and plain values into text on one line."""
+"""Turns renderables of the library rich into lines of text, and plain values into one line."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ LONGEST_TEXT: Final = 400
 def lines(content: Picture, *, width: int, height: int) -> list[str]:
     """Render a picture for this terminal: at most ``height`` lines of at most ``width`` columns.
 
-    No line ends in blanks, since a terminal that gets narrower would wrap those too. The variables
-    TERM, COLORTERM and NO_COLOR choose the colours.
+    No line ends with blanks, because a terminal that becomes narrower would wrap the blanks onto an
+    extra line. The environment variables TERM, COLORTERM and NO_COLOR determine the colours.
     """
     console = Console(
         file=StringIO(), width=width, height=height, force_terminal=True, highlight=False
@@ -48,17 +48,17 @@ def lines(content: Picture, *, width: int, height: int) -> list[str]:
 
 
 def cut(text: str, style: str = "") -> Text:
-    """A line that is cut at the window's edge."""
+    """Return a line of text that is cut off at the window's edge."""
     return Text(text, style, no_wrap=True, overflow="ellipsis")
 
 
 def shortened(text: str, columns: int) -> str:
-    """A text, cut to a number of columns."""
+    """Return a text, cut off if it is longer than ``columns``."""
     return text if len(text) <= columns else f"{text[: max(columns - 1, 0)]}…"
 
 
 def inline(value: object) -> str:
-    """A plain value as text on one line. Long lists are cut in the middle."""
+    """Return a plain value as text on one line. The middle of a long list is left out."""
     if isinstance(value, dict):
         return ", ".join(f"{name} {_braced(item)}" for name, item in value.items()) or "{}"
     if isinstance(value, list | tuple | bytes):
@@ -73,7 +73,7 @@ def inline(value: object) -> str:
 
 
 def printable(text: str) -> str:
-    """A text without control characters; they must not reach the terminal."""
+    """Replace control characters, which must not reach the terminal, and cut off a long text."""
     return "".join(c if c.isprintable() else "·" for c in text[:LONGEST_TEXT])
 
 

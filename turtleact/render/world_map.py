@@ -1,9 +1,10 @@
 """Draws a map of the world in braille characters: walls, trails, turtles and their targets.
 
-Each cell is 2 dots wide and 4 high, which makes the dots square on a terminal with cells that are
-twice as high as wide. A cell has one colour: that of its last dot.
+Each cell is 2 dots wide and 4 dots high. If the terminal's cells are twice as high as wide, the
+dots have the same distance in both directions. A cell has only one colour: the colour of the dot
+that was drawn last.
 
-Source: the Unicode Standard, "Braille Patterns", U+2800: a bit for each dot.
+Source: the Unicode Standard, "Braille Patterns", from U+2800, where each dot is a bit.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ Marks: TypeAlias = dict[tuple[int, int], tuple[str, str]]
 
 
 class Turtle(NamedTuple):
-    """A turtle: x and y (m), theta (rad, 0 is to the right), its name and colour."""
+    """A turtle: its x and y (m), its theta (rad, 0 is to the right), its name and its colour."""
 
     x: float
     y: float
@@ -51,7 +52,7 @@ class Target(NamedTuple):
 
     @property
     def label(self) -> str:
-        """One character: the number, or a cross if it is too large."""
+        """The character that marks the target: its number, or a cross if the number is above 9."""
         return str(self.number) if self.number < 10 else "×"
 
     @property
@@ -61,12 +62,12 @@ class Target(NamedTuple):
 
 
 class MapView(NamedTuple):
-    """The world, its lower left corner at (0, 0).
+    """What a map shows of the world. The world's lower left corner is at (0, 0).
 
     Attributes:
         side: The length of each of the world's four walls (m), above zero.
         turtles: The turtles.
-        ink: The drawings of the turtles.
+        ink: What the turtles have drawn; None if the map does not show it.
         targets: The targets of the turtles.
     """
 
@@ -77,11 +78,12 @@ class MapView(NamedTuple):
 
 
 def world_map(view: MapView, rows: int) -> Text:
-    """The world between its walls, ``rows`` high and twice as wide, not counting the border.
+    """Draw the world with ``rows`` rows and twice as many columns, and its walls around them.
 
-    A target that has been reached has a check mark beside its number. If several things fall into
-    one cell, a turtle hides a target, a target a name, and a name a trail. A name is drawn where it
-    hides least. If there is no room, the name is left out.
+    A target that has been reached has a check mark beside its number. A turtle hides a target in
+    the same cell. A turtle's name is drawn near the turtle. It covers no turtle, target or other
+    name, and it covers as little of the trails as possible. If there is no room near the turtle,
+    the name is left out.
     """
     columns = 2 * rows
     canvas = Braille(columns, rows) if view.ink is None else view.ink.canvas(columns, rows)
@@ -101,13 +103,20 @@ def world_map(view: MapView, rows: int) -> Text:
 
 
 def _cell(x: float, y: float, columns: int, rows: int) -> tuple[int, int]:
-    """The row, from the top, and the column of the cell nearest to a dot."""
+    """Return the row (from the top) and the column of the cell that contains a dot.
+
+    For a dot outside the map, return the nearest cell.
+    """
     column = min(max(round(x) // 2, 0), columns - 1)
     return min(max(rows - 1 - round(y) // 4, 0), rows - 1), column
 
 
 def _label(marks: Marks, turtle: Turtle, cell: tuple[int, int], drawn: Sequence[str]) -> None:
-    """Put a turtle's name beside, above or below the turtle, where the name hides least."""
+    """Put a turtle's name beside, above or below the turtle.
+
+    The name covers no other mark, and it covers as little of the trails as possible. If there is no
+    room, the name is left out.
+    """
     name = shortened(printable(turtle.name), LONGEST_NAME)
     row, column = cell
     last = len(drawn[0]) - len(name)
@@ -155,7 +164,7 @@ LONGEST: Final = 2000
 
 
 class Braille:
-    """A canvas of dots: 2 for each column and 4 for each row. (0, 0) is the lower left dot.
+    """A canvas of dots. Each character has 2 by 4 dots. (0, 0) is the lower left dot.
 
     >>> canvas = Braille(2, 1)
     >>> canvas.line(0, 0, 3, 3)
@@ -172,7 +181,7 @@ class Braille:
         self._colours = [[""] * columns for _ in range(rows)]
 
     def dot(self, x: int, y: int, colour: str = "") -> None:
-        """Set a dot, unless it is outside."""
+        """Set a dot, unless it is outside the canvas."""
         if 0 <= x < self.width and 0 <= y < self.height:
             row, column = len(self._cells) - 1 - y // 4, x // 2
             self._cells[row][column] |= self.BITS[y % 4][x % 2]
@@ -186,29 +195,35 @@ class Braille:
             self.dot(x, round(y0 + (y1 - y0) * step / steps), colour)
 
     def rows(self) -> list[str]:
-        """The characters, from the top row to the bottom."""
+        """Return the rows of characters, from top to bottom."""
         return ["".join(chr(0x2800 + bits) for bits in row) for row in self._cells]
 
     def colours(self) -> list[list[str]]:
-        """The colours of the cells, from the top row; empty for a cell without a coloured dot."""
+        """Return the cells' colours by row, from top to bottom; "" for a cell without a colour."""
         return self._colours
 
 
 class Ink(Protocol):
-    """The drawings in a world."""
+    """What the turtles have drawn in the world."""
 
     def canvas(self, columns: int, rows: int) -> Braille:
-        """Draw everything on a canvas of this size; the world's lower left corner is at (0, 0)."""
+        """Return a canvas of this size (characters) with everything that was drawn.
+
+        The world's lower left corner is at (0, 0).
+        """
 
 
 class Trails:
-    """The trails of turtles. Each step is drawn when it happens, so a frame draws only what is new.
+    """Draws the trails of turtles.
+
+    Each step is drawn once, when it happens. All steps are drawn again only if the size of the
+    canvas changes.
 
     Args:
-        side: Length of the world's walls (m).
+        side: The length of each of the world's four walls (m).
 
     Attributes:
-        places: The points of each turtle's trail (m), by the turtle's name.
+        places: The points (x, y) of each turtle's trail (m), by the turtle's name.
     """
 
     def __init__(self, side: float) -> None:
@@ -218,7 +233,7 @@ class Trails:
         self._colours: dict[str, str] = {}
 
     def follow(self, turtle: str, x: float, y: float, colour: str) -> None:
-        """Extend a turtle's trail, if the turtle has moved far enough.
+        """Extend a turtle's trail, if the turtle has moved at least `STRIDE` since the last point.
 
         Args:
             turtle: The name of the turtle.
@@ -236,7 +251,7 @@ class Trails:
         del places[:-LONGEST]
 
     def canvas(self, columns: int, rows: int) -> Braille:
-        """All trails, redrawn if the size is new."""
+        """Return a canvas with all trails. If its size has changed, draw all trails again."""
         if (self._canvas.width, self._canvas.height) != (2 * columns, 4 * rows):
             self._canvas = Braille(columns, rows)
             for turtle, places in self.places.items():

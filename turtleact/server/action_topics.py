@@ -1,6 +1,7 @@
-"""The topics of an action server: feedback, the status of all its goals, and reasons.
+"""The topics of an action server: feedback, the status of its goals, and why goals failed.
 
-Messages are created and sent only while somebody reads the topic.
+The messages of a topic are created and sent only while the topic has readers.
+
 Source: rcl_action ``rcl_action_get_goal_status_array``; the ROS 2 design article "Actions".
 """
 
@@ -27,8 +28,8 @@ __all__ = ["FeedbackTopic", "ReasonTopic", "StatusTopic"]
 class FeedbackTopic(Source):
     """Publishes the feedback of a server's goals.
 
-    If nobody in this process wants the feedback, it is encoded straight from the body's message.
-    Encoding checks the values, and the bytes serve as the copy that is kept.
+    If nobody in this process reads the feedback, the body's message is encoded without copying it
+    first. Encoding checks the values, and the bytes are kept as the goal's last feedback.
 
     Args:
         server: The server.
@@ -46,11 +47,11 @@ class FeedbackTopic(Source):
         self._dropped = 0
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Publish feedback while somebody reads the topic."""
+        """Start to publish feedback if the topic has readers; otherwise stop."""
         self._server.execution.outlet = self if has_readers else None
 
     def message_lost(self) -> None:
-        """Report to the doctor that feedback was dropped here."""
+        """Report to ``turtleact doctor`` that feedback was dropped."""
         if self._lost is None:
             from turtleact.fault_reports import LostFeedback  # few programs need it
 
@@ -60,7 +61,10 @@ class FeedbackTopic(Source):
         self._lost.add(1)
 
     def expect_readers(self) -> None:
-        """Publish from now on, because a client that sends goals reads feedback."""
+        """Publish from now on, even if no reader is known yet.
+
+        Called when a client in another process sends a goal, because that client reads feedback.
+        """
         self._publication.expect_readers()
 
     def close(self) -> None:
@@ -71,7 +75,7 @@ class FeedbackTopic(Source):
 
     @property
     def is_congested(self) -> bool:
-        """Whether bodies should wait before they publish more."""
+        """Whether bodies should wait before they publish more feedback."""
         return self._publication.is_congested
 
     async def drained(self) -> None:
@@ -81,7 +85,8 @@ class FeedbackTopic(Source):
     def emit(self, goal: Goal, feedback: object) -> bool:
         """Encode and send a body's feedback.
 
-        Return False if somebody in this process wants a copy.
+        Return False, and send nothing, if a copy is needed, for example for a client in this
+        process.
         """
         publication = self._publication
         if goal.is_streamed or goal.on_feedback or goal.ended or publication.has_object_readers:
@@ -97,7 +102,7 @@ class FeedbackTopic(Source):
         return True
 
     def publish(self, goal: Goal, message: Message) -> None:
-        """Send a checked copy of feedback."""
+        """Publish feedback that has been checked and copied."""
         goal.published += 1
         goal_id, publication = goal.id or self._server.name_goal(goal), self._publication
         if publication.has_object_readers:
@@ -123,8 +128,9 @@ class FeedbackTopic(Source):
 class StatusTopic(GoalObserver):
     """Publishes the status of all goals that a server holds.
 
-    A change only marks its goal. The message is built when it is sent, once for all changes up to
-    then, because a server may hold thousands of goals.
+    When a goal changes, the topic only notes which goal it was. The message, which lists all goals,
+    is built when it is sent, because a server may hold thousands of goals. One message may
+    therefore report several changes.
 
     Args:
         server: The server.
@@ -149,7 +155,7 @@ class StatusTopic(GoalObserver):
         return (GoalStatusArray(statuses),)
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
-        """Build the status message as bytes."""
+        """Build the status message as bytes. Only goals that have changed are encoded again."""
         changed, entries = self._changed, self._entries
         for goal in self._server.held() if changed is None else changed:
             goal_id = goal.id or self._server.name_goal(goal)
@@ -161,7 +167,7 @@ class StatusTopic(GoalObserver):
         return (write_states(entries.values()),)
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Publish the status while somebody reads the topic."""
+        """Start to observe goals if the topic has readers; otherwise stop observing."""
         self._changed, self._entries, self._is_stale = None, {}, False
         self._server.observers.remove(self)
         if has_readers:
@@ -169,13 +175,17 @@ class StatusTopic(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """Whether it has readers in this process. Others get the state at the loop's next turn."""
+        """Whether the topic has readers in this process.
+
+        Only readers in this process get every state of a goal. Readers in other processes get the
+        newest states at the next turn of the event loop.
+        """
         return self._publication is not None and self._publication.has_near_readers
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
-        """Publish the status again, now or soon.
+        """Publish the status of all goals again.
 
-        A reader in this process gets a message for each change. Readers in other processes get one
+        Readers in this process get a message at each change. Readers in other processes get one
         message for several changes in quick succession.
         """
         if goal.id is None:  # without an id it would be forgotten when it ends
@@ -195,10 +205,10 @@ class StatusTopic(GoalObserver):
 
 
 class ReasonTopic(Source, GoalObserver):
-    """Publishes why goals were rejected, or ended without success. ROS 2 has no such topic.
+    """Publishes why goals were rejected, or ended without success, so that this can be recorded.
 
-    Recorders read it: the messages of ROS 2 have no field for a reason, and the note that carries
-    the reason to the client is not part of any message.
+    ROS 2 has no such topic, and its messages have no field for a reason. Clients get the reason in
+    a note that is attached to a response. Recorders cannot record such a note.
 
     Args:
         server: The server.
@@ -216,17 +226,20 @@ class ReasonTopic(Source, GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """No: only ends have a reason."""
+        """False, because an accepted goal has no reason to publish."""
         return False
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Observe goals only while somebody reads, because observers cost time for each goal."""
+        """Start to observe goals if the topic has readers; otherwise stop observing.
+
+        Observing costs time for each goal.
+        """
         self._server.observers.remove(self)
         if has_readers:
             self._server.observers.add(self)
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
-        """Publish why a goal has ended, if it has a reason."""
+        """If a goal has ended and has a reason, publish the reason."""
         if after.is_terminal and goal.reason:
             self._publish(self._server.name_goal(goal), after, goal.reason)
 
@@ -236,7 +249,7 @@ class ReasonTopic(Source, GoalObserver):
             self._publish(goal_id, GoalStatus.UNKNOWN, reason)
 
     def close(self) -> None:
-        """Leave the topic."""
+        """Close the topic."""
         self._server.observers.remove(self)
         self._publication.close()
 

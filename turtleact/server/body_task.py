@@ -1,7 +1,7 @@
-"""Runs one goal's body in a task: steps it, cancels it, ends the goal, and knows its position.
+"""Runs a goal's body in a task, can cancel the body, and ends the goal after the body has ended.
 
-A body always runs in its own task, no matter how its client waits. The server owns the task: it
-cancels the task and waits for its end.
+A body always runs in a task of its own, no matter how the client waits for the goal. The server
+owns the task: it cancels the task and waits for its end.
 
 A step is the part of a body between two awaits. During a long step nothing else in the event loop
 can run, so long steps are reported.
@@ -32,7 +32,7 @@ class Runner(Protocol):
         """Return the coroutine that runs the goal's body. Called in the body's task."""
 
     def close_body(self, goal: Goal, task: BodyTask, error: BaseException) -> None:
-        """End a goal after its body. ``error`` is StopIteration if the body has returned."""
+        """End a goal whose body has ended. ``error`` is StopIteration if the body has returned."""
 
     def end_unstarted(self, goal: Goal) -> None:
         """End a goal that was canceled before its body took the first step."""
@@ -42,18 +42,19 @@ class Runner(Protocol):
 
 
 class BodyTask(Coroutine[object, object, None]):
-    """The coroutine of a body's task: it steps the body, and ends the goal when the body ends.
+    """The coroutine of a body's task. It runs the body step by step, and then ends the goal.
 
-    Each step must be watched, so this class steps the body itself. An extra coroutine that awaits
-    the body would cost 290 bytes for each goal.
+    This object resumes the body itself, because it measures how long each step takes. The task runs
+    this object as its coroutine, because a separate coroutine would need 290 bytes for each goal.
 
     Args:
         runner: Opens the body and ends the goal.
         goal: The goal.
-        tasks: The task functions of the event loop.
+        tasks: The functions for tasks on the event loop, asyncio or trio.
 
     Attributes:
-        body: The coroutine or generator that the user's function returned; None before the call.
+        body: The coroutine or generator that the user's function returned; None until the function
+            has been called.
     """
 
     __slots__ = (
@@ -82,8 +83,9 @@ class BodyTask(Coroutine[object, object, None]):
     def start(self, name: str, context: Context | None) -> None:
         """Start the task in ``context``, or in a copy of the current context.
 
-        An eager task takes its first step inside this call. That step may end the body. If the step
-        cancels the goal while `_task` is not set yet, this method cancels the task afterwards.
+        The task is eager, so its first step runs inside this call. That step may end the body. If
+        the step cancels the goal, `_task` is not set yet, so this method cancels the task
+        afterwards.
         """
         task = self._tasks.spawn(self, name, context, is_eager=True)
         if not self._has_ended:
@@ -94,7 +96,7 @@ class BodyTask(Coroutine[object, object, None]):
     def cancel(self) -> None:
         """Cancel the body at its next await outside a shield.
 
-        A body that has not begun never begins.
+        A body that has not begun will never begin.
         """
         # There are four cases. (1) The body has not begun: `send` never begins it. The goal ends
         # now, or stays unfinished in the journal while the server is suspended. (2) The body is in
@@ -125,11 +127,11 @@ class BodyTask(Coroutine[object, object, None]):
     # The coroutine protocol; the event loop calls these methods.
 
     def send(self, value: Any) -> object:  # noqa: ANN401  # whatever the loop sends
-        """Run one step."""
+        """Run one step of the body."""
         return self._step(self._begin if self._steps is None else self._steps.send, value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
-        """Run one step that begins with an exception."""
+        """Raise an exception in the body, which then runs one step."""
         if self._steps is not None:
             return self._step(self._steps.throw, error)
         # The program ends and cancels a task that has not begun.
@@ -151,14 +153,14 @@ class BodyTask(Coroutine[object, object, None]):
         return self._step(self._begin if self._steps is None else self._steps.send, None)
 
     def _begin(self, value: Any) -> object:  # noqa: ANN401  # as `send`
-        """Run the first step, unless the body was cancelled or the goal ended before it."""
+        """Run the first step, unless the body has been cancelled or the goal has ended already."""
         if self._is_dropped or self._goal.is_decided:
             raise StopIteration
         self._steps = self._runner.open_body(self._goal, self)
         return self._steps.send(value)
 
     def _step(self, resume: Callable[[Any], object], value: object) -> object:
-        """Resume the body, and report the step if it blocks the loop for long."""
+        """Resume the body, and report the step if it blocks the event loop for long."""
         began = monotonic()
         try:
             waits_for = resume(value)

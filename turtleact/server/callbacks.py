@@ -1,7 +1,7 @@
 """Calls the user's callbacks, which decide whether to accept a goal and whether to cancel one.
 
-A callback is a function or a coroutine function. If it fails, the answer is no and the failure is
-logged.
+A callback is a function or a coroutine function. If a callback fails, the request is rejected and
+the failure is logged.
 """
 
 from __future__ import annotations
@@ -23,12 +23,13 @@ logger = logging.getLogger("turtleact.server")
 
 
 class Callbacks:
-    """The callbacks of one server. Closing it cancels the calls that have not returned yet.
+    """Calls the callbacks of one server. `close` cancels the calls that have not returned yet.
 
     Args:
         server: The action's name.
         options: The server's options, with ``goal_callback`` and ``cancel_callback``.
-        tasks: The task functions, which tell whether the caller itself was cancelled.
+        tasks: The functions for tasks on the event loop, asyncio or trio. They tell whether the
+            task that waits for a callback was cancelled.
 
     Attributes:
         ask_about_goals: Whether there is a ``goal_callback``.
@@ -47,7 +48,7 @@ class Callbacks:
         self.ask_about_cancels = self._cancel_callback is not None
 
     async def may_start(self, request: object) -> None:
-        """Ask the ``goal_callback`` about a goal message.
+        """Ask the ``goal_callback`` whether to accept a goal. ``request`` is the goal message.
 
         Raises:
             GoalRejected: if the goal is rejected.
@@ -71,7 +72,10 @@ class Callbacks:
         raise GoalRejected(f"the goal_callback answered {answer!r}, not a GoalResponse")
 
     async def may_cancel(self, handle: object) -> bool:
-        """Ask the ``cancel_callback`` about the goal of a `turtleact.ServerGoalHandle`."""
+        """Ask the ``cancel_callback`` whether to cancel a goal.
+
+        ``handle`` is the goal's `turtleact.ServerGoalHandle`.
+        """
         if self._cancel_callback is None:
             return True
         try:
@@ -89,7 +93,7 @@ class Callbacks:
             scope.cancel()
 
     async def _answer(self, given: object) -> object:
-        """Return the answer of a function, or await that of a coroutine function."""
+        """Return the callback's answer; await the answer if it is awaitable."""
         if not isawaitable(given):
             return given
         with anyio.CancelScope() as scope:

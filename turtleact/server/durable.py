@@ -1,11 +1,12 @@
-"""Records an action server's goals in a journal, and goes on with them after a restart.
+"""Records an action server's goals in a journal, and continues them after a restart.
 
-With a journal, others hear of a change only when the journal has it. A goal is accepted when it is
-on disk, feedback is published when it has been written, and an end is announced when it is on disk.
-All such changes pass through the journal in order.
+A server with a journal accepts a goal only after the goal is on disk, and announces a goal's end
+only after the end is on disk. It publishes feedback after the feedback has been written. If the
+disk is full, it publishes feedback that is not on disk yet, because the goal must go on. The
+journal keeps the order of these changes.
 
-Sources: Temporal's activity heartbeats, which give their details to a retry; DBOS for workflow ids
-that make a call idempotent.
+Sources: Temporal, where a retried activity gets the details of its last heartbeat; DBOS, where a
+workflow's id makes a repeated call harmless.
 """
 
 from __future__ import annotations
@@ -32,19 +33,20 @@ _STATUS_AFTER = {
 
 
 class DurableGoals:
-    """The goals of one server, as its journal keeps them.
+    """Records the goals of one server in a journal, and restores them.
 
     Args:
         journal: The journal.
-        action_type: The action.
+        action_type: The class of the action.
         name: The fully qualified name of the action.
         on_restart: What to do with goals that an earlier process has left unfinished.
-        result_timeout: How long results are kept (s); None for ever.
+        result_timeout: How long results are kept (s). If None, there is no limit.
 
     Attributes:
-        resumes: Whether unfinished goals go on after a restart.
-        is_built_in: Whether the action is built in, and makes way for others of its name.
-        restored: Set when the goals of the earlier process are held again.
+        resumes: Whether unfinished goals continue after a restart.
+        is_built_in: Whether the action is built into turtleact. A built-in action is withdrawn if
+            another action of the same name is served.
+        restored: An event that is set when the server holds the goals of the earlier process again.
     """
 
     def __init__(
@@ -69,18 +71,19 @@ class DurableGoals:
 
     @property
     def suspends(self) -> bool:
-        """Whether goals stay unfinished when the server closes, and go on later."""
+        """Whether goals stay unfinished when the server closes, and continue after a restart."""
         return self.resumes and not self._journal.aborts_at_close
 
     # accepting
 
     async def accept(self, goal: Goal, status: GoalStatus) -> GoalRecord | None:
-        """Put a new goal on disk. If its id is known, return the record of the known goal instead.
+        """Write a new goal to disk.
 
-        The status on disk is EXECUTING if the goal starts at once, and ACCEPTED if it may have to
-        wait.
+        If the journal has a goal with this id already, return that goal's record instead.
 
-        Cancelling: takes effect only after this call.
+        ``status`` is EXECUTING if the goal starts at once, and ACCEPTED if it may have to wait.
+
+        Cancelling: takes effect only when the goal has been written.
 
         Raises:
             GoalRejected: if the journal cannot write the goal.
@@ -107,12 +110,12 @@ class DurableGoals:
         return known
 
     async def withdraw(self, goal: Goal) -> None:
-        """Remove a goal that was rejected after all."""
+        """Remove the record of a goal that was rejected after the record had been written."""
         with anyio.CancelScope(shield=True):
             await self._journal.withdraw(self._id(goal))
 
     def is_same(self, goal: Goal, request: object) -> bool:
-        """Whether a goal was sent with this request."""
+        """Whether ``request`` equals the goal message with which a goal was sent."""
         known = goal.request
         return known is not None and self._goals.encode(known) == self._goals.encode(request)
 
@@ -123,7 +126,10 @@ class DurableGoals:
         self._journal.progress(self._id(goal), GoalChange(status=goal.status))
 
     def feedback(self, goal: Goal, message: Message, publish: Callable[[], object]) -> None:
-        """Record feedback, and publish it when it is written."""
+        """Record feedback, and publish it after it has been written.
+
+        If the disk is full, the feedback is published although it is not on disk yet.
+        """
         change = GoalChange(feedback=self._feedback.encode(message), crashes=0)
         self._journal.progress(self._id(goal), change, publish)
 
@@ -137,13 +143,13 @@ class DurableGoals:
         self._journal.progress(self._id(goal), GoalChange(is_paused=goal.is_paused))
 
     async def written(self) -> None:
-        """Wait until everything so far is written."""
+        """Wait until everything recorded so far is written."""
         await self._journal.written()
 
     def end(
         self, goal: Goal, event: GoalEvent, reason: str, announce: Callable[[], object]
     ) -> None:
-        """Record a goal's end, and announce it when it is on disk."""
+        """Record a goal's end, and announce the end after it has been written to disk."""
         now = time.time_ns()
         change = GoalChange(
             status=_STATUS_AFTER[event],
@@ -155,7 +161,7 @@ class DurableGoals:
         self._journal.end(self._id(goal), change, announce)
 
     async def stop(self, goals: list[Goal]) -> None:
-        """Record that the server shuts down properly before these goals have ended."""
+        """Record that these goals are unfinished because the server shuts down without a crash."""
         for goal in goals:
             self._journal.progress(self._id(goal), GoalChange(is_stopped=True))
         with anyio.CancelScope(shield=True):
@@ -164,20 +170,24 @@ class DurableGoals:
     # after a restart
 
     def load(self) -> list[GoalRecord]:
-        """Return the journal's records of this action. Actions of different types may share a name.
+        """Return the journal's records with this action's name.
 
-        A built-in action and a user's action of the same name never take each other's goals.
+        The types in the records may differ, because actions of different types may share a name. A
+        built-in action and a user's action of the same name do not get each other's records.
         """
         found = self._journal.load(self._name)
         return [record for record in found if record.is_built_in == self.is_built_in]
 
     def owns(self, record: GoalRecord) -> bool:
-        """Whether a record is of this action and of its type."""
+        """Whether a record has the name and the type of this action."""
         names = (record.action, record.type_name)
         return names == (self._name, self._action_type.type_name)
 
     def ended(self, record: GoalRecord, now: int) -> Goal:
-        """Make the ended goal that a record describes. ``now`` is the graph's time (ns)."""
+        """Return an ended goal, restored from its record.
+
+        ``now`` is the current time by the graph's clock (ns since the epoch).
+        """
         # The graph's clock may be virtual and start anew, so the wall clock tells how long ago the
         # goal ended. That clock may have been set back.
         ago = max(0, time.time_ns() - record.ended)
@@ -190,7 +200,7 @@ class DurableGoals:
         return goal
 
     def unfinished(self, record: GoalRecord) -> Goal:
-        """Make the unfinished goal that a record describes, as it was when its server went away."""
+        """Return an unfinished goal, restored from its record, with its last feedback."""
         goal = self._goal(record)
         feedback = self._decode(self._feedback, record, record.feedback)
         partial_result = self._decode(self._results, record, record.partial_result)
@@ -200,7 +210,7 @@ class DurableGoals:
         return goal
 
     def why_not_resumed(self, record: GoalRecord) -> str:
-        """Return why an unfinished goal cannot go on; empty if it can."""
+        """Return why an unfinished goal cannot continue; empty if it can."""
         limit, crashes = self._journal.max_starts, self._crashes(record)
         if record.status is GoalStatus.CANCELING:
             return "it was being canceled"
@@ -217,7 +227,7 @@ class DurableGoals:
     def restart(self, record: GoalRecord, start: Callable[[], object]) -> None:
         """Record that a goal starts again, then start it.
 
-        The record is written first, so that a goal that kills its process is counted.
+        The record is written first, so that a start that crashes the process is counted.
         """
         change = GoalChange(crashes=self._crashes(record), is_stopped=False)
         self._journal.progress(record.id, change, start)

@@ -1,15 +1,16 @@
 """Opens an action's endpoints on the graph: three services and two topics, for any node.
 
-Clients in the same process do not need them. The endpoints serve everybody else: nodes that send
-``SendGoal`` requests, cancel other nodes' goals, ask for results, or read feedback and status.
-Nothing is created or published before somebody asks or reads.
+Clients in the same process do not need the endpoints to send goals. The endpoints serve all others:
+nodes that send ``SendGoal`` requests, cancel other nodes' goals, ask for results, or read feedback
+and status. Messages are created and published only after somebody has sent a request or reads a
+topic.
 
 ========================  ==================================  ==================================
 ``…/_action/send_goal``   ``pkg/action/Name_SendGoal``        accepts or rejects a goal
 ``…/_action/cancel_goal`` ``action_msgs/srv/CancelGoal``      cancels goals by id and stamp
 ``…/_action/get_result``  ``pkg/action/Name_GetResult``       waits for the end, then answers
 ``…/_action/feedback``    ``pkg/action/Name_FeedbackMessage`` the feedback of all goals
-``…/_action/status``      ``action_msgs/msg/GoalStatusArray`` all goals held, at each change
+``…/_action/status``      ``action_msgs/msg/GoalStatusArray`` all goals' states, at each change
 ========================  ==================================  ==================================
 
 Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions".
@@ -77,10 +78,11 @@ class ActionEndpoints:
     Args:
         server: The server.
         names: The names of the endpoints.
-        transport: The transport to open them on.
+        transport: The transport to open the endpoints on.
         endpoint: A function that describes each endpoint.
-        tasks: The task functions of the event loop.
-        introspection: Which events of the three services are published.
+        tasks: The functions for tasks on the event loop, asyncio or trio.
+        introspection: Whether the three services publish events, with or without the contents of
+            requests and responses.
     """
 
     def __init__(
@@ -109,7 +111,7 @@ class ActionEndpoints:
 
     @property
     def is_asked(self) -> bool:
-        """Whether a request waits for its answer."""
+        """Whether a request waits for an answer."""
         return any(each.waiting for each in (self._send_goal, self._cancel_goal, self._get_result))
 
     def open(self) -> None:
@@ -139,7 +141,7 @@ class ActionEndpoints:
         self._send_goal.expect_readers = feedback.expect_readers
 
     def _observer(self, service: _ActionService, endpoint: Endpoint) -> CallObserver | None:
-        """Return the observer that publishes the events of a service, if they are published."""
+        """Return the observer that publishes a service's events; None if introspection is off."""
         mode, find_type = self._introspection, service.find_type
         events = service_events(self._transport, self._endpoint, endpoint, find_type, mode)
         if events is not None:
@@ -152,7 +154,10 @@ class ActionEndpoints:
             self._services[-1].close()
 
     async def aclose(self) -> None:
-        """Answer every waiting request and leave the graph. The goals have already ended."""
+        """Answer every waiting request and close the endpoints.
+
+        Call this after all bodies have ended.
+        """
         answered = self._get_result.answered
         if self._services:
             await wait_while(self._is_expected, answered, LATE_REQUEST)
@@ -172,16 +177,16 @@ class ActionEndpoints:
 
 
 class _ActionService:
-    """One of the three services. Building its classes takes time, so the first request does it.
+    """One of the action's three services. Its message classes are made when they are first needed.
 
     Requests from other processes are not checked again, because decoding has checked them.
 
     Attributes:
         server: The action server that the service belongs to.
         name: The name of the service.
-        is_open: Whether it accepts requests.
-        answered: Fires whenever a request has been answered.
-        observer: Watches the calls; None for no observer.
+        is_open: Whether the service accepts requests.
+        answered: A signal that fires whenever a request has been answered.
+        observer: The observer that is told of each call of the service; None if there is none.
         waiting: How many requests wait for their answer.
     """
 
@@ -223,7 +228,10 @@ class _ActionService:
             return await self.handle(request, caller)
 
     def reply_nowait(self, request: Any, caller: bytes, respond: Respond) -> bool:  # noqa: ANN401, ARG002
-        """Answer a request from another process without a task; False if that is impossible."""
+        """Answer a request from another process without a task.
+
+        Return False if the answer needs a task.
+        """
         return False
 
     async def aclose(self) -> None:
@@ -253,12 +261,12 @@ class _SendGoal(_ActionService):
     """Accepts or rejects goals.
 
     Attributes:
-        goal_server: The server, for clients in the same process; see `turtleact.goal_server`. If an
-            observer watches the requests, this attribute is missing, and clients in the same
-            process send messages like all others.
-        expect_readers: Called with the first goal from another process, because the goal's client
-            reads feedback.
-        on_rejection: Called with the id of each goal that is rejected, and the reason.
+        goal_server: The server that clients in the same process call directly; see
+            `turtleact.goal_server`. If introspection is on, this attribute is missing, and these
+            clients send requests like all others.
+        expect_readers: Called when the first goal from another process arrives, because the client
+            that sent the goal reads feedback.
+        on_rejection: Called when a goal is rejected, with the goal's id and the reason.
     """
 
     goal_server: LocalActionServer
@@ -279,7 +287,7 @@ class _SendGoal(_ActionService):
         self.server.client_lost(caller)
 
     def reply_nowait(self, request: Any, caller: bytes, respond: Respond) -> bool:  # noqa: ANN401
-        """Accept or reject a goal, unless that may take time."""
+        """Accept or reject a goal at once. Return False if the decision may take time."""
         try:
             goal = self.server.take_nowait(self._order(request, caller), is_streamed=False)
         except GoalRejected as rejected:
@@ -320,7 +328,10 @@ class _SendGoal(_ActionService):
 
 
 class _CancelGoal(_ActionService):
-    """Cancels goals. Servers with the same name and different types share this service."""
+    """Cancels goals.
+
+    Servers in one process with the same action name share this service, even if their types differ.
+    """
 
     def __init__(
         self, server: LocalActionServer, names: ActionNames, transport: Transport, tasks: Tasks
@@ -337,7 +348,7 @@ class _CancelGoal(_ActionService):
         return Reply(_joined([await each.cancel(goal_id, stamp) for each in servers]))
 
     def _siblings(self) -> list[LocalActionServer]:
-        """The other servers of this action name in this process."""
+        """Return the other servers in this process that serve an action of the same name."""
         handlers = self._transport.all_local(self.name, CancelGoal.type_name)
         return [
             each.server for each in handlers if isinstance(each, _CancelGoal) and each is not self
@@ -345,11 +356,11 @@ class _CancelGoal(_ActionService):
 
 
 class _GetResult(_ActionService):
-    """Waits for goals to end.
+    """Answers with the results of goals, once the goals have ended.
 
-    A client of turtleact sends the goal and asks for its result at the same time. The second
-    request may therefore arrive while the server still decides about the goal. The request then
-    waits for the decision.
+    A client of turtleact sends a goal and the request for its result at the same time. The request
+    for the result may therefore arrive while the server still decides whether to accept the goal.
+    The service then waits for this decision.
     """
 
     def __init__(self, server: LocalActionServer, names: ActionNames, tasks: Tasks) -> None:
@@ -359,7 +370,10 @@ class _GetResult(_ActionService):
 
     @contextmanager
     def expecting(self, goal_id: bytes | None) -> Iterator[None]:
-        """Mark a goal as undecided while the block runs."""
+        """Let requests for a goal's result wait while the ``with`` block runs.
+
+        The block decides whether to accept the goal.
+        """
         self._expected.append(goal_id)
         try:
             yield
@@ -376,7 +390,10 @@ class _GetResult(_ActionService):
         caller: bytes,  # noqa: ARG002
         respond: Respond,
     ) -> bool:
-        """Answer when the goal has ended. For an unknown goal, return False: it needs a task."""
+        """Answer when the goal has ended.
+
+        Return False if the goal is unknown, because such a request needs a task.
+        """
         goal = self.server.find(request.goal_id.uuid)
         if goal is None:
             return False
@@ -421,13 +438,13 @@ class _GetResult(_ActionService):
 def _unlisted(
     endpoint: MakeEndpoint, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
 ) -> Endpoint:
-    """Describe an endpoint that actions of ROS 2 do not have. Lists leave it out."""
+    """Describe an endpoint that actions in ROS 2 do not have. Lists of endpoints leave it out."""
     described = endpoint(kind, name, type_name, qos)
     return msgspec.structs.replace(described, on_demand=True, is_unlisted=True)
 
 
 def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
-    """Join the answers of servers that share a cancel service. Only one server knows each goal."""
+    """Join the answers of servers that share a cancel service. No goal is in two of the answers."""
     codes = [each.return_code for each in answers]
     known = [code for code in codes if code != CancelCode.UNKNOWN_GOAL_ID]
     return CancelGoal.Response(
@@ -437,7 +454,7 @@ def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
 
 
 def _may_be_asked_for(goal: Goal, reasons: tuple[str, ...]) -> bool:
-    """Whether another process will soon ask for the result of a goal that was aborted."""
+    """Whether another process will soon ask for the result of a goal that a shutdown has ended."""
     is_sent_from_elsewhere = isinstance(goal.sender, bytes) and bool(goal.sender)
     is_ended_late = goal.reason in reasons
     return is_sent_from_elsewhere and is_ended_late and not goal.is_asked_for

@@ -21,7 +21,10 @@ F = TypeVar("F", bound=Message)
 
 
 class GoalHandle(Generic[G, R, F]):
-    """A body's view of its goal. `turtleact.ServerGoalHandle` adds the node."""
+    """Gives a body access to its goal.
+
+    The subclass `turtleact.ServerGoalHandle` also has the node.
+    """
 
     __slots__ = ("_execution", "_goal")
 
@@ -41,7 +44,7 @@ class GoalHandle(Generic[G, R, F]):
 
     @property
     def stamp(self) -> Time:
-        """When the goal was accepted."""
+        """When the goal was accepted (ROS time)."""
         return stamp_of(self._goal.stamp)
 
     @property
@@ -51,7 +54,7 @@ class GoalHandle(Generic[G, R, F]):
 
     @property
     def reason(self) -> str:
-        """Why the goal was aborted, or why it is about to be; otherwise empty."""
+        """Why the goal was aborted or will be aborted; otherwise empty."""
         return self._goal.reason
 
     @property
@@ -66,7 +69,7 @@ class GoalHandle(Generic[G, R, F]):
 
     @property
     def resumed(self) -> Resumed[R, F] | None:
-        """What an earlier process has left of this goal; None if the goal began in this process.
+        """What an earlier process recorded of this goal; None if the goal began in this process.
 
         Only a server with a journal resumes goals; see ``on_restart`` of
         `turtleact.Node.action_server`.
@@ -89,7 +92,7 @@ class GoalHandle(Generic[G, R, F]):
     async def pause(self, timeout: float = 5.0) -> None:
         """Pause the goal, and return when its body stands still.
 
-        The body itself must not call this.
+        The body itself must not call this, because it would wait for itself.
 
         Args:
             timeout: How long the body may take to stand still (s, event loop time). If it takes
@@ -118,10 +121,11 @@ class GoalHandle(Generic[G, R, F]):
         await self._execution.pauses.checkpoint(self._goal)
 
     def publish_feedback(self, feedback: F) -> None:
-        """Send a copy of ``feedback``. You may change the message and send it again.
+        """Send a copy of ``feedback``. You may then change ``feedback`` and send it again.
 
         Raises:
-            InvalidMessage: if it is not this action's Feedback, or a value does not fit its type.
+            InvalidMessage: if ``feedback`` is not this action's Feedback, or a value does not fit
+                its type.
             InvalidTransition: if the goal is neither EXECUTING nor CANCELING.
             TurtleactError: if this is called in another thread or event loop.
         """
@@ -132,7 +136,8 @@ class GoalHandle(Generic[G, R, F]):
         """Set the result to report if the goal is canceled or aborted.
 
         Raises:
-            InvalidMessage: if it is not this action's Result, or a value does not fit its type.
+            InvalidMessage: if ``result`` is not this action's Result, or a value does not fit its
+                type.
             InvalidTransition: if the goal has ended.
             TurtleactError: if this is called in another thread or event loop.
         """

@@ -1,6 +1,7 @@
-"""Opens the endpoints with which other processes pause goals; see `turtleact.goal_wire`.
+"""Opens the endpoints with which other processes pause and resume goals.
 
-These endpoints are declared only when another process has an endpoint of the same name.
+An endpoint is declared only when another process has an endpoint of the same name.
+`turtleact.goal_wire` has the messages.
 """
 
 from __future__ import annotations
@@ -34,13 +35,13 @@ _PAUSABLE = (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
 
 
 class PauseEndpoints(Source, GoalObserver):
-    """The services and the topic of one action server.
+    """The services and the topic with which other processes pause and resume a server's goals.
 
     Args:
-        server: The server.
+        server: The server of the goals.
         transport: The transport to open them on.
-        endpoint: A function that describes each endpoint.
-        tasks: The task functions of the event loop.
+        endpoint: A function that makes the description of an endpoint.
+        tasks: The functions for tasks on the event loop, asyncio or trio.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class PauseEndpoints(Source, GoalObserver):
         self._publication: Publication | None = None
 
     def open(self) -> None:
-        """Offer the endpoints."""
+        """Open the services and the topic."""
         name = self._server.name
         self._serve(SetPaused, set_paused_service(name), self._set_paused)
         self._serve(Trigger, f"{name}/pause", self._pause_all)
@@ -65,7 +66,7 @@ class PauseEndpoints(Source, GoalObserver):
         self._opened.append(self._publication)
 
     async def aclose(self) -> None:
-        """Leave the graph."""
+        """Close the services and the topic."""
         self._server.observers.remove(self)
         for opened in self._opened:
             opened.close()
@@ -78,7 +79,7 @@ class PauseEndpoints(Source, GoalObserver):
             self._publication.refresh()
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Observe pauses only while somebody reads, because observers cost time for each goal."""
+        """Observe pauses only while the topic has readers, because observers cost time."""
         self._server.observers.remove(self)
         if has_readers:
             self._server.observers.add(self)
@@ -89,7 +90,7 @@ class PauseEndpoints(Source, GoalObserver):
         return (PausedGoals(goal_ids=ids),)
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
-        """Build the message of paused goals as bytes."""
+        """Build the same message as bytes."""
         return [encode(message) for message in self.current()]
 
     def _serve(self, service: Any, name: str, handle: Callable[[Any], Any]) -> None:  # noqa: ANN401

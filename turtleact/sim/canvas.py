@@ -1,8 +1,8 @@
 """The picture that turtles draw on: 500×500 pixels, and straight lines without antialiasing.
 
-A pixel is coloured if its centre lies in the line: a rectangle as wide as the pen that reaches
-half a width beyond both ends, left and upper edges included. x counts from the left, y from the
-top. This module knows no turtle, no ROS and no clock.
+A line is a rectangle that is as wide as the pen and reaches half that width beyond both ends of the
+line. A pixel is coloured if its centre lies inside the rectangle, or on its left or upper edge. x
+counts from the left, y from the top. This module does not depend on turtles, ROS or a clock.
 
 Source: turtlesim 1.8.2, ``path_image_`` in ``turtle_frame.cpp``; Qt 5, ``QPen`` (square caps) and
 "Coordinate System" (fill rule).
@@ -50,11 +50,12 @@ _NOTHING: Final = array("I", [0]) * (SIZE * SIZE)
 
 
 class Canvas:
-    """A picture as pixels, which are all clear at first.
+    """A picture as pixels, on which nothing is drawn at first.
 
     Attributes:
-        pixels: Row by row from the top, ``alpha << 24 | blue << 16 | green << 8 | red``; alpha is
-            255 where something was drawn, and a pixel without a drawing is 0.
+        pixels: One number per pixel, row by row from the top:
+            ``alpha << 24 | blue << 16 | green << 8 | red``. Where something was drawn, alpha is
+            255. Where nothing was drawn, the number is 0.
     """
 
     def __init__(self) -> None:
@@ -79,7 +80,7 @@ class Canvas:
 
         Args:
             start: Where the line begins, ``x + 1j * y`` (pixels).
-            end: Where the line ends. If that is where it begins, a square is drawn.
+            end: Where the line ends. If ``end`` equals ``start``, a square is drawn.
             width: The width of the line (pixels), above zero.
             colour: The colour of the line.
         """
@@ -106,12 +107,12 @@ class Canvas:
 
 
 def ink(colour: Colour) -> int:
-    """A pixel of this colour."""
+    """Return the number of a pixel with this colour; see `Canvas.pixels`."""
     return _OPAQUE | colour.blue << 16 | colour.green << 8 | colour.red
 
 
 def _within(low: float, high: float) -> tuple[int, int]:
-    """The range of pixels (first, last + 1) with centres in ``low <= c < high``."""
+    """The range of pixels (first, last + 1) whose centres ``c`` meet ``low <= c < high``."""
     if low >= high or low >= SIZE or high <= 0.0:
         return 0, 0
     begin = ceil(low - 0.5) if low > 0.0 else 0
@@ -119,10 +120,13 @@ def _within(low: float, high: float) -> tuple[int, int]:
 
 
 def _strip(dx: float, dy: float, low: float, high: float) -> tuple[float, float, float]:
-    """The x with ``low <= dx * x + dy * y < high``: their shift for each y, their bounds at y = 0.
+    """Solve ``low <= dx * x + dy * y < high`` for x.
 
-    If the condition does not depend on x, there are no bounds; the caller chooses the rows
-    accordingly.
+    If the condition does not depend on x, the bounds are infinite, because the caller has already
+    chosen the rows that meet the condition.
+
+    Returns:
+        How far both bounds of x move if y grows by 1, then the lower and upper bound for y = 0.
     """
     if abs(dx) < FLAT:
         return 0.0, -inf, inf

@@ -1,20 +1,21 @@
 """What turtles have drawn, as pixels and as polylines, and the pens that they draw with.
 
-`Pens` follows the turtles tick by tick. A pen that is on draws a line from its turtle's old place
-to the new one, teleports included. Within a tick, the turtles take turns in name order: each draws
-its teleports, senses the colour under it, and draws its step. A turtle therefore senses the new
-lines of the turtles before it, but not its own new line.
+`Pens` moves each turtle's pen with the turtle, tick by tick. A pen that is on draws a line from its
+turtle's old place to its new one, also for a teleport. Within a tick, the turtles take turns in
+name order: each draws its teleports, senses the colour under it, and draws its step. A turtle
+therefore senses the new lines of the turtles before it, but not the line of its own step.
 
-`Drawing` only notes new lines and computes them when somebody looks, so an unseen drawing costs
-little. When `UNREAD` lines are noted, the oldest are computed anyway. The lines of a fleet arrive
-tick by tick as arrays (`rasterising`).
+`Drawing` notes new lines, and turns them into pixels and polylines when somebody reads the
+drawing, so an unread drawing costs little. When `UNREAD` lines are noted, the drawing converts the
+oldest of them without waiting for a reader. The lines of a fleet arrive as arrays, tick by tick;
+`rasterising` joins and draws them.
 
 - Pixels show every line, and later lines cover earlier ones.
-- A polyline leaves out points if the line without them passes within `TOLERANCE` of them. A
-  polyline continues while its turtle draws with the same pen from where it stopped, up to `LONGEST`
-  points.
-- A drawing is bounded: when its polylines hold `MOST_POINTS` points, everything drawn so far is
-  kept only as pixels.
+- A polyline leaves out points only if it still passes within `TOLERANCE` of them.
+- A polyline continues as long as each new line of its turtle begins at the end of the line before,
+  and is drawn with the same pen. A polyline has at most `LONGEST` points.
+- The size of a drawing is limited: when its polylines have `MOST_POINTS` points, everything drawn
+  so far is kept only as pixels.
 
 Places are complex numbers, ``x + 1j * depth``, in metres. This module knows no ROS and no clock.
 
@@ -90,10 +91,10 @@ class Drawing:
         """Draw a straight line.
 
         Args:
-            turtle: The number of the turtle. The lines of a turtle are joined to polylines.
+            turtle: The number of the turtle. The lines of a turtle are joined into polylines.
             pen: The pen.
-            start: Where the line begins (m).
-            end: Where the line ends (m). If that is where it begins, a dot is drawn.
+            start: Where the line begins, ``x + 1j * depth`` (m).
+            end: Where the line ends (m). If ``end`` equals ``start``, a dot is drawn.
         """
         # Finish the fleet's unfinished lines first: they are older, and later lines cover them.
         self._end_fleet()
@@ -102,13 +103,13 @@ class Drawing:
             self._read(_PORTION)
 
     def lines(self, pen: Pen, who: Numbers, start: Places, end: Places) -> None:
-        """Draw the straight lines of many turtles, in any order. Otherwise this works like `line`.
+        """Draw a straight line for each of several turtles. Otherwise this works like `line`.
 
         Args:
             pen: The pen of all these turtles.
-            who: Array of shape (N,): the numbers of the turtles, each once.
+            who: Array of shape (N,): the numbers of the turtles, without duplicates.
             start: Array of shape (N,): where each line begins (m).
-            end: Array of shape (N,): where it ends (m).
+            end: Array of shape (N,): where each line ends (m).
         """
         from turtleact.sim.rasterising import Runs  # imports numpy, which only fleets need
 
@@ -135,11 +136,14 @@ class Drawing:
         return self._pixels().colour(x, y)
 
     def pixels(self) -> bytes:
-        """All pixels, row by row from the top: red, green, blue, alpha; alpha is 0 or 255."""
+        """All pixels, row by row from the top: four bytes each, red, green, blue and alpha.
+
+        Alpha is 255 where something was drawn, otherwise 0.
+        """
         return _rgba(self._pixels().pixels)
 
     def base(self) -> bytes | None:
-        """Return the pixels of everything kept only as pixels, or None if there is nothing."""
+        """Return the pixels of everything that is kept only as pixels; None if there is nothing."""
         self._read()
         return self._base
 
@@ -158,7 +162,7 @@ class Drawing:
         return self._canvas
 
     def _read(self, most: int | None = None) -> None:
-        """Compute the lines that were noted: all of them, or only the ``most`` oldest."""
+        """Turn the noted lines into pixels and polylines: all, or only the ``most`` oldest."""
         if most is None:
             self._end_fleet()
         if not self._unread and not self._runs:
@@ -182,7 +186,7 @@ class Drawing:
             self._draw_runs()
 
     def _end_fleet(self) -> None:
-        """Note the lines of a fleet that have not ended yet."""
+        """Note the lines of the fleet that are still unfinished."""
         if self._fleet is not None:
             self._note(self._fleet.pen, self._fleet.take_all())
 
@@ -201,7 +205,7 @@ class Drawing:
             self._read_fleet()
 
     def _read_fleet(self) -> None:
-        """Compute all noted lines like `_read`, but faster: all lines of one pen at once."""
+        """Do the same as `_read` for all noted lines, but faster if all have the same pen."""
         import numpy as np
 
         from turtleact.sim.rasterising import draw_lines
@@ -242,7 +246,7 @@ class Drawing:
             self._settle()
 
     def _settle(self) -> None:
-        """Turn everything drawn so far into pixels, and drop the polylines."""
+        """Keep everything drawn so far only as pixels, and drop the polylines."""
         self._draw_runs()
         self._base = _rgba(self._made_canvas().pixels)
         self._strokes.clear()
@@ -251,10 +255,10 @@ class Drawing:
 
 
 class Pens:
-    """The pens of all turtles in a world. Each pen begins switched on, with the usual settings.
+    """The pens of all turtles in a world. A new pen is on and has the default colour and width.
 
     Args:
-        world: The turtles. Call `follow` after each step of the world.
+        world: The world of the turtles. Call `follow` after each of its steps.
 
     Attributes:
         drawing: What the pens have drawn.
@@ -276,10 +280,11 @@ class Pens:
         """Change a turtle's pen. The change affects the turtle's next lines.
 
         Args:
-            turtle: Its name.
+            turtle: The turtle's name.
             colour: The colour.
             width: The width (pixels), 0 to 255; 0 means 1.
-            is_off: Whether to switch the pen off. If so, its colour and width do not change.
+            is_off: Whether to switch the pen off. If true, the pen's colour and width do not
+                change.
         """
         holder = self._holders[turtle]
         self._fleet = None
@@ -297,7 +302,7 @@ class Pens:
         self._take_stock()
 
     def take_back(self, turtle: str) -> None:
-        """Take the pen of a turtle that has gone; call this before the next step."""
+        """Remove the pen of a turtle that was removed; call this before the next step."""
         del self._holders[turtle]
         self._jumps.pop(turtle, None)
         self._take_stock()
@@ -310,7 +315,7 @@ class Pens:
         self._provide_all()
 
     def follow(self, sensed: Collection[str] = ()) -> dict[str, Colour]:
-        """Draw the lines of the world's last step.
+        """Draw the lines of the world's latest step, including its teleports.
 
         Args:
             sensed: The names of turtles that sense the colour under them.
@@ -358,7 +363,10 @@ class Pens:
         self._fleet = None
 
     def _follow_fleet(self, before: Sequence[complex], now: Sequence[complex]) -> bool:
-        """Draw the lines of many turtles at once, if all have the same pen and the pen is on."""
+        """Draw the lines of all turtles at once, and return whether that was possible.
+
+        It is possible if there are many turtles, and all have the same pen, which is on.
+        """
         if isinstance(now, list):  # a few turtles: see `World.places`
             return False
         if self._fleet is None:
@@ -383,7 +391,7 @@ class Pens:
 
 
 class _Holder:
-    """The holder of a pen. A later turtle of the same name gets another number."""
+    """A turtle's pen and number. A later turtle of the same name gets another number."""
 
     __slots__ = ("is_on", "number", "pen")
 
@@ -397,8 +405,8 @@ class _Fleet(NamedTuple):
     """The pens of many turtles.
 
     Attributes:
-        numbers: For each turtle's index, the number of the holder of its pen.
-        pen: The pen they all have, or None if pens differ or one is off.
+        numbers: The numbers of the turtles (see `_Holder`), by index.
+        pen: The pen that all turtles have; None if the pens differ or one is off.
     """
 
     numbers: Numbers
@@ -424,7 +432,7 @@ class _Run:
         self.end = end
 
     def takes(self, pen: Pen, start: complex, end: complex) -> bool:
-        """Continue to ``end`` if ``end`` is straight ahead; return whether it is."""
+        """Append a line if it continues straight on with the same pen; return whether it does."""
         if start != self.end or pen != self.pen:
             return False
         way, step = self.end - self.start, end - start
@@ -441,10 +449,11 @@ class _Run:
 class _Stroke:
     """A polyline that may continue.
 
-    Seen from the last corner, all later points up to the tip lie in a narrow cone: `_low` to
-    `_high` (rad), counted from `_axis`. If the next tip is inside the cone and no nearer than the
-    earlier points, the straight line to the tip passes all of them within `TOLERANCE`. Otherwise
-    the old tip becomes a corner.
+    The tip is the newest point. A straight line from the last corner to a new point replaces the
+    points since that corner if it passes within `TOLERANCE` of all of them. For this, the line's
+    direction must be between `_low` and `_high` (rad, relative to `_axis`), and the line must be at
+    least as long as `_reach`, the largest distance of these points from the corner. Otherwise, the
+    old tip becomes a corner.
     """
 
     __slots__ = ("_axis", "_high", "_low", "_reach", "corners", "pen", "tip")
@@ -461,7 +470,7 @@ class _Stroke:
         return Polyline(self.pen, (*self.corners, self.tip))
 
     def takes(self, pen: Pen, start: complex) -> bool:
-        """Whether a line with this pen from this start continues the polyline."""
+        """Whether a line that begins at ``start`` with this pen continues the polyline."""
         return start == self.tip and pen == self.pen and len(self.corners) < LONGEST
 
     def add(self, point: complex) -> bool:

@@ -1,10 +1,10 @@
-"""One step of a turtle: turn, move, stop at the walls, forget old commands.
+"""One step of a turtle: drop an expired command, turn, move, stop at the walls.
 
 The numbers and the order of the operations are turtlesim's, so that Poses equal turtlesim's to the
 last bit. Therefore y is kept as the depth below the upper edge, and half a turn is 3.14159265. A
 Pose is rounded to float32 only when it is read. `Handful` moves a few turtles in plain floats;
-`turtleact.sim.fleet` moves many as arrays. This module knows no names, no ROS and no clock: time is
-the number of a tick.
+`turtleact.sim.fleet` moves many as arrays. This module knows no names, no ROS and no clock: it
+counts time in ticks.
 
 Source: turtlesim 1.8.2, ``Turtle::update`` in ``turtle.cpp``; for arcs Lynch and Park, Modern
 Robotics, section 13.3.1, the integral of a constant twist.
@@ -67,7 +67,7 @@ class StepRule(enum.Enum):
 
 
 class Command(NamedTuple):
-    """The speeds for a turtle: ahead and to the left (m/s), and turning (rad/s)."""
+    """A turtle's speeds: ahead (m/s), to the left (m/s), and turning to the left (rad/s)."""
 
     vx: float
     vy: float
@@ -100,8 +100,8 @@ class State(NamedTuple):
 class Hit(NamedTuple):
     """A turtle that a step would have carried out of the world.
 
-    ``turtle`` is the turtle's index. ``x`` and ``depth`` (m) are the place from which it was
-    brought back to the wall.
+    ``turtle`` is the turtle's index. ``x`` and ``depth`` (m) are where the turtle would be without
+    the wall.
     """
 
     turtle: int
@@ -119,13 +119,13 @@ class Turtles(Protocol):
     def __len__(self) -> int: ...
 
     def drive(self, commands: Mapping[int, Command], tick: int) -> None:
-        """Take up commands by index. A command lasts ``COMMAND_TICKS`` from this tick on."""
+        """Command turtles by index. A command lasts ``COMMAND_TICKS`` ticks from ``tick`` on."""
 
     def drive_all(self, speeds: npt.NDArray[np.float64], tick: int) -> None:
-        """Take up a command per turtle: an array of shape (3, N), with rows as in `Command`."""
+        """Give every turtle a command. ``speeds`` has shape (3, N), with rows as in `Command`."""
 
     def place(self, index: int, place: Place) -> None:
-        """Put a turtle at a place. The next step wraps its angle and brings it inside the walls."""
+        """Place a turtle. The next step wraps the angle and moves the turtle inside the walls."""
 
     def insert(self, index: int, place: Place) -> None:
         """Insert a turtle at rest at this index. Otherwise this works like `place`."""
@@ -143,7 +143,7 @@ class Turtles(Protocol):
         """A copy of the places of all turtles, as ``x + 1j * depth``."""
 
     def orders(self) -> list[tuple[State, int]]:
-        """Each turtle's state, and the tick in which its command expires (`NEVER` without one)."""
+        """Each turtle's state, and the tick in which its command expires (`NEVER`: no command)."""
 
     def step(self, tick: int) -> Hits:
         """Move all turtles by one step, which completes tick number ``tick``.
@@ -158,7 +158,7 @@ def displacement(
     """How far one step moves a turtle in x and y (m).
 
     Args:
-        theta: The heading in which the step ends (rad).
+        theta: The heading at the end of the step (rad).
         vx: Speed ahead (m/s).
         vy: Speed to the left (m/s).
         chord: The return value of `chord` for the step.
@@ -170,15 +170,15 @@ def displacement(
 
 
 def chord(rule: StepRule, turn: float) -> tuple[float, float]:
-    """The direction and length of the straight line that replaces a step along a curve.
+    """The direction and length of the straight line from the start to the end of a step.
 
     Args:
         rule: The step rule.
-        turn: The turn made in the step (rad).
+        turn: How far the turtle turns in the step (rad).
 
     Returns:
         The angle by which the line lags behind the heading at the end of the step (rad), and the
-        length of the line for each m/s of speed (s).
+        length of the line divided by the speed (s).
     """
     if rule is StepRule.EULER or not turn:
         return 0.0, DT
@@ -187,12 +187,12 @@ def chord(rule: StepRule, turn: float) -> tuple[float, float]:
 
 
 def half_turn(rule: StepRule) -> float:
-    """Half a turn (rad) in a step rule: pi for arcs, 3.14159265 for turtlesim's own step."""
+    """Half a turn (rad) under a step rule: pi for ARC, 3.14159265 for EULER, as in turtlesim."""
     return _HALF_TURN[rule]
 
 
 def wrap(theta: float, half: float) -> float:
-    """An angle brought into [-half, half) in turtlesim's way: by whole turns, rounded down.
+    """Shift ``theta`` by whole turns into [-half, half), as in turtlesim.
 
     Args:
         theta: Any finite angle (rad).
@@ -207,7 +207,7 @@ def wrap(theta: float, half: float) -> float:
 
 
 class Handful:
-    """A few turtles in plain floats, which is faster than arrays for fewer than about ten turtles.
+    """Moves a few turtles with plain floats, which is faster than arrays below about ten turtles.
 
     Args:
         places: Where the turtles stand, by index.
@@ -223,16 +223,16 @@ class Handful:
         return len(self._turtles)
 
     def drive(self, commands: Mapping[int, Command], tick: int) -> None:
-        """Take up commands by index. A command lasts ``COMMAND_TICKS`` from this tick on."""
+        """Command turtles by index. A command lasts ``COMMAND_TICKS`` ticks from ``tick`` on."""
         for index, command in commands.items():
             self._turtles[index].take_up(command, self._rule, tick + COMMAND_TICKS)
 
     def drive_all(self, speeds: npt.NDArray[np.float64], tick: int) -> None:
-        """Take up a command per turtle: an array of shape (3, N), with rows as in `Command`."""
+        """Give every turtle a command. ``speeds`` has shape (3, N), with rows as in `Command`."""
         self.drive(dict(enumerate(map(Command, *speeds.tolist()))), tick)
 
     def place(self, index: int, place: Place) -> None:
-        """Put a turtle at a place. The next step wraps its angle and brings it inside the walls."""
+        """Place a turtle. The next step wraps the angle and moves the turtle inside the walls."""
         turtle = self._turtles[index]
         turtle.x, turtle.depth, turtle.theta = place
 
@@ -259,7 +259,7 @@ class Handful:
         return [complex(turtle.x, turtle.depth) for turtle in self._turtles]
 
     def orders(self) -> list[tuple[State, int]]:
-        """Each turtle's state, and the tick in which its command expires (`NEVER` without one)."""
+        """Each turtle's state, and the tick in which its command expires (`NEVER`: no command)."""
         return [(self.state(index), each.expires) for index, each in enumerate(self._turtles)]
 
     def step(self, tick: int) -> Hits:
@@ -292,10 +292,10 @@ class _Turtle:
     """One turtle: its place, its command, and the values that each step needs.
 
     Attributes:
-        turn: How far it turns in a step (rad).
+        turn: How far the turtle turns in a step (rad).
         lag: The first value of `chord` (rad).
         length: The second value of `chord` (s).
-        expires: The tick in which its command is too old.
+        expires: The tick in which the command expires (`NEVER`: no command).
     """
 
     __slots__ = (

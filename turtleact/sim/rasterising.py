@@ -1,9 +1,9 @@
-"""Draws the lines of a fleet as arrays: joins them while they are straight, then sets pixels.
+"""Draws the lines of many turtles as arrays: joins straight lines, then sets their pixels.
 
 While a turtle moves straight, `Runs` joins its steps into one line, so that a fleet does not draw
-one line per turtle and tick. `draw_lines` colours the pixels of many lines. These are exactly the
-pixels of `Canvas.line`, because the arithmetic runs in the same order. `drawing` does the same with
-plain floats for a few turtles. This module knows no turtle, no ROS and no clock.
+one line per turtle and tick. `draw_lines` colours the pixels of many lines. It colours exactly the
+same pixels as `Canvas.line`, because it calculates in the same order. For a few turtles, `drawing`
+joins lines with plain floats. This module does not depend on turtles, ROS or a clock.
 """
 
 from __future__ import annotations
@@ -45,12 +45,14 @@ class Runs:
         self._end = np.zeros(0, np.complex128)
 
     def take(self, who: Numbers, start: Places, end: Places) -> Lines:
-        """Continue the lines of some turtles; return the lines that ended because of a bend.
+        """Add a straight piece to the lines of some turtles. Return the lines that have ended.
+
+        A line ends if the next piece does not go straight on. The piece then begins a new line.
 
         Args:
-            who: Array of shape (N,): the numbers of the turtles, each once.
-            start: Array of shape (N,): where their lines begin (m).
-            end: Array of shape (N,): where they end (m).
+            who: Array of shape (N,): the numbers of the turtles, without duplicates.
+            start: Array of shape (N,): where each piece begins (m).
+            end: Array of shape (N,): where each piece ends (m).
         """
         self._make_room(int(who.max()) + 1)
         is_held, way, step = self._is_held[who], self._end[who] - self._start[who], end - start
@@ -87,10 +89,10 @@ def draw_lines(canvas: Canvas, start: Places, end: Places, width: float, colour:
 
     Args:
         canvas: The canvas.
-        start: Array of shape (N,): where they begin, ``x + 1j * y`` (pixels).
-        end: Array of shape (N,): where they end (pixels).
-        width: Their width (pixels), above zero.
-        colour: Their colour.
+        start: Array of shape (N,): where each line begins, ``x + 1j * y`` (pixels).
+        end: Array of shape (N,): where each line ends (pixels).
+        width: The width of the lines (pixels), above zero.
+        colour: The colour of the lines.
     """
     pixels = np.frombuffer(canvas.pixels, np.uint32)
     for at in range(0, len(start), _MOST):
@@ -99,7 +101,7 @@ def draw_lines(canvas: Canvas, start: Places, end: Places, width: float, colour:
 
 
 def _pixels(start: Places, end: Places, half: float) -> _Whole:
-    """Return the indices of the pixels that lie in some lines."""
+    """Return the indices of the pixels that the lines cover."""
     is_turned = np.abs(start - MIDDLE) > np.abs(end - MIDDLE)
     start, end = np.where(is_turned, end, start), np.where(is_turned, start, end)
     length, way = np.abs(end - start), end - start

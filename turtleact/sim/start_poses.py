@@ -3,14 +3,13 @@
 The first turtles of a world are placed in one of the ways in `PLACINGS`:
 
 - ``random``: the first turtle in the middle, looking along x, and the others spread evenly over the
-  square. The place and heading of each depend only on its number and the seed.
-- ``grid``: in rows from the lower left, with as many turtles in a row as there are rows, all
-  looking along x.
+  square. The place and heading of each turtle depend only on its number and the seed.
+- ``grid``: in a square grid, row by row from the lower left, all looking along x.
 - ``ring``: on a circle around the middle, counterclockwise from the right, each turtle looking
   along the circle.
 
-All turtles keep a metre from the walls. Numbers from messages are rounded to float32, as in
-turtlesim. This module knows no ROS and no clock; all randomness comes from a seed.
+All these places are at least a metre away from the walls. Numbers from messages are rounded to
+float32, as in turtlesim. This module knows no ROS and no clock; all randomness comes from a seed.
 
 Source: turtlesim 1.8.2, ``TurtleFrame::spawnTurtle`` and ``Turtle::update``.
 """
@@ -66,7 +65,7 @@ class Absolute(NamedTuple):
 
     @classmethod
     def of(cls, x: float, y: float, theta: float) -> Absolute:
-        """Return the values of the request, rounded to float32."""
+        """Make a teleport from the values of a request, rounded to float32."""
         return cls(*array("f", (x, y, theta)))
 
     def place_after(self, state: State) -> Place:  # noqa: ARG002  # wherever it was
@@ -75,14 +74,14 @@ class Absolute(NamedTuple):
 
 
 class Relative(NamedTuple):
-    """A teleport that turns by an angle (rad) and then moves along the new heading (m)."""
+    """A teleport that turns a turtle by an angle (rad), then moves it along the new heading (m)."""
 
     linear: float
     angular: float
 
     @classmethod
     def of(cls, linear: float, angular: float) -> Relative:
-        """Return the values of the request, rounded to float32."""
+        """Make a teleport from the values of a request, rounded to float32."""
         return cls(*array("f", (linear, angular)))
 
     def place_after(self, state: State) -> Place:
@@ -101,12 +100,12 @@ class Spawn(NamedTuple):
 
     @classmethod
     def of(cls, x: float, y: float, theta: float) -> Spawn:
-        """Return the values of the request, rounded to float32."""
+        """Make a `Spawn` from the values of a request, rounded to float32."""
         return cls(*array("f", (x, y, theta)))
 
     @property
     def place(self) -> Place:
-        """Where the turtle is. Its depth is computed in float32, too."""
+        """The turtle's place. The depth is rounded to float32, too."""
         (depth,) = array("f", (SIDE - self.y,))
         return Place(self.x, depth, self.theta)
 
@@ -115,12 +114,12 @@ def starts(count: int, placing: str = "random", seed: int = 0) -> list[Place]:
     """Where the turtles of a world start, in the order of their numbers from 1 on.
 
     Args:
-        count: How many turtles there are; a single one always starts in the middle.
+        count: How many turtles there are. A single turtle always starts in the middle.
         placing: One of `PLACINGS`.
         seed: Changes the places of all turtles except the first, if ``placing`` is ``random``.
 
     Raises:
-        SimError: if there is no such placing.
+        SimError: if ``placing`` is not one of `PLACINGS`.
     """
     if placing not in PLACINGS:
         raise SimError(f"turtles cannot be placed as '{placing}': give {', '.join(PLACINGS)}")
@@ -145,7 +144,7 @@ def _on_ring(index: int, count: int) -> Place:
 
 
 def _spread(number: int, seed: int) -> Place:
-    """The place of one turtle in a sequence of places that fills the square evenly at any length.
+    """Return the place of one turtle. Any number of turtles is spread evenly over the square.
 
     Source: Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, R3.
     """
@@ -165,7 +164,7 @@ _SHIFT = (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 
 
 def check_finite(turtle: str, **numbers: float) -> None:
-    """Check numbers that a user gives for a turtle, each under its name.
+    """Check that numbers for a turtle are finite. The keywords are the names of the numbers.
 
     Raises:
         SimError: if a number is not finite. The error names the first such number.

@@ -1,14 +1,14 @@
-"""One turtle as nodes of ROS see it: its topics, its services and its action.
+"""One turtle as other ROS nodes see it: its topics, its services and its action.
 
-- ``<turtle>/cmd_vel`` (geometry_msgs/msg/Twist), taken up at the next tick;
+- ``<turtle>/cmd_vel`` (geometry_msgs/msg/Twist): commands, which take effect at the next tick;
 - ``<turtle>/pose`` (turtlesim/msg/Pose) and ``<turtle>/color_sensor`` (turtlesim/msg/Color),
   published after each tick if somebody subscribes to them;
 - ``<turtle>/set_pen``, ``<turtle>/teleport_absolute`` and ``<turtle>/teleport_relative``;
-- ``<turtle>/rotate_absolute``, one goal at a time; `Rotation` is turtlesim's controller for such a
-  goal, a pure class that is called once in each tick.
+- ``<turtle>/rotate_absolute``, one goal at a time.
 
-This module rounds to float32 wherever turtlesim does. It knows no clock: `turtlesim` calls it at
-each tick.
+`Rotation` is turtlesim's controller for these goals. It does not use ROS. A running goal calls it
+once per tick. This module rounds to float32 wherever turtlesim does. The module has no clock: the
+module `turtlesim` calls each turtle's methods at each tick.
 
 Source: turtlesim 1.8.2, ``turtle.cpp`` (for the controller ``Turtle::update`` and
 ``Turtle::rotateAbsoluteAcceptCallback``) and ``qos.hpp``.
@@ -67,12 +67,12 @@ class Habitat(NamedTuple):
     """What all turtles of a world share.
 
     Attributes:
-        node: The node that opens their topics, services and actions.
-        world: The world they are in.
-        pens: Their pens.
+        node: The node that opens the turtles' topics, services and actions.
+        world: The world of the turtles.
+        pens: The turtles' pens.
         on_work: Called with a turtle that has received a command or goal for the next tick.
-        on_read: Called with a turtle when the first reader of its pose or colour comes, or the
-            last one goes.
+        on_read: Called with a turtle when its pose or colour topic gets its first reader or loses
+            its last one.
     """
 
     node: Node
@@ -83,21 +83,23 @@ class Habitat(NamedTuple):
 
 
 class Turtle:
-    """The topics, services and the action of a turtle in a world, which are open from the start.
+    """The topics, the services and the action of one turtle. The constructor opens them.
 
     Args:
         name: The turtle's name in the world.
         habitat: What the turtle shares with the other turtles.
-        on_demand: Whether other processes see it only when they ask for it; see `Node`.
+        on_demand: Whether other processes see the turtle's topics, services and action only when
+            they ask for them; see `Node`.
 
     Raises:
-        InvalidName: if topics cannot have this name. Nothing is open then.
+        InvalidName: if ``name`` cannot be part of a topic's name. The constructor then leaves
+            nothing open.
 
     Attributes:
-        name: Its name.
-        commands: The commands it has received but not used yet.
-        poses: The publisher of its pose.
-        colours: The publisher of the colour under it.
+        name: The turtle's name.
+        commands: The subscription that keeps the commands until the next tick.
+        poses: The publisher of the turtle's pose.
+        colours: The publisher of the colour under the turtle.
         turn: The ``rotate_absolute`` goal that is running, if there is one.
     """
 
@@ -132,9 +134,9 @@ class Turtle:
         )
 
     def leave(self, reason: str) -> None:
-        """Record that the turtle is gone: its goals end ABORTED for ``reason``.
+        """Record that the turtle is gone, and abort its running goal with ``reason``.
 
-        Call this as soon as the world has forgotten the turtle; `aclose` may take a while.
+        Call this as soon as the world has removed the turtle, because `aclose` may take a while.
         """
         self._gone = reason
         self.commands.notify = None
@@ -154,7 +156,7 @@ class Turtle:
             self._on_read(self)
 
     def take_up(self, twist: Twist) -> None:
-        """Take up a command. The command aborts a rotation that began before it."""
+        """Give the turtle a command. If a rotation is running, abort it."""
         try:
             self._world.set_velocity(self.name, twist.linear.x, twist.linear.y, twist.angular.z)
         except SimError as error:
@@ -178,7 +180,7 @@ class Turtle:
         self._world.set_velocity(self.name, 0.0, 0.0, omega or 0.0)
 
     def tell_colour(self, colour: Colour) -> None:
-        """Publish the colour under the turtle, unless the readers have just gone."""
+        """Publish the colour under the turtle, if somebody still subscribes to it."""
         if self.colours.has_subscriptions:
             self.colours.publish(Color(*colour))
 
@@ -272,11 +274,11 @@ class _Turn:
 
     @property
     def result(self) -> RotateAbsolute.Result:
-        """How far it has turned."""
+        """The result message: how far the turtle has turned so far."""
         return RotateAbsolute.Result(self._rotation.delta)
 
     def take(self) -> RotateAbsolute.Result:
-        """Return the result at the end. Raise `Abort` if the goal was aborted."""
+        """Return the result of the ended goal. Raise `Abort` if the goal was aborted."""
         if self._reason:
             raise Abort(self._reason, self.result)
         return self.result
@@ -290,21 +292,22 @@ class _Turn:
         return omega
 
     def abort(self, reason: str) -> None:
-        """End the goal without success."""
+        """End the goal, so that `take` raises `Abort` with ``reason``."""
         self._reason = reason
         self.ended.set()
 
 
 class Rotation:
-    """A turn to a heading, tick by tick.
+    """Turns a turtle to a heading, tick by tick.
 
     Args:
-        target: The heading wanted (rad), any finite angle.
-        theta: The heading at the start (rad).
+        target: The heading to turn to (rad), any finite angle.
+        theta: The turtle's heading before the turn (rad).
 
     Attributes:
-        remaining: The turn that was left before the last tick (rad, float32); positive to the left.
-        delta: The heading at the start minus that before the last tick (rad, float32).
+        remaining: How far the turtle had to turn before the latest tick (rad, float32); positive to
+            the left.
+        delta: The heading before the turn minus the heading before the latest tick (rad, float32).
     """
 
     def __init__(self, target: float, theta: float) -> None:
@@ -315,7 +318,7 @@ class Rotation:
         self._start = theta
 
     def tick(self, theta: float) -> float | None:
-        """How fast to turn in a tick that begins with this heading (rad).
+        """Return how fast to turn in the tick that begins with the heading ``theta`` (rad).
 
         If the target is exactly opposite, the turtle turns right.
 
@@ -333,7 +336,7 @@ class Rotation:
 
 
 def _check(goal: RotateAbsolute.Goal) -> GoalResponse:
-    """Accept a goal, unless theta is not finite: turtlesim would turn forever."""
+    """Reject a goal if theta is not finite: with such a goal, the turtle would turn forever."""
     if not math.isfinite(goal.theta):
         raise Reject(f"theta is {goal.theta}: give a finite number")
     return GoalResponse.ACCEPT

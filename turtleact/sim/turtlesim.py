@@ -1,12 +1,12 @@
-"""Runs the world on a node: it ticks, turtles come and go, and others can see their drawing.
+"""Runs a world of turtles on a node, with the topics, services and parameters of turtlesim.
 
-The world has the services ``spawn``, ``kill``, ``clear`` and ``reset``, and the parameters
-``background_r``, ``background_g``, ``background_b`` and ``holonomic``. The module `turtle` has the
-topics and services of each turtle, and `world_services` has those for time, poses and pictures.
-Only these three modules know ROS and a clock.
+`Turtlesim` opens the services ``spawn``, ``kill``, ``clear`` and ``reset``, and declares the
+parameters ``background_r``, ``background_g``, ``background_b`` and ``holonomic``. The module
+`turtle` opens the topics and services of each turtle, and `world_services` opens those for time,
+poses and pictures. In `turtleact.sim`, only these three modules know ROS and a clock.
 
-Where turtlesim would exit (a turtle with an invalid name) or turn forever (numbers that are not
-finite), this node logs a message and goes on.
+The real turtlesim exits if a new turtle has an invalid name, and lets a turtle turn forever if a
+number is not finite. This node logs a message instead, and goes on.
 
 Source: turtlesim 1.8.2, ``turtle_frame.cpp``.
 """
@@ -46,25 +46,25 @@ __all__ = ["Turtlesim"]
 logger = logging.getLogger("turtleact.turtlesim")
 
 MOST_SHOWN: Final = 100
-"""Other processes see this many turtles from the start, and more turtles only on demand.
+"""This many turtles are always visible to other processes. Others become visible on demand.
 
-The limit counts a fleet's first turtles and the spawned ones.
+The limit applies to the turtles with which the world begins and, separately, to spawned turtles.
 """
 
 
 class Turtlesim:
-    """A world on a node; it ticks from its creation until it is closed.
+    """Runs a world on a node. The world ticks until this object is closed.
 
-    The ticks follow an absolute schedule of the node's clock, 16 ms apart, so they do not drift.
-    While the world is paused, that clock stands still, and code that waits on the clock keeps
-    waiting.
+    The ticks are 16 ms apart on the node's clock. They follow a fixed schedule, so small delays do
+    not add up. While the world is paused, the node's clock stands still, and code that waits on the
+    clock keeps waiting.
 
     Args:
         node: The node that opens the topics and services. The world follows the clock of this node.
-        world: The turtles.
-        beside: The node for features that the real turtlesim lacks: time, all poses in one message,
-            pictures. If left out, none of these features is served.
-        is_paused: Whether the world is paused after its first tick.
+        world: The world to run.
+        beside: The node for features that the real turtlesim lacks: control of time, all poses in
+            one message, and pictures. If left out, these features are not served.
+        is_paused: Whether to pause the world after its first tick.
     """
 
     def __init__(
@@ -102,30 +102,37 @@ class Turtlesim:
 
     @property
     def is_paused(self) -> bool:
-        """Whether time stands still, except for the ticks of `step`."""
+        """Whether the world is paused. While it is paused, only `step` makes ticks."""
         return self._ticking.is_paused
 
     def pause(self) -> None:
-        """Stop time. If time stands still already, this does nothing."""
+        """Pause the world, and stop the node's clock.
+
+        This ends a `step` that is under way. If the world is already paused and no `step` is under
+        way, this does nothing.
+        """
         self._ticking.pause()
 
     def resume(self) -> None:
-        """Let time continue from where it stopped. This does nothing if the world is not paused."""
+        """End the pause: the ticks and the node's clock continue from where they stopped.
+
+        This ends a `step` that is under way. If the world is not paused, this does nothing.
+        """
         self._ticking.resume()
 
     async def step(self, ticks: int = 1) -> None:
-        """Make some ticks in a paused world, at the pace of the clock, and wait for the last.
+        """Make ``ticks`` ticks in a paused world, at the pace of the clock, and wait for the last.
 
-        Cancelling: no more ticks are made.
+        Cancelling: the remaining ticks are not made.
 
         Raises:
-            SimError: if the world is not paused or is already being stepped, if ``ticks`` is
-                negative, or if somebody pauses or resumes the world before the last tick.
+            SimError: if the world is not paused, if another `step` is under way, if ``ticks`` is
+                negative, or if somebody pauses, resumes or closes the world before the last tick.
         """
         await self._ticking.step(ticks)
 
     def snapshot(self) -> Snapshot:
-        """The world as it looks now, for `to_png` and `to_svg` of `turtleact.sim.pictures`."""
+        """Return how the world looks now, as input for `turtleact.sim.pictures`."""
         drawing, world = self._pens.drawing, self._world
         colour = (channel.value for channel in self._background)
         places = map(complex, world.places())
@@ -138,20 +145,23 @@ class Turtlesim:
         )
 
     def turtles(self, most: int) -> Iterator[tuple[str, Pose, Colour]]:
-        """The names of the first turtles, their poses, and the colours of their pens."""
+        """Yield the name, pose and pen colour of each turtle, for at most ``most`` turtles."""
         for name in islice(self._turtles, most):
             yield name, self._world.pose(name), self._pens.colour(name)
 
     def thumbnail(self, width: int, height: int) -> list[list[Colour | None]]:
-        """The drawing in fewer pixels, as `turtleact.sim.pictures.thumbnail` makes it."""
+        """Return the drawing in ``width`` times ``height`` pixels.
+
+        See `turtleact.sim.pictures.thumbnail`.
+        """
         return thumbnail(self._pens.drawing.pixels(), width, height)
 
     async def aclose(self) -> None:
-        """Stop the ticks of the world."""
+        """Stop making ticks."""
         await self._ticking.aclose()
 
     def tick(self) -> None:
-        """Make one tick now. The schedule calls this every 16 ms."""
+        """Make one tick now. The schedule calls this every 16 ms of the clock."""
         world = self._world
         busy = list(self._busy)
         self._busy.clear()
@@ -178,9 +188,9 @@ class Turtlesim:
             self._turtles[name].tell_colour(colour)
 
     def _look_around(self) -> None:
-        """Update the lists of turtles that have readers.
+        """Update the lists of turtles whose pose or colour topic has readers.
 
-        Only turtles whose readers have changed are checked.
+        Only turtles whose readers have come or gone since the last tick are checked.
         """
         index, told = self._world.index, self._told
         if self._is_roster_new:
@@ -200,7 +210,7 @@ class Turtlesim:
         self._read.clear()
 
     def _tell_poses(self) -> None:
-        """Publish the poses after a tick, except those that have just lost their last reader."""
+        """After a tick, publish the poses of the turtles whose pose topic has readers."""
         if len(self._told) > FEW:
             # Column by column: a list for each turtle would call the garbage collector.
             x, y, theta, linear, angular = self._world.poses().T.tolist()
@@ -279,7 +289,7 @@ class Turtlesim:
         await self._begin_anew(self._world.restart)
 
     async def _begin_anew(self, begin: Callable[[], None]) -> None:
-        """Remove all turtles, let the world make new ones, and serve the new ones."""
+        """Remove all turtles, put new ones into the world with ``begin``, and open their topics."""
         async with self._roster:
             logger.info("Resetting turtlesim.")
             # The order matters: the old turtles must not be known any more when they are closed, as

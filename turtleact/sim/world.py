@@ -1,10 +1,11 @@
-"""The world: moves its turtles step by step, with their commands, teleports, spawns and ends.
+"""A world of turtles, which moves them step by step.
 
-A tick first takes up the requests since the last tick: the newest command of each turtle, then its
-teleports in order. Then each turtle, in name order, forgets a command that is too old, turns,
-moves, and is stopped by the walls. The same calls give the same run to the last bit.
+Each step first applies the requests that came after the previous step: the newest command of each
+turtle, and then all teleports in the order in which they came. Then each turtle, in the order of
+the names, drops its command if the command is too old, turns, moves, and is stopped by the walls.
+Two worlds with the same seed and the same calls have the same results, to the last bit.
 
-This module knows no ROS and no clock: simulated time is the number of ticks times ``DT``, and the
+This module knows no ROS and no clock: simulated time is the number of steps times ``DT``, and the
 caller of `World.step` decides how fast it passes. All randomness comes from a seed.
 
 Source: turtlesim 1.8.2, ``turtle_frame.cpp`` and ``turtle.cpp``.
@@ -42,14 +43,15 @@ if TYPE_CHECKING:
 __all__ = ["FEW", "Names", "Pose", "World"]
 
 FEW = 16
-"""Up to this many turtles are moved in plain floats, which saves the import of numpy (0.1 s)."""
+"""Up to this many turtles are computed in plain floats, which saves the import of numpy (0.1 s)."""
 
 
 class Pose(NamedTuple):
     """The pose of a turtle as turtlesim publishes it, rounded to float32.
 
-    x and y (m) are in [0, SIDE], and y counts from the lower edge. theta (rad) is in [-pi, pi),
-    except for the rounding. linear_velocity (m/s) is never negative. angular_velocity is in rad/s.
+    x and y (m) are the distances from the left and the lower edge, in [0, SIDE]. theta (rad) is in
+    [-pi, pi). After rounding, they may lie slightly beyond these limits. linear_velocity (m/s) is
+    never negative. angular_velocity is in rad/s.
     """
 
     x: float
@@ -62,25 +64,28 @@ class Pose(NamedTuple):
 class World:
     """Turtles in a square. Each step moves all turtles.
 
-    ``turtle1`` starts in the middle and looks along x, as in turtlesim. The seed spreads all others
-    over the square, unless ``placing`` says otherwise.
+    By default, ``turtle1`` starts in the middle and looks along x, as in turtlesim, and all others
+    are spread over the square, in places that depend on the seed. With another ``placing``, all
+    turtles start in a grid or on a ring.
 
-    Up to 16 turtles are moved in plain floats, and equal turtlesim's to the last bit. More turtles
-    are moved as arrays, and their places on a curve may differ by 1e-13 m (`turtleact.sim.fleet`).
+    Up to 16 turtles are computed in plain floats, and their poses equal turtlesim's to the last
+    bit. More turtles are computed as arrays. On curves, their places may then differ from
+    turtlesim's by about 1e-13 m (`turtleact.sim.fleet`).
 
     Args:
         turtles: How many turtles there are, at least one: ``turtle1``, ``turtle2``, …
-        seed: Determines where all turtles except the first start, if they are placed at random.
-        placing: ``"random"``, ``"grid"`` or ``"ring"``.
+        seed: With ``placing="random"``, determines where all turtles except the first start.
+        placing: How the turtles are placed at the start: ``"random"``, ``"grid"`` or ``"ring"``.
         holonomic: Whether turtles can move sideways. If not, ``vy`` is ignored, as in turtlesim.
         rule: How a step turns speeds into motion.
-        collide: Whether turtles stop each other (`turtleact.sim.fleet`).
+        collide: Whether turtles that meet stop each other (`turtleact.sim.fleet`).
 
     Attributes:
-        holonomic: The argument ``holonomic``. You may change it at any time; it applies to later
-            commands.
-        on_jump: Called for each teleport that is made, with the turtle's name and its places before
-            and after, ``x + 1j * depth`` (m).
+        holonomic: The argument ``holonomic``. You may change it at any time; the change applies to
+            later commands.
+        on_jump: Called for each teleport when it is made, with the turtle's name, its old place and
+            its new place. A place is ``x + 1j * depth`` (m), where ``depth`` is the distance from
+            the upper edge.
 
     Raises:
         SimError: if ``turtles`` is below 1, or ``placing`` is unknown.
@@ -123,7 +128,7 @@ class World:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The turtles in name order, which is the order of their indices."""
+        """The names of the turtles, sorted as strings. A turtle's index is its position here."""
         return self._names.names
 
     @property
@@ -141,10 +146,10 @@ class World:
     ) -> None:
         """Command a turtle from the next step on. The command replaces an earlier one.
 
-        The command moves the turtle in that step and 62 more, unless another one follows.
+        The command lasts for 63 steps, unless another command replaces it.
 
         Args:
-            turtle: Its name or index.
+            turtle: The turtle's name or index.
             vx: Speed ahead (m/s).
             vy: Speed to the left (m/s); ignored unless the world is holonomic.
             omega: Turn rate to the left (rad/s).
@@ -161,15 +166,16 @@ class World:
     def set_velocities(
         self, vx: npt.ArrayLike, vy: npt.ArrayLike = 0.0, omega: npt.ArrayLike = 0.0
     ) -> None:
-        """Command all turtles at once, as `set_velocity` does for each.
+        """Command all turtles at once, as `set_velocity` does for one turtle.
 
         Args:
-            vx: Speeds ahead (m/s): N numbers by index, or one for all.
-            vy: Speeds to the left (m/s), in the same form.
+            vx: Speeds ahead (m/s): one number per turtle, in the order of the indices, or a single
+                number for all turtles.
+            vy: Speeds to the left (m/s), in the same form; ignored unless the world is holonomic.
             omega: Turn rates to the left (rad/s), in the same form.
 
         Raises:
-            SimError: if a speed is not finite, or an array does not have N speeds.
+            SimError: if a speed is not finite, or an array does not have one number per turtle.
         """
         import numpy as np
 
@@ -189,13 +195,16 @@ class World:
         self._is_asked = True
 
     def teleport_absolute(self, turtle: str | int, x: float, y: float, theta: float) -> None:
-        """Put a turtle at a place in the next step. From a place outside, the walls bring it back.
+        """Put a turtle at a place in the next step.
+
+        If the place is outside the world, the same step brings the turtle inside. All three numbers
+        are rounded to float32.
 
         Args:
-            turtle: Its name or index.
-            x: Distance from the left edge (m). All three numbers are rounded to float32.
+            turtle: The turtle's name or index.
+            x: Distance from the left edge (m).
             y: Distance from the lower edge (m).
-            theta: Its new heading (rad), any angle.
+            theta: The new heading (rad), any angle.
 
         Raises:
             SimError: if there is no such turtle, or a number is not finite in float32.
@@ -203,11 +212,13 @@ class World:
         self._teleport(turtle, Absolute.of(x, y, theta))
 
     def teleport_relative(self, turtle: str | int, linear: float, angular: float) -> None:
-        """In the next step, turn a turtle and then put it ahead along its new heading.
+        """In the next step, turn a turtle on the spot, and then move it along its new heading.
+
+        Both numbers are rounded to float32.
 
         Args:
-            turtle: Its name or index.
-            linear: How far ahead (m). Both numbers are rounded to float32.
+            turtle: The turtle's name or index.
+            linear: How far to move ahead (m).
             angular: How far to turn to the left (rad).
 
         Raises:
@@ -218,20 +229,22 @@ class World:
     def spawn(self, x: float, y: float, theta: float, name: str = "") -> str:
         """Put a new turtle into the world.
 
-        If the place is outside, the turtle's first step brings it inside.
+        If the place is outside the world, the turtle's first step brings it inside. All three
+        numbers are rounded to float32.
 
         Args:
-            x: Distance from the left edge (m). All three numbers are rounded to float32.
+            x: Distance from the left edge (m).
             y: Distance from the lower edge (m).
-            theta: Its heading (rad), any angle.
-            name: The turtle's name. If empty, it is the first free name of ``turtle1``,
+            theta: The turtle's heading (rad), any angle.
+            name: The turtle's name. If empty, the turtle gets the next free name of ``turtle1``,
                 ``turtle2``, …
 
         Returns:
             The turtle's name.
 
         Raises:
-            SimError: if there is a turtle of that name, or a number is not finite in float32.
+            SimError: if there is already a turtle with this name, or a number is not finite in
+                float32.
         """
         where = Spawn.of(x, y, theta)
         check_finite(name or "a new turtle", **where._asdict())
@@ -244,7 +257,7 @@ class World:
         return name
 
     def kill(self, turtle: str) -> None:
-        """Take a turtle out of the world.
+        """Remove a turtle from the world.
 
         Raises:
             SimError: if there is no such turtle.
@@ -256,20 +269,23 @@ class World:
         self._turtles = _fitting(self._turtles, self._rule)
 
     def reset(self) -> None:
-        """Replace all turtles by ``turtle1`` at the start.
+        """Replace all turtles by a single ``turtle1`` in the middle.
 
-        Names are counted from 1 again; time continues.
+        The next turtle without a given name is ``turtle2``. Simulated time continues.
         """
         self._begin({"turtle1": MIDDLE})
 
     def restart(self) -> None:
-        """Restore the first turtles at their starting places; time continues."""
+        """Replace all turtles by those with which the world began, at their starting places.
+
+        Simulated time continues.
+        """
         self._begin(self._first)
 
     def take_up(self) -> None:
-        """Take up commands and teleports now, as the next step would.
+        """Apply the pending commands and teleports now, instead of in the next step.
 
-        Commands and teleports that come later wait for that step.
+        Commands and teleports that come after this call are applied in the next step.
         """
         if self._is_asked:
             self._take_up()
@@ -278,7 +294,7 @@ class World:
         """Make one tick.
 
         Returns:
-            The turtles that were stopped by a wall in this tick, and where it caught them.
+            A `turtleact.sim.kinematics.Hit` for each turtle that a wall stopped in this tick.
         """
         if self._is_asked:
             self._take_up()
@@ -290,7 +306,7 @@ class World:
         return hits
 
     def pose(self, turtle: str | int) -> Pose:
-        """The pose of a turtle after the last step.
+        """Return the pose of a turtle after the last step.
 
         Raises:
             SimError: if there is no such turtle.
@@ -301,7 +317,7 @@ class World:
         return Pose(*array("f", (x, SIDE - depth, theta, speed, omega)))
 
     def heading(self, turtle: str | int) -> float:
-        """The heading of a turtle (rad), unrounded.
+        """Return the heading of a turtle (rad), not rounded to float32.
 
         Raises:
             SimError: if there is no such turtle.
@@ -309,14 +325,18 @@ class World:
         return self._turtles.state(self._names.index(turtle)).theta
 
     def places(self) -> Sequence[complex]:
-        """Where all turtles are, by index, as ``x + 1j * depth`` (m); a list or an array."""
+        """Return the places of all turtles by index, in a list or an array.
+
+        A place is ``x + 1j * depth`` (m), where ``depth`` is the distance from the upper edge.
+        """
         return self._turtles.places()
 
     def poses(self) -> npt.NDArray[np.float32]:
-        """The poses of all turtles after the last step.
+        """Return the poses of all turtles after the last step.
 
         Returns:
-            A new array of shape (N, 5), rows by index, columns as in `Pose`.
+            A new array of shape (N, 5): one row per turtle, in the order of the indices, with the
+            columns of `Pose`.
         """
         import numpy as np
 
@@ -331,7 +351,7 @@ class World:
         return poses
 
     def index(self, turtle: str | int) -> int:
-        """Return the index of a turtle, given its index or its name.
+        """Return the index of a turtle. ``turtle`` is the turtle's name or its index.
 
         Raises:
             SimError: if there is no such turtle.
@@ -384,10 +404,11 @@ class Names:
     """The names of the turtles that exist.
 
     Args:
-        names: The first names, in any order; the numbers of new names continue after them.
+        names: The first N names, in any order. The names that `free_name` makes up are numbered
+            from N + 1.
 
     Attributes:
-        names: In name order, which is the order of the indices.
+        names: The names, sorted as strings. A turtle's index is its position in this order.
     """
 
     names: tuple[str, ...]
@@ -397,7 +418,7 @@ class Names:
         self._count = len(self.names)
 
     def index(self, turtle: str | int) -> int:
-        """Return the index of a turtle, given its index or its name.
+        """Return the index of a turtle. ``turtle`` is the turtle's name or its index.
 
         Raises:
             SimError: if there is no such turtle.
@@ -414,10 +435,10 @@ class Names:
         )
 
     def free_name(self, name: str = "") -> str:
-        """Return the name for a new turtle: the given one, or the next that is free.
+        """Return the given name for a new turtle; if it is empty, return the next free name.
 
         Raises:
-            SimError: if there is a turtle of that name.
+            SimError: if a turtle already has the given name.
         """
         if name in self._index:
             raise SimError("a turtle has this name already: give another", turtle=name)
@@ -427,7 +448,7 @@ class Names:
         return name
 
     def add(self, name: str) -> int:
-        """Add a turtle with a free name; return its index. The indices of others may change."""
+        """Add a turtle with a free name; return its index. The indices of later turtles change."""
         index = bisect(self.names, name)
         self._note((*self.names[:index], name, *self.names[index:]))
         return index
@@ -450,7 +471,7 @@ def _turtles(places: list[Place], rule: StepRule) -> Turtles:
 
 
 def _fitting(turtles: Turtles, rule: StepRule) -> Turtles:
-    """Return the same turtles as `Handful` or ``Fleet``, whichever is better for their number."""
+    """Return the same turtles as a `Handful` or a ``Fleet``, whichever suits their number."""
     if (len(turtles) <= FEW) == isinstance(turtles, Handful):
         return turtles
     orders = turtles.orders()

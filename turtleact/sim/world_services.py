@@ -1,17 +1,17 @@
-"""Services beyond turtlesim: pause and step time, read all poses at once, take pictures.
+"""Services that turtlesim lacks: pause and step time, read all poses at once, take pictures.
 
-- `Ticking` makes the ticks, 16 ms apart on an absolute schedule. While the world is paused, the
-  clock stands still: code that waits on the clock misses no tick, and the schedule continues after
-  the pause.
-- `Simulation` serves time as other simulators do: ``~/get_simulator_features``,
-  ``~/get_simulation_state``, ``~/set_simulation_state``, ``~/step_simulation`` and
-  ``~/reset_simulation``, and the action ``~/simulate_steps``.
-- `Poses` holds the poses of all turtles in one message of arrays: making one message per turtle
-  would take longer than a tick, and ``geometry_msgs/msg/PoseArray`` has no names.
-- `Pictures` serves ``~/snapshot``; `pictures` makes the picture, in a thread.
+- `Ticking` makes a tick every 16 ms, on a fixed schedule. While the world is paused, the clock
+  stands still. Code that waits on the clock therefore misses no tick, and the schedule continues
+  after the pause.
+- `Simulation` opens the services by which other simulators control time:
+  ``~/get_simulator_features``, ``~/get_simulation_state``, ``~/set_simulation_state``,
+  ``~/step_simulation`` and ``~/reset_simulation``. It also opens the action ``~/simulate_steps``.
+- `Poses` is one message with the poses of all turtles, in arrays. One message per turtle would take
+  longer than a tick to make, and ``geometry_msgs/msg/PoseArray`` has no names.
+- `Pictures` opens the service ``~/snapshot``. The module `pictures` makes the picture, in a thread.
 
-Source: simulation_interfaces 2.1.0; Gazebo for the names of the services, which begin with the
-node's name in Gazebo, too.
+Source: simulation_interfaces 2.1.0; Gazebo, in which the names of these services begin with the
+node's name, too.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ __all__ = [
 ]
 
 MOST_BEHIND: Final = 1.0
-"""Ticks are skipped if they are more than this (s) behind their clock."""
+"""If a tick is late by more than this (s of the clock), the missed ticks are skipped."""
 
 FEATURES: Final = (
     SimulatorFeatures.SIMULATION_RESET,
@@ -93,15 +93,17 @@ FORMATS: Final[dict[str, Callable[[Snapshot], bytes]]] = {
 
 
 class Ticking:
-    """Makes ticks from its creation until it is closed. Its owner makes the first tick.
+    """Calls ``tick`` every 16 ms of the clock, until this object is closed.
+
+    The owner makes the first tick itself, before it creates this object.
 
     Args:
-        clock: The clock to follow; it stands still during a pause.
-        tick: Called for each tick.
-        is_paused: Whether it starts paused.
+        clock: The clock to follow. `Ticking` stops this clock during a pause.
+        tick: The function that makes a tick.
+        is_paused: Whether to start with a pause.
 
     Attributes:
-        is_paused: Whether the only ticks are those of `step`.
+        is_paused: Whether the ticks are paused. During a pause, only `step` makes ticks.
     """
 
     def __init__(self, clock: Clock, tick: Callable[[], None], *, is_paused: bool = False) -> None:
@@ -122,7 +124,7 @@ class Ticking:
         return self._step is not None
 
     def pause(self) -> None:
-        """Make no tick until `resume`, and stop the clock. A `step` that is under way ends now."""
+        """Stop the ticks and the clock until `resume`. This ends a `step` that is under way."""
         now = self._clock.time()
         self._clock.stop_at(now)
         # A tick that is late now would come at once after the pause, as if time had passed during
@@ -132,24 +134,24 @@ class Ticking:
         self.is_paused = True
 
     def resume(self) -> None:
-        """Let ticks and clock continue. A `step` that is under way ends now."""
+        """Let the ticks and the clock continue. This ends a `step` that is under way."""
         self._end_step("resumed")
         self.is_paused = False
         self._clock.stop_at(math.inf)
         self._changed.fire()
 
     async def step(self, ticks: int = 1, on_tick: Callable[[], None] | None = None) -> None:
-        """Make some ticks during a pause, at the pace of the clock, and wait for the last.
+        """Make ``ticks`` ticks during a pause, at the pace of the clock, and wait for the last.
 
-        Cancelling: no more ticks are made.
+        Cancelling: the remaining ticks are not made.
 
         Args:
             ticks: How many ticks to make, 0 or more.
             on_tick: Called after each tick.
 
         Raises:
-            SimError: if the world is not paused or is already being stepped, if ``ticks`` is
-                negative, or if somebody pauses or resumes the world before the last tick.
+            SimError: if there is no pause, if another `step` is under way, if ``ticks`` is
+                negative, or if somebody pauses, resumes or closes this object before the last tick.
         """
         if ticks < 0:
             raise SimError(f"{ticks} steps: give 0 or more")
@@ -179,13 +181,16 @@ class Ticking:
             raise SimError(f"the world was {step.how} after {made}: pause it, then step again")
 
     async def aclose(self) -> None:
-        """Make no more ticks. The clock continues."""
+        """Stop making ticks. If the clock stands still, it continues."""
         await self._running.aclose()
         self._end_step("closed")
         self._clock.stop_at(math.inf)
 
     def _due(self, later: int = 0) -> float:
-        """When the next tick is due, or a tick ``later`` ticks after it."""
+        """Return the time at which the next tick is due (s of the clock).
+
+        If ``later`` is 1, return the time of the tick after the next tick, and so on.
+        """
         return self._start + (self._count + later) * DT
 
     async def _run(self) -> None:
@@ -223,12 +228,12 @@ class Ticking:
 
 
 class Simulation:
-    """The services of a world's time. The services are open as long as their node.
+    """The services and the action that control a world's time. They are open as long as their node.
 
     Args:
-        node: The node that opens them.
-        ticking: The world's ticks.
-        restart: Puts the world back to its start.
+        node: The node on which they are opened.
+        ticking: Makes the world's ticks.
+        restart: A function that puts the world back to its start.
     """
 
     def __init__(
@@ -329,11 +334,11 @@ class Simulation:
 
 
 class Poses(Message, type_name="turtleact_interfaces/msg/Poses"):
-    """The poses of all turtles of a world after a tick. Each field is as in ``turtlesim/msg/Pose``.
+    """The poses of all turtles of a world after a tick, with numbers as in ``turtlesim/msg/Pose``.
 
     Attributes:
         stamp: ROS time of the tick.
-        names: The turtles; the other lists have the same order.
+        names: The names of the turtles. The other lists have the same order.
         x: Distances from the left edge (m).
         y: Distances from the lower edge (m).
         theta: Headings (rad).
@@ -351,7 +356,7 @@ class Poses(Message, type_name="turtleact_interfaces/msg/Poses"):
 
 
 def poses_of(world: World, stamp: Time) -> Poses:
-    """The poses of a world."""
+    """Return the poses of a world's turtles as one message."""
     names = list(world.names)
     if len(names) > FEW:
         columns = world.poses().T.tolist()
@@ -364,16 +369,16 @@ class TakeSnapshot(Service, type_name="turtleact_interfaces/srv/TakeSnapshot"):
     """Makes a picture of the world as it looks now."""
 
     class Request(Message):
-        """Which format the picture has.
+        """Asks for a picture.
 
         Attributes:
-            format: ``png`` or ``svg``.
+            format: The format of the picture: ``png`` or ``svg``.
         """
 
         format: string = "png"
 
     class Response(Message):
-        """The picture.
+        """The picture, or the reason why there is none.
 
         Attributes:
             data: The contents of the picture file; empty if there is no picture.
@@ -388,8 +393,8 @@ class Pictures:
     """The service that takes pictures. The service is open as long as its node.
 
     Args:
-        node: The node that opens it.
-        look: Returns how the world looks now.
+        node: The node on which the service is opened.
+        look: A function that returns how the world looks now.
     """
 
     def __init__(self, node: Node, look: Callable[[], Snapshot]) -> None:
@@ -408,12 +413,12 @@ class Pictures:
 
 
 class _Step:
-    """A `Ticking.step` under way.
+    """A call of `Ticking.step` that is under way.
 
     Attributes:
         left: How many ticks are still to be made.
-        how: How it ended.
-        ended: Set when it has ended.
+        how: What ended the call: "stepped", "paused", "resumed" or "closed".
+        ended: An event that is set when the call has ended.
     """
 
     def __init__(self, ticks: int, on_tick: Callable[[], None] | None) -> None:
@@ -423,7 +428,7 @@ class _Step:
         self._on_tick = on_tick
 
     def note(self) -> None:
-        """Note that a tick was made."""
+        """Count a tick that was made, and call ``on_tick``."""
         self.left -= 1
         if self._on_tick is not None:
             self._on_tick()

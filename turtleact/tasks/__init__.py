@@ -1,13 +1,14 @@
-"""Tasks and wake-ups on asyncio (uvloop too) and trio.
+"""Runs and wakes tasks, on asyncio (uvloop too) and trio.
 
-These few tools exist because anyio's tools are too slow to use once per goal or message. Nothing
-here knows what a goal is.
+This package exists because anyio's tools are too slow to use once per goal or message. It knows
+nothing about goals.
 
 - `Tasks.spawn` runs a coroutine in a task outside any task group. The caller owns the task, cancels
-  it and waits for its end.
-- Firing a `Signal` wakes every task that waits for it. A signal does not remember earlier fires.
-- `asyncio.Task.cancel` breaks into anyio's shields, unlike a cancel scope of trio. Where shields
-  matter, ask `Tasks.is_shielded` first.
+  it if necessary, and waits for its end.
+- When a `Signal` fires, it wakes all tasks that wait for it. A task that begins to wait later waits
+  until the signal fires again.
+- `asyncio.Task.cancel` cancels a task even inside a shielded scope of anyio, unlike trio's cancel
+  scopes. To respect shields, call `Tasks.is_shielded` before you cancel a task.
 """
 
 from __future__ import annotations

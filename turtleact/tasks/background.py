@@ -1,4 +1,4 @@
-"""Runs coroutines beside their owner, and waits a limited time for something to end."""
+"""Runs coroutines in tasks, runs functions in daemon threads, and waits with a time limit."""
 
 from __future__ import annotations
 
@@ -23,18 +23,20 @@ T = TypeVar("T")
 
 
 def current_tasks() -> Tasks:
-    """The task functions for the running event loop."""
+    """Return the task functions for the running event loop."""
     if anyio.get_cancelled_exc_class() is asyncio.CancelledError:
         return AsyncioTasks()
     return TrioTasks()
 
 
 class Background:
-    """A coroutine that runs until its owner closes it. If it fails, that is logged.
+    """Runs a coroutine in a task until the coroutine ends or the owner closes this object.
+
+    If the coroutine fails, the exception is logged.
 
     Args:
         running: The coroutine.
-        name: Its name in the log.
+        name: The coroutine's name in the log.
         tasks: The task functions to use. If left out, they are those of the running event loop.
 
     Attributes:
@@ -56,7 +58,10 @@ class Background:
         self._task.cancel()
 
     async def aclose(self, timeout: float | None = None) -> None:
-        """Cancel the coroutine and wait at most ``timeout`` seconds (loop time) for its end."""
+        """Cancel the coroutine, and wait for its end.
+
+        The wait lasts at most ``timeout`` seconds (loop time); None means no limit.
+        """
         self._task.cancel()
         with anyio.move_on_after(timeout, shield=True):
             while not self.has_ended:
@@ -75,10 +80,10 @@ class Background:
 
 
 async def run_in_daemon(call: Callable[[], T], name: str) -> T:
-    """Run a function, which may block for ever, in a thread of its own. Return its result.
+    """Run a function in its own daemon thread, and return its result.
 
-    Cancelling: safe, the function goes on. This thread does not keep the program from ending,
-    unlike a thread of `anyio.to_thread`.
+    The function may block for ever. Unlike a thread of `anyio.to_thread`, the daemon thread does
+    not keep the program from ending. Cancelling: safe; the function keeps running in its thread.
 
     Args:
         call: The function.
@@ -101,14 +106,15 @@ async def run_in_daemon(call: Callable[[], T], name: str) -> T:
 
 
 async def wait_while(is_busy: Callable[[], object], changed: Signal, patience: float) -> None:
-    """Wait while ``is_busy()``, at most ``patience`` s (loop time), shielded from cancellation.
+    """Wait as long as ``is_busy()`` is true. The wait is shielded from cancellation.
 
-    If nothing is busy, this costs next to nothing: thousands of objects may be closed together.
+    If ``is_busy()`` is false at once, this costs almost nothing. That matters when thousands of
+    objects are closed together.
 
     Args:
         is_busy: A function that returns whether to go on waiting.
-        changed: Fires when ``is_busy`` may have changed.
-        patience: The longest wait (s).
+        changed: A signal that fires when the result of ``is_busy`` may have changed.
+        patience: The longest wait (s, loop time).
     """
     if is_busy():
         with anyio.move_on_after(patience, shield=True):

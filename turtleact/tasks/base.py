@@ -1,4 +1,4 @@
-"""The task functions of an event loop, the same for asyncio and trio, and the home of an object."""
+"""Task functions for asyncio and trio alike; checks that an object is used in its event loop."""
 
 from __future__ import annotations
 
@@ -18,17 +18,21 @@ from turtleact.goal import Cancelable
 __all__ = ["GRACE", "Home", "Signal", "Tasks", "is_cancellation"]
 
 GRACE = 5.0
-"""How long to wait for a cancelled task by default, before it is left running (s)."""
+"""How long to wait by default for a cancelled task (s), before the task is left running."""
 
 
 class Signal(Protocol):
-    """Wakes every task that waits for it. A signal does not remember earlier fires."""
+    """Wakes the tasks that wait for it.
+
+    A signal does not remember that it has fired: a task that begins to wait later waits until the
+    signal fires again.
+    """
 
     def fire(self) -> None:
         """Wake every task that waits now."""
 
     async def wait(self) -> None:
-        """Wait for the next fire. Cancelling: safe, nothing is lost."""
+        """Wait until the signal fires the next time. Cancelling: safe."""
 
     @property
     def waiters(self) -> int:
@@ -36,11 +40,12 @@ class Signal(Protocol):
 
 
 class Tasks(Protocol):
-    """The task functions of one kind of event loop.
+    """The functions for tasks on one kind of event loop, asyncio or trio.
 
     Attributes:
         cancelled: The exception that cancels a task.
-        can_let_go: Whether the loop can end while a task ignores its cancellation. trio cannot.
+        can_let_go: Whether the event loop can end although a task ignores its cancellation. An
+            asyncio loop can; trio cannot.
     """
 
     cancelled: type[BaseException]
@@ -56,49 +61,55 @@ class Tasks(Protocol):
     ) -> Cancelable:
         """Run a coroutine in a new task.
 
-        The caller owns the task: it cancels the task and waits for its end. The coroutine handles
-        its own exceptions. Its first step runs soon. With ``is_eager``, the first step runs before
-        this returns, on asyncio from Python 3.12 on.
+        The caller owns the task, cancels it if necessary, and waits for its end. The coroutine must
+        handle its own exceptions.
+
+        Normally, the first step of the coroutine runs after this method has returned. With
+        ``is_eager``, on asyncio from Python 3.12 on, the first step runs before this method
+        returns.
         """
 
     def is_shielded(self, task: Cancelable) -> bool:
-        """Whether cancelling a task would break into a shielded scope. On trio it never does."""
+        """Whether cancelling a task now would interrupt a shielded scope. Always False on trio."""
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Schedule a callback that may spawn tasks. asyncio never runs it within this call."""
+        """Run a callback that may spawn tasks.
+
+        On asyncio, it runs in the loop's next turn. On trio, it runs at once.
+        """
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
-        """Schedule a callback from any thread; does nothing once the loop is closed."""
+        """Schedule a callback from any thread. If the event loop is closed, do nothing."""
 
     def signal(self) -> Signal:
         """Make a new signal."""
 
     async def checkpoint(self) -> None:
-        """Let other tasks run once."""
+        """Let all other tasks that are ready run."""
 
     def is_canceled(self) -> bool:
-        """Whether somebody has cancelled the running task. True if the loop cannot tell."""
+        """Whether the running task has been cancelled; True if the event loop cannot tell."""
 
     def stop_program(self, error: BaseException) -> None:
         """End the program because a task raised `SystemExit` or `KeyboardInterrupt`."""
 
     def stoppable(self) -> AbstractContextManager[None]:
-        """Return a context manager for a block that `stop_program` ends. Only trio needs it."""
+        """Return a context manager; `stop_program` ends its block. Only trio needs such a block."""
 
 
 def is_cancellation(error: BaseException, tasks: Tasks) -> bool:
-    """Whether an exception is a cancellation, or a group of nothing but cancellations."""
+    """Whether an exception is a cancellation, or a group that contains only cancellations."""
     if isinstance(error, BaseExceptionGroup):
         return error.split(tasks.cancelled)[1] is None
     return isinstance(error, tasks.cancelled)
 
 
 class Home:
-    """The running event loop, the only one in which the owner of this home may be used.
+    """Remembers an object's event loop and thread, and checks that the object is used only there.
 
-    Without a check, using the owner in another thread or event loop fails much later, with an
-    unhelpful text: "aclose(): asynchronous generator is already running". Nodes, servers and
-    clients create a `Home` and check it first in every public method::
+    Without this check, using an object in another thread or event loop fails much later, with an
+    unhelpful message: "aclose(): asynchronous generator is already running". Nodes, servers and
+    clients create a `Home`, and call `check` first in every public method::
 
         def __init__(self, name: str) -> None:
             self._home = Home(f"node '{name}'")
@@ -106,11 +117,11 @@ class Home:
         def publisher(self, ...) -> Publisher:
             self._home.check()
 
-    The check takes well below a microsecond. Do not check in `__del__` or in other threads'
-    callbacks, which may run anywhere.
+    A call of `check` takes well below a microsecond. Do not call `check` in `__del__`, or in
+    callbacks of other threads, because these may run in any thread.
 
     Args:
-        owner: The owner's name in error messages, for example ``"node '/lab'"``.
+        owner: The name of the object in error messages, for example ``"node '/lab'"``.
     """
 
     __slots__ = ("_current", "_loop", "_owner", "_thread")
@@ -122,22 +133,25 @@ class Home:
         self._thread = get_ident()
 
     def of(self, owner: str) -> Home:
-        """Return the same home for another object that was created in it.
+        """Return a home with the same event loop and thread for another object.
 
-        No event loop need run now.
+        This works even while no event loop runs.
         """
         home = copy.copy(self)
         home._owner = owner
         return home
 
     def check(self) -> None:
-        """Check that the home's event loop is running this call, or stands between two runs.
+        """Check that this call comes from the home's event loop.
 
-        A notebook that runs as plain Python calls functions between two calls of ``runner.run(…)``.
-        The loop does not run then, so nothing can interfere.
+        While no event loop runs, a call from the home's thread is allowed, too, because nothing can
+        interfere. For example, a notebook that runs as plain Python calls functions between two
+        calls of ``runner.run(…)``. Such calls are allowed only for a home on asyncio, and only
+        until its loop is closed.
 
         Raises:
-            TurtleactError: if another event loop runs this call, or another thread does.
+            TurtleactError: if the call comes from another event loop or another thread, or if the
+                loop is closed.
         """
         try:
             if self._current() is self._loop:
@@ -155,7 +169,10 @@ class Home:
 
 
 def _loop_getter() -> Callable[[], object]:
-    """Return a function that returns the running loop, or raises RuntimeError."""
+    """Return a function that returns the running event loop.
+
+    If no loop runs, the function raises RuntimeError.
+    """
     if anyio.get_cancelled_exc_class() is asyncio.CancelledError:
         return asyncio.get_running_loop
     import trio  # already imported, since its loop runs

@@ -1,13 +1,13 @@
-"""Detects when an event loop is idle, that is, when every task waits. Virtual time jumps only then.
+"""Detects when an event loop is idle, that is, when every task waits.
 
-The method depends on the loop:
+Virtual time jumps only while the loop is idle. How this module detects this depends on the loop:
 
-- A loop made by `new_event_loop` asks its selector to wait when it has nothing else to do. At that
-  moment, the selector wakes every task that waits for idleness.
-- Other asyncio loops keep their callbacks in a private queue, which this module reads.
-- A loop without that queue (uvloop) needs `anyio.wait_all_tasks_blocked`, which polls every 0.1 s.
-  That is slow, so a warning is logged once per run.
-- trio has a function for it.
+- A loop made by `new_event_loop` tells its selector to wait when no callback is ready. At that
+  moment, the selector wakes every task that waits in `wait_until_idle`.
+- Other asyncio loops keep the callbacks that are ready in a private queue, which this module reads.
+- For a loop without that queue (uvloop), this module calls `anyio.wait_all_tasks_blocked`, which
+  polls every 0.1 s. Because that is slow, a warning is logged once per run.
+- On trio, this module calls trio's own function ``wait_all_tasks_blocked``.
 
 Source: asyncio ``BaseEventLoop._run_once``; trio ``wait_all_tasks_blocked``.
 """
@@ -39,28 +39,34 @@ __all__ = [
 logger = logging.getLogger("turtleact")
 
 CALLBACK_TURNS = 3
-"""How many turns callbacks outside any task get on a loop that hides its callbacks.
+"""How many turns of the loop to wait for callbacks outside any task, if the loop hides them.
 
 A finished task wakes its parent with such a callback. Until the callback runs, all tasks seem to
 wait."""
 
 
 def new_event_loop() -> asyncio.AbstractEventLoop:
-    """Make an asyncio event loop that knows when it is idle. Pass this as ``loop_factory``."""
+    """Make an asyncio event loop that knows when it is idle.
+
+    Pass this function as the argument ``loop_factory`` of `asyncio.Runner`.
+    """
     return WatchedEventLoop()
 
 
 async def wait_until_idle() -> None:
-    """Wait until no other task can run by itself.
+    """Wait until all other tasks of the event loop are waiting.
 
-    Any number of tasks may call this. All these tasks continue together. Tasks that wait for the
-    network, a thread or wall time count as idle. Cancelling: safe, nothing is lost.
+    A task that waits for the network, a thread or wall time counts as waiting, too. Several tasks
+    may call this at the same time; all of them continue together. Cancelling: safe.
     """
     await idleness()()
 
 
 def idleness() -> Callable[[], Awaitable[None]]:
-    """Return the `wait_until_idle` of the running loop, for callers that wait again and again."""
+    """Return a function that waits like `wait_until_idle`, but only on the running event loop.
+
+    If you wait often, call this once and keep the function, because that is faster.
+    """
     if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
         return anyio.wait_all_tasks_blocked  # trio's own
     loop = asyncio.get_running_loop()
@@ -74,20 +80,23 @@ def idleness() -> Callable[[], Awaitable[None]]:
 
 
 class IdleSelector(selectors.DefaultSelector):
-    """A selector that, before it blocks, wakes every task that waits for idleness."""
+    """Before this selector blocks, it wakes every task that waits in `wait_until_idle`."""
 
     def __init__(self) -> None:
         super().__init__()
         self._watchers: list[asyncio.Future[None]] = []
 
     async def wait_until_idle(self) -> None:
-        """Wait until the loop has nothing to do. Cancelling: safe."""
+        """Wait until the event loop has nothing to do. Cancelling: safe."""
         watcher = asyncio.get_running_loop().create_future()
         self._watchers.append(watcher)
         await watcher
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Wait for events. A timeout above 0, or None, means that no callback is ready."""
+        """Return the events that have arrived; if there are none, wait for events.
+
+        If a callback is ready, asyncio passes 0 as the ``timeout``.
+        """
         events = super().select(0)
         if events or (timeout is not None and timeout <= 0):
             return events
@@ -97,7 +106,10 @@ class IdleSelector(selectors.DefaultSelector):
         return self.wait_for_events(timeout)
 
     def wait_for_events(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Block until an event arrives, because the loop is idle and no task waits for idleness."""
+        """Block until an event arrives or the timeout ends.
+
+        This is called only while the loop is idle and no task is in `wait_until_idle`.
+        """
         return super().select(timeout)
 
     def _wake(self) -> None:
@@ -108,10 +120,10 @@ class IdleSelector(selectors.DefaultSelector):
 
 
 class WatchedEventLoop(asyncio.SelectorEventLoop):
-    """asyncio's selector loop with an `IdleSelector`.
+    """asyncio's selector event loop, with an `IdleSelector`.
 
     Attributes:
-        idle_selector: The selector.
+        idle_selector: The selector of this loop.
     """
 
     def __init__(self, selector: IdleSelector | None = None) -> None:
@@ -122,18 +134,21 @@ class WatchedEventLoop(asyncio.SelectorEventLoop):
 def ready_callbacks(loop: asyncio.AbstractEventLoop) -> Sized | None:
     """Return the callbacks that an asyncio loop runs next; None if the loop hides them.
 
-    This reads a private attribute, because asyncio has no public way to ask and turtleact did not
-    make the loop. If the attribute is missing, virtual time still works, but slowly.
+    This reads a private attribute of the loop, because asyncio has no public function for it. On a
+    loop without the attribute, virtual time still works, but slowly.
     """
     return cast("Sized | None", getattr(loop, "_ready", None))
 
 
 class ThreadWork:
-    """Counts the work that threads do for the loop. Virtual time stands still meanwhile.
+    """Counts the pieces of work that threads are doing for the event loop.
 
-    Such work must be sure to end soon. A `turtleact.clock.VirtualClock` asks this object whether
-    there is any work. The event loops of `turtleact.testing` stand still while a token of anyio's
-    thread limiter is borrowed, so this object borrows one.
+    While there is any work, virtual time stands still. Each piece of work must therefore be sure to
+    end soon.
+
+    A `turtleact.clock.VirtualClock` asks this object whether work is under way. On the event loops
+    of `turtleact.testing`, time stands still while a token of anyio's thread limiter is borrowed.
+    This object therefore borrows one token while work is under way.
     """
 
     def __init__(self) -> None:
@@ -143,7 +158,7 @@ class ThreadWork:
         self._done: Callable[[], object] | None = None
 
     def begin(self) -> None:
-        """Count one more piece of work."""
+        """Count one more piece of work that is under way."""
         self._count += 1
         if self._count == 1:
             with suppress(anyio.WouldBlock):  # other threads have all of them
@@ -151,7 +166,7 @@ class ThreadWork:
                 self._is_borrowing = True
 
     def end(self, count: int = 1) -> None:
-        """Count ``count`` fewer pieces of work."""
+        """Count ``count`` pieces of work as ended."""
         self._count -= count
         if self._count:
             return
@@ -163,7 +178,7 @@ class ThreadWork:
 
     @contextmanager
     def counted(self) -> Iterator[None]:
-        """Count a block, such as a wait for a thread, as one piece of work."""
+        """Count a ``with`` block as one piece of work. The block may wait for a thread."""
         self.begin()
         try:
             yield
@@ -172,11 +187,11 @@ class ThreadWork:
 
     @property
     def is_under_way(self) -> bool:
-        """Whether a thread is working for the loop."""
+        """Whether any work is under way."""
         return self._count > 0
 
     async def wait_for_end(self) -> None:
-        """Wait until no work is under way. Only one task can wait. Cancelling: safe."""
+        """Wait until no work is under way. Only one task at a time may wait. Cancelling: safe."""
         while self._count:
             done = anyio.Event()
             self._done = done.set
@@ -193,10 +208,11 @@ def thread_work() -> ThreadWork:
 
 
 class _Turns:
-    """Watches a loop that turtleact did not make.
+    """Detects when an event loop that turtleact did not make is idle.
 
-    Each watcher sleeps for one turn of the loop at a time, so it always has one callback in the
-    queue. If a watcher finds only callbacks of other watchers in the queue, the loop is idle.
+    Each call of `wait_until_idle` sleeps for one turn of the loop at a time, so it always has one
+    callback in the loop's queue. If a call finds only the callbacks of other such calls in the
+    queue, the loop is idle.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -211,7 +227,10 @@ class _Turns:
             )
 
     async def wait_until_idle(self) -> None:
-        """Take turns until the loop is idle. The first watcher to notice tells the others."""
+        """Wait until the loop is idle.
+
+        The first call that notices this also ends the other calls.
+        """
         if self._ready is None:
             await anyio.wait_all_tasks_blocked()
             for _ in range(CALLBACK_TURNS):

@@ -1,4 +1,4 @@
-"""Runs tasks on asyncio (uvloop too), and makes signals of futures.
+"""Implements tasks and signals on asyncio (uvloop too).
 
 Source: asyncio ``Task(eager_start=...)``, Python 3.12.
 """
@@ -23,16 +23,16 @@ DEEPEST = 32
 """How many tasks may start inside each other's first steps.
 
 A body that starts eagerly may send a goal, the body of that goal may also start eagerly, and so on.
-Each level takes about six of the 1,000 frames on Python's stack. Deeper bodies start on the loop's
-next turn."""
+Each level takes about six of the 1,000 frames on Python's stack. If a body would exceed this depth,
+it starts in the loop's next turn."""
 
 
 def is_in_shielded_scope(task: object) -> bool:
     """Whether an asyncio task is inside a shielded anyio scope.
 
-    `asyncio.Task.cancel` ignores anyio's shields and would break into a shielded scope. anyio keeps
+    `asyncio.Task.cancel` ignores anyio's shields and would interrupt a shielded scope. anyio keeps
     the scopes of each task in a private table, and has no public way to ask for them. If the table
-    is missing, this returns False, and the cancellation is delivered at once.
+    is missing, this returns False, so the caller cancels the task at once.
     """
     backend = sys.modules.get("anyio._backends._asyncio")
     states = getattr(backend, "_task_states", {})
@@ -43,7 +43,7 @@ def is_in_shielded_scope(task: object) -> bool:
 
 
 class AsyncioTasks:
-    """Plain `asyncio.Task` objects."""
+    """Runs coroutines in plain `asyncio.Task` objects."""
 
     cancelled: type[BaseException] = asyncio.CancelledError
     can_let_go = True
@@ -62,7 +62,8 @@ class AsyncioTasks:
     ) -> Cancelable:
         """Run a coroutine in a new task.
 
-        With ``is_eager``, it starts eagerly from Python 3.12 on.
+        With ``is_eager``, from Python 3.12 on, the first step runs before this method returns,
+        except for tasks that start more than `DEEPEST` levels inside each other.
         """
         if sys.version_info >= (3, 12) and is_eager and self._depth < DEEPEST:
             # An eager task runs its first step inside this call. That step may spawn another task,
@@ -79,15 +80,19 @@ class AsyncioTasks:
         return asyncio.Task(body, loop=self._loop, name=name, context=context)
 
     def is_shielded(self, task: Cancelable) -> bool:
-        """Whether cancelling a task would break into a shielded anyio scope."""
+        """Whether cancelling a task now would interrupt a shielded anyio scope."""
         return is_in_shielded_scope(task)
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Schedule a callback for the loop's next turn, because it may run a body's first step."""
+        """Schedule a callback for the loop's next turn.
+
+        The callback may run the first step of a body, which must not run inside the step of another
+        body.
+        """
         self._loop.call_soon(callback)
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
-        """Schedule a callback from any thread; does nothing once the loop is closed."""
+        """Schedule a callback from any thread. If the event loop is closed, do nothing."""
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(callback)
 
@@ -96,32 +101,34 @@ class AsyncioTasks:
         return AsyncioSignal(self._loop)
 
     def checkpoint(self) -> Coroutine[object, object, None]:
-        """Let other tasks run once."""
+        """Let all other tasks that are ready run."""
         return asyncio.sleep(0)
 
     def is_canceled(self) -> bool:
-        """Whether somebody has cancelled the running task."""
+        """Whether the running task has been cancelled; True if no task is running."""
         task = asyncio.current_task()
         return task is None or task.cancelling() > 0
 
     def stop_program(self, error: BaseException) -> None:
         """Raise the error in a callback of the loop, which ends `asyncio.run`.
 
-        If an eager task itself raised the error, the code that started the task would get it.
+        An eager task must not raise the error itself, because the code that started the task would
+        get it.
         """
         self._loop.call_soon(_throw, error)
 
     def stoppable(self) -> AbstractContextManager[None]:
-        """Return a context manager that does nothing. On asyncio a callback ends the program."""
+        """Return a context manager that does nothing: on asyncio, `stop_program` needs none."""
         return nullcontext()
 
 
 class _Begun(Coroutine[object, object, None]):
     """A coroutine that runs its first step even if its task is cancelled before that.
 
-    asyncio throws the cancellation into a coroutine that has not begun. That coroutine would run no
-    ``finally`` and report its end to nobody. This wrapper runs the first step anyway, so that the
-    cancellation arrives at the first await, as on trio.
+    If a task is cancelled before its first step, asyncio throws the cancellation into a coroutine
+    that has not begun. Such a coroutine runs no code at all, not even ``finally``, so nobody hears
+    of its end. This wrapper therefore runs the first step before it passes the cancellation on. The
+    cancellation then arrives at the first ``await``, as on trio.
     """
 
     __slots__ = ("_has_begun", "_running")
@@ -131,12 +138,12 @@ class _Begun(Coroutine[object, object, None]):
         self._has_begun = False
 
     def send(self, value: Any) -> object:  # noqa: ANN401  # whatever the loop sends
-        """Run one step."""
+        """Run one step of the coroutine."""
         self._has_begun = True
         return self._running.send(value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
-        """Throw an exception into the coroutine, after its first step."""
+        """Run the coroutine's first step, unless it has run, and then throw an exception."""
         if not self._has_begun:
             self.send(None)
         return self._running.throw(error)
@@ -150,7 +157,7 @@ class _Begun(Coroutine[object, object, None]):
 
 
 class AsyncioSignal(msgspec.Struct, eq=False):
-    """A signal made of futures, one per waiter, in the order of arrival."""
+    """A signal that keeps one future per waiting task, in the order in which the tasks came."""
 
     _loop: asyncio.AbstractEventLoop
     _waiting: dict[asyncio.Future[None], None] = {}
@@ -164,7 +171,7 @@ class AsyncioSignal(msgspec.Struct, eq=False):
                     future.set_result(None)
 
     async def wait(self) -> None:
-        """Wait for the next fire. Cancelling: safe, nothing is lost."""
+        """Wait until the signal fires the next time. Cancelling: safe."""
         future = self._loop.create_future()
         self._waiting[future] = None
         try:
@@ -175,7 +182,7 @@ class AsyncioSignal(msgspec.Struct, eq=False):
 
     @property
     def waiters(self) -> int:
-        """How many wait now."""
+        """How many tasks wait now."""
         return len(self._waiting)
 
 

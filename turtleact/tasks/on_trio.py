@@ -1,4 +1,4 @@
-"""Runs tasks on trio as system tasks, and makes signals of parking lots."""
+"""Implements tasks and signals on trio."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ __all__ = ["TrioSignal", "TrioTask", "TrioTasks"]
 
 
 class TrioTasks:
-    """System tasks of trio, each in its own cancel scope.
+    """Runs coroutines in system tasks of trio, each in its own cancel scope.
 
-    System tasks outlive the task that starts them, as a goal outlives its client. Their owner waits
-    for them. trio never ends a program before its last task has ended, even if that task ignores
-    cancellation.
+    A system task can outlive the task that starts it, as a goal can outlive its client. The owner
+    of a task waits for the task's end. trio ends a program only after the last task has ended, even
+    if that task ignores its cancellation.
     """
 
     can_let_go = False
@@ -47,7 +47,7 @@ class TrioTasks:
         *,
         is_eager: bool = False,  # noqa: ARG002  # for asyncio
     ) -> TrioTask:
-        """Run a coroutine in a new task. Its first step runs soon."""
+        """Run a coroutine in a new task. Its first step runs after this method has returned."""
         task = TrioTask(self._trio.CancelScope())
         self._trio.lowlevel.spawn_system_task(
             task.run, body, name=name, context=copy_context() if context is None else context
@@ -55,15 +55,15 @@ class TrioTasks:
         return task
 
     def is_shielded(self, task: Cancelable) -> bool:  # noqa: ARG002  # for asyncio
-        """Return False: trio's cancellation respects shields by itself."""
+        """Return False, because trio's cancellation respects shields by itself."""
         return False
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call the callback now, because trio starts spawned tasks later anyway."""
+        """Call the callback now. If it spawns tasks, trio runs their first steps later."""
         callback()
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
-        """Schedule a callback from any thread; does nothing once the loop has ended."""
+        """Schedule a callback from any thread. If the event loop has ended, do nothing."""
         with suppress(self._trio.RunFinishedError):
             self._token.run_sync_soon(callback)
 
@@ -79,11 +79,11 @@ class TrioTasks:
         await self._trio.lowlevel.checkpoint()
 
     def is_canceled(self) -> bool:
-        """Return True: on trio, only a cancellation of this very task raises ``Cancelled``."""
+        """Return True, because trio raises ``Cancelled`` only in tasks that are cancelled."""
         return True
 
     def stop_program(self, error: BaseException) -> None:
-        """Cancel the `stoppable` blocks, each of which then raises ``error``.
+        """Cancel the `stoppable` blocks. Each of these blocks then raises ``error``.
 
         A system task must not raise the error itself, because trio treats that as an internal
         error.
@@ -94,7 +94,10 @@ class TrioTasks:
 
     @contextmanager
     def stoppable(self) -> Iterator[None]:
-        """Return a block that `stop_program` cancels. The block then raises the program's error."""
+        """Return a context manager; `stop_program` cancels its block.
+
+        The cancelled block raises the error that ends the program.
+        """
         stop = self._stop
         scope = self._trio.CancelScope()
         stop.blocks.append(scope)
@@ -113,7 +116,7 @@ class TrioTasks:
 
 
 class _Stop:
-    """The error that ends the program, and the blocks to cancel.
+    """The error that ends the program, and the blocks that must be cancelled for it.
 
     Each event loop has one such object.
     """
@@ -127,7 +130,7 @@ _stop: RunVar[_Stop] = RunVar("turtleact_stop")
 
 
 class TrioTask:
-    """A coroutine in its own cancel scope."""
+    """Runs a coroutine in its own cancel scope."""
 
     __slots__ = ("_scope",)
 
@@ -140,12 +143,12 @@ class TrioTask:
             await body
 
     def cancel(self) -> None:
-        """Cancel the coroutine at its next await, and at every later await."""
+        """Cancel the coroutine at its next ``await`` and at every later one."""
         self._scope.cancel()
 
 
 class TrioSignal:
-    """A signal made of a parking lot."""
+    """A signal that uses trio's `ParkingLot`."""
 
     __slots__ = ("_lot",)
 
@@ -157,10 +160,10 @@ class TrioSignal:
         self._lot.unpark_all()
 
     async def wait(self) -> None:
-        """Wait for the next fire. Cancelling: safe, nothing is lost."""
+        """Wait until the signal fires the next time. Cancelling: safe."""
         await self._lot.park()
 
     @property
     def waiters(self) -> int:
-        """How many wait now."""
+        """How many tasks wait now."""
         return self._lot.statistics().tasks_waiting

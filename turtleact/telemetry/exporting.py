@@ -3,11 +3,11 @@
 The address, the interval and all other settings come from OpenTelemetry's own environment
 variables, such as ``OTEL_EXPORTER_OTLP_ENDPOINT``, ``OTEL_SERVICE_NAME``,
 ``OTEL_RESOURCE_ATTRIBUTES``, ``OTEL_TRACES_SAMPLER``, ``OTEL_BSP_MAX_QUEUE_SIZE`` and
-``OTEL_METRIC_EXPORT_INTERVAL``. ``OTEL_TRACES_EXPORTER=none`` and ``OTEL_METRICS_EXPORTER=none``
-switch traces or metrics off.
+``OTEL_METRIC_EXPORT_INTERVAL``. ``OTEL_TRACES_EXPORTER=none`` switches traces off, and
+``OTEL_METRICS_EXPORTER=none`` switches metrics off.
 
-Threads of the SDK send everything. A collector that is slow or down delays no goal: spans that do
-not fit into the queue are dropped, and the SDK logs that.
+The SDK sends everything in its own threads, so a collector that is slow or down delays no goal.
+Spans that do not fit into the SDK's queue are dropped, and the SDK logs that.
 
 Source: OpenTelemetry specification 1.45, "Environment Variable Specification".
 """
@@ -56,11 +56,11 @@ READERS: Final = "opentelemetry.sdk.trace.export", "opentelemetry.sdk.resources"
 
 @asynccontextmanager
 async def exporting(service: str) -> AsyncIterator[None]:
-    """Export the traces and measurements of the process for the length of a block.
+    """Export the traces and measurements of the process during an ``async with`` block.
 
     This sets the process's global providers, which is possible only once. At the end of the block,
-    everything not yet sent is sent. If this takes longer than `FLUSH_WITHIN` seconds, the rest is
-    lost.
+    the remaining spans and measurements are sent. Whatever cannot be sent within `FLUSH_WITHIN`
+    seconds is lost.
 
     Args:
         service: The name of the service, unless ``OTEL_SERVICE_NAME`` sets another name.
@@ -80,7 +80,7 @@ async def exporting(service: str) -> AsyncIterator[None]:
 
 
 def _set_up(service: str) -> list[Callable[[], object]]:
-    """Set the global providers. Return the functions that end them."""
+    """Set the global providers. Return the functions that shut the providers down."""
     resource = Resource.create()
     if str(resource.attributes[SERVICE_NAME]).startswith("unknown_service"):
         resource = resource.merge(Resource({SERVICE_NAME: service}))
@@ -103,13 +103,13 @@ def _set_up(service: str) -> list[Callable[[], object]]:
 
 
 class _Session(requests.Session):
-    """Sends the requests of an exporter, and reports redirects.
+    """Sends the requests of an exporter, and logs redirects as errors.
 
-    The SDK does not follow a redirect, and takes it for a success. A redirect is therefore logged
-    here, in the words of the exporters.
+    The SDK does not follow a redirect, but treats it as a success. This class therefore logs a
+    redirect itself, with the text that the exporters use for other failures.
 
     Args:
-        kind: What is sent, as the exporters call it.
+        kind: What the exporter sends: ``spans`` or ``metrics``.
     """
 
     def __init__(self, kind: str) -> None:
@@ -117,7 +117,7 @@ class _Session(requests.Session):
         self._kind = kind
 
     def send(self, request: requests.PreparedRequest, **settings: Any) -> requests.Response:  # noqa: ANN401  # as requests has them
-        """Send a request."""
+        """Send a request; log an error if the answer is a redirect."""
         response = super().send(request, **settings)
         if 300 <= response.status_code < 400:
             place = response.headers.get("Location", "another address")[:200]
@@ -128,7 +128,10 @@ class _Session(requests.Session):
 
 
 def _session(kind: str) -> requests.Session | None:
-    """A session for an exporter; None if the user's environment names a provider of sessions."""
+    """Return a session for an exporter; None if the environment names a credential provider.
+
+    The SDK then gets the session from that provider.
+    """
     if any(name.endswith("_CREDENTIAL_PROVIDER") for name in os.environ):
         return None
     return _Session(kind)
@@ -136,7 +139,7 @@ def _session(kind: str) -> requests.Session | None:
 
 @contextmanager
 def _without_tracebacks() -> Iterator[None]:
-    """Let the SDK report values that it cannot read in one line each."""
+    """During a ``with`` block, let the SDK report each invalid environment variable in one line."""
     loggers = [logging.getLogger(name) for name in READERS]
     for each in loggers:
         each.addFilter(_shorten)
@@ -157,10 +160,10 @@ def _shorten(record: logging.LogRecord) -> bool:
 
 
 def _is_wanted(variable: str) -> bool:
-    """Whether an environment variable asks for OTLP, the only exporter here.
+    """Whether an environment variable selects OTLP, or is unset or empty.
 
     Raises:
-        TurtleactError: if the variable asks for another exporter.
+        TurtleactError: if the variable selects neither ``otlp`` nor ``none``.
     """
     name = os.environ.get(variable) or "otlp"
     if name not in EXPORTERS:
@@ -169,7 +172,7 @@ def _is_wanted(variable: str) -> bool:
 
 
 async def _run_all(ends: list[Callable[[], object]]) -> None:
-    """Call functions side by side, and wait for them, at most `FLUSH_WITHIN` seconds."""
+    """Call functions in threads at the same time, and wait at most `FLUSH_WITHIN` seconds."""
     left = list(ends)
 
     async def run(end: Callable[[], object]) -> None:

@@ -1,6 +1,6 @@
 """Traces and measures a node's goals with `instrument`, using only OpenTelemetry's API.
 
-The program decides where traces and metrics go: it sets up an SDK with exporters, or uses
+The program decides where traces and metrics go: it sets up an SDK with exporters, or runs under
 ``opentelemetry-instrument``. Without an SDK, the API's calls do nothing.
 """
 
@@ -31,13 +31,15 @@ def instrument(
 ) -> None:
     """Trace and measure the goals that a node serves and sends, from now on.
 
-    Goals that are under way already are measured, but not traced. A second call for the same node
+    Goals that are already under way are measured, but not traced. A second call for the same node
     does nothing.
 
     Args:
         node: The node.
-        tracer_provider: Where spans go. If left out, it is the program's global provider.
-        meter_provider: Where measurements go. If left out, it is the program's global provider.
+        tracer_provider: The provider that gets the spans. If left out, it is the program's global
+            provider.
+        meter_provider: The provider that gets the measurements. If left out, it is the program's
+            global provider.
 
     Raises:
         TurtleactError: if OpenTelemetry's API is not installed, the node is closed, or the caller
@@ -67,7 +69,7 @@ def instrument(
 
 
 class _Instrumentation:
-    """The task that `instrument` runs beside a node. It is closed with the node."""
+    """The task that `instrument` starts for a node. Closing the node ends the task."""
 
     def __init__(self, watching: Coroutine[object, object, None]) -> None:
         self._watching = Background(watching, "measuring the event loop")
@@ -78,7 +80,11 @@ class _Instrumentation:
 
 
 class _Nothing:
-    """Takes the place of a transport's object, because an `_Instrumentation` has none."""
+    """A stand-in for an object of the transport.
+
+    A node closes each user's object together with an object of the transport, but an
+    `_Instrumentation` has no such object.
+    """
 
     def close(self) -> None:
         """Do nothing."""

@@ -10,13 +10,13 @@ __all__ = ["Instruments"]
 
 
 class Instruments:
-    """Passes measurements on to a meter.
+    """Passes measurements on to a meter of OpenTelemetry.
 
     Args:
         provider: Provides the meter; None for the program's global provider.
 
     Attributes:
-        are_off: Whether the program wants no metrics.
+        are_off: Whether the program has switched metrics off.
     """
 
     def __init__(self, provider: metrics.MeterProvider | None) -> None:
@@ -57,15 +57,15 @@ class Instruments:
             self._duration.record(seconds, attributes)
 
     def waited(self, action: str, seconds: float) -> None:
-        """Record how long a goal has waited."""
+        """Record the time from a goal's acceptance to the start of its body."""
         self._wait.record(seconds, {"action": action})
 
     def active_changed(self, action: str, state: str, change: int) -> None:
-        """Count goals that have entered or left a state."""
+        """Add ``change`` to the number of goals in a state."""
         self._active.add(change, {"action": action, "state": state})
 
     def feedback_lost(self, action: str, count: int) -> None:
-        """Count lost feedback."""
+        """Count feedback messages that have not reached a client."""
         self._lost.add(count, {"action": action})
 
     def lagged(self, seconds: float) -> None:

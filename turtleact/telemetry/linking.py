@@ -14,10 +14,10 @@ NEW_TRACES: ContextVar[bool] = ContextVar("NEW_TRACES", default=False)
 
 @contextmanager
 def new_traces() -> Iterator[None]:
-    """Give each goal that is sent in a block its own trace, linked to the current trace.
+    """Give each goal that is sent in a ``with`` block its own trace, linked to the current trace.
 
-    Use this for goals that you detach. Otherwise the server's span is a child of the client's span,
-    which suits a client that waits for the end.
+    Use this for goals that you detach. Without this block, the server's span is a child of the
+    client's span, which suits a client that waits for the goal's end.
     """
     token = NEW_TRACES.set(True)
     try:

@@ -5,9 +5,9 @@
 >>> handler.addFilter(GoalFilter())
 >>> handler.setFormatter(JsonFormatter())
 
-Each record of a body then carries the goal id, the action and the node, whichever module logs it.
-Records from a thread carry them, too, if the thread has the body's context. Threads of
-`asyncio.to_thread` and `anyio.to_thread` have it.
+Each record that is logged in a body then carries the goal id, the action and the node, whichever
+module logs it. A record that is logged in a thread carries them, too, if the thread has the body's
+context. Threads of `asyncio.to_thread` and `anyio.to_thread` have this context.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ __all__ = ["GoalFilter", "JsonFormatter", "TextFormatter"]
 FIELDS: Final = ("goal_id", "action", "node")
 
 PLAIN: Final = frozenset({*logging.makeLogRecord({}).__dict__, "message", "asctime", "taskName"})
-"""The attributes of every record. The user passes any others as ``extra``."""
+"""The attributes that every record has. All others were passed as ``extra``."""
 
 
 class GoalFilter(logging.Filter):
     """Adds ``goal_id``, ``action`` and ``node`` to records, and lets every record pass.
 
-    Outside of bodies, the three are empty. If the record has one of these values already, that
-    value is kept. Add the filter to a handler, because a logger's filters do not see the records of
-    its children.
+    Outside of bodies, these three fields are empty. If a record already has one of these fields,
+    that field is kept. Add the filter to a handler, not to a logger, because a logger's filters do
+    not see the records of its child loggers.
     """
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Add the fields."""
+        """Add the fields to a record."""
         goal = CURRENT_GOAL.get()
         values = "", "", ""
         if goal is not None and isinstance(goal.runner, Execution):
@@ -52,16 +52,16 @@ class GoalFilter(logging.Filter):
 
 
 class TextFormatter(logging.Formatter):
-    """Writes one line with time, level, logger and message.
+    """Writes each record with its time, level, logger and message.
 
-    A body's records also name their goal.
+    If a record was logged in a body, its line ends with the goal id, the action and the node.
     """
 
     def __init__(self) -> None:
         super().__init__("%(asctime)s %(levelname)s %(name)s: %(message)s")
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # logging's name
-        """Add the goal to the line."""
+        """Return a record's line, which ends with the record's goal, if there is one."""
         line = super().formatMessage(record)
         said = [f"{field}={value}" for field in FIELDS if (value := getattr(record, field, ""))]
         return f"{line} [{' '.join(said)}]" if said else line
@@ -70,14 +70,15 @@ class TextFormatter(logging.Formatter):
 class JsonFormatter(logging.Formatter):
     """Writes each record as a JSON object on one line.
 
-    The members are ``time`` (UTC, ISO 8601), ``level``, ``logger`` and ``message``. In a body,
-    there are also ``goal_id``, ``action`` and ``node``; in a span of OpenTelemetry, ``trace_id``
-    and ``span_id``. A traceback is in ``exception``. Values passed as ``extra`` are members, too.
-    An extra with one of these names gets an underscore at its end.
+    Each object has the members ``time`` (UTC, ISO 8601), ``level``, ``logger`` and ``message``. A
+    record that was logged in a body also has ``goal_id``, ``action`` and ``node``. A record that
+    was logged in a span of OpenTelemetry also has ``trace_id`` and ``span_id``. A traceback is in
+    ``exception``. Values passed as ``extra`` are members, too. If an extra has the name of another
+    member, an underscore is added to the extra's name.
     """
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return a record as text."""
+        """Return a record as JSON."""
         members: dict[str, Any] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="microseconds"),
             "level": record.levelname,
@@ -95,7 +96,7 @@ class JsonFormatter(logging.Formatter):
 
 
 def _message(record: logging.LogRecord) -> str:
-    """The message. If its arguments do not fit, describe the error, so that the line stays JSON."""
+    """Return a record's message; if its arguments do not fit, return a description of the error."""
     try:
         return record.getMessage()
     except Exception as error:
@@ -103,7 +104,7 @@ def _message(record: logging.LogRecord) -> str:
 
 
 def _text(value: object) -> str:
-    """The text of a value. If its class fails to give one, a text that says so."""
+    """Return a value as text; if ``str`` fails, the text says so."""
     try:
         return str(value)
     except Exception:
@@ -111,7 +112,7 @@ def _text(value: object) -> str:
 
 
 def _current_span() -> dict[str, str]:
-    """The ids of the current span, if the program uses OpenTelemetry."""
+    """Return the ids of OpenTelemetry's current span; an empty dict if there is none."""
     trace = sys.modules.get("opentelemetry.trace")
     if trace is None:
         return {}
@@ -122,7 +123,7 @@ def _current_span() -> dict[str, str]:
 
 
 def _written(members: dict[str, Any]) -> str:
-    """Write JSON. A value that JSON cannot hold is written as its text."""
+    """Return a JSON object as text. A value that JSON cannot represent becomes a string."""
     try:
         return msgspec.json.encode(members, enc_hook=_text).decode()
     except Exception:

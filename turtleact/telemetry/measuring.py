@@ -1,8 +1,9 @@
-"""Turns the news of observers into measurements: goals by status, durations, waits, and losses.
+"""Measures goals: how many end, how long they take and wait, and how much feedback is lost.
 
-A `Measurements` takes the numbers: `turtleact.telemetry.prometheus` keeps them, and
-`turtleact.telemetry.instruments` passes them on to OpenTelemetry. Times are those of the graph's
-clock. No measurement carries a goal id, because each id would begin a new time series.
+The measurements go to a `Measurements` object: the one in `turtleact.telemetry.prometheus` keeps
+them, and the one in `turtleact.telemetry.instruments` passes them on to OpenTelemetry. The times of
+goals are measured on the graph's clock. No measurement carries a goal id, because each id would
+begin a new time series.
 """
 
 from __future__ import annotations
@@ -23,35 +24,41 @@ BOUNDS: Final = (
     *(0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0),
     *(30.0, 60.0, 120.0, 300.0, 600.0, 1800.0),
 )
-"""The bounds of the histograms' buckets (s): goals take milliseconds or half an hour."""
+"""The upper bounds of the histograms' buckets (s). Goals may take milliseconds or half an hour."""
 
 INTERVAL: Final = 0.5
 """How often the lag of the event loop is measured (s)."""
 
 NAMES: Final = tuple(status.name.lower() for status in GoalStatus)
-"""The names of states in measurements, by number."""
+"""The names of goal states in measurements. The index is the state's number."""
 
 AnyServer = ActionServer[Any, Any, Any]
 AnyClient = ActionClient[Any, Any, Any]
 
 
 class Measurements(Protocol):
-    """Takes measurements. The methods must not raise exceptions, and must not block."""
+    """Receives measurements. Its methods must not raise exceptions, and must not block."""
 
     def ended(self, action: str, status: str, seconds: float | None) -> None:
-        """Called when a goal has ended, with its age in seconds (None for a rejected goal)."""
+        """Called when a goal has ended, with the time since its acceptance (s).
+
+        If the goal was rejected, ``seconds`` is None.
+        """
 
     def waited(self, action: str, seconds: float) -> None:
-        """Called when a body begins, with the time since its goal's acceptance."""
+        """Called when a body begins, with the time since its goal's acceptance (s)."""
 
     def active_changed(self, action: str, state: str, change: int) -> None:
-        """Called when goals enter or leave a state that is not final, with the change in number."""
+        """Called when the number of goals in a state changes, except for final states.
+
+        ``change`` is the new number minus the old one.
+        """
 
     def feedback_lost(self, action: str, count: int) -> None:
         """Called with the number of feedback messages that have not reached a client."""
 
     def lagged(self, seconds: float) -> None:
-        """Called with how late the event loop was."""
+        """Called regularly with the number of seconds by which the event loop was late."""
 
 
 def watch(
@@ -59,7 +66,10 @@ def watch(
     on_server: Callable[[AnyServer], object],
     on_client: Callable[[AnyClient], object],
 ) -> None:
-    """Call a function with each action server and client of a node, open now or opened later."""
+    """Call ``on_server`` with each action server of a node, and ``on_client`` with each client.
+
+    The functions are called now for servers and clients that are open, and later for each new one.
+    """
 
     def told(thing: object) -> None:
         if isinstance(thing, ActionServer):
@@ -80,7 +90,7 @@ def measure(node: Node, measurements: Measurements) -> None:
 
 
 async def watch_loop(measurements: Measurements) -> None:
-    """Measure how late the event loop is, until cancelled."""
+    """Measure how late the event loop is, every `INTERVAL` seconds, until cancelled."""
     while True:
         due = anyio.current_time() + INTERVAL
         await anyio.sleep_until(due)
@@ -103,7 +113,7 @@ class _ServerMeter(GoalObserver):
         return False
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
-        """Called after a goal has changed its state."""
+        """Count the goal in its new state, and measure how long it has waited or taken."""
         self._move(before, after)
         if after is GoalStatus.EXECUTING:
             self._measurements.waited(self._action, (self._now() - goal.stamp) / 1e9)
@@ -112,14 +122,17 @@ class _ServerMeter(GoalObserver):
             self._measurements.ended(self._action, NAMES[after], seconds)
 
     def noted(self, goal: Goal, news: News) -> None:  # noqa: ARG002
-        """Called when something else happens to a goal."""
+        """Count lost feedback.
+
+        If the server stops before the goal's end, stop counting the goal as active.
+        """
         if isinstance(news, Lost):
             self._move(news.before, GoalStatus.UNKNOWN)
         elif isinstance(news, FeedbackLost):
             self._measurements.feedback_lost(self._action, news.count)
 
     def goal_rejected(self, reason: str) -> None:  # noqa: ARG002
-        """Called when the server rejects a goal."""
+        """Count a goal that the server rejects."""
         self._measurements.ended(self._action, "rejected", None)
 
     def _move(self, before: GoalStatus, after: GoalStatus) -> None:
@@ -130,13 +143,13 @@ class _ServerMeter(GoalObserver):
 
 
 class _ClientMeter(GoalObserver):
-    """Measures the feedback that does not reach a client, which only the client knows."""
+    """Measures feedback that is lost on its way to a client. Only the client notices the loss."""
 
     def __init__(self, action: str, measurements: Measurements) -> None:
         self._action = action
         self._measurements = measurements
 
     def noted(self, goal: Goal, news: News) -> None:  # noqa: ARG002
-        """Called when something else happens to a goal."""
+        """Count lost feedback."""
         if isinstance(news, FeedbackLost):
             self._measurements.feedback_lost(self._action, news.count)

@@ -1,13 +1,13 @@
 """Keeps measurements of goals in memory, and writes them in Prometheus's format.
 
 ================================  =========  ======================  ==============================
-metric                            kind       labels                  what it counts
+metric                            kind       labels                  what it measures
 ================================  =========  ======================  ==============================
 ``ros_action_goals_total``        counter    ``action``, ``status``  goals that have ended
-``ros_action_duration_seconds``   histogram  ``action``, ``status``  from acceptance to the end
-``ros_action_wait_seconds``       histogram  ``action``              from acceptance to the body
+``ros_action_duration_seconds``   histogram  ``action``, ``status``  time from acceptance to end
+``ros_action_wait_seconds``       histogram  ``action``              time from acceptance to body
 ``ros_action_active``             gauge      ``action``, ``state``   goals that have not ended
-``ros_action_feedback_lost_total``  counter  ``action``              feedback that has not arrived
+``ros_action_feedback_lost_total``  counter  ``action``              lost feedback messages
 ``turtleact_loop_lag_seconds``    histogram                          how late the event loop is
 ================================  =========  ======================  ==============================
 
@@ -32,13 +32,13 @@ Labels: TypeAlias = tuple[str, ...]
 
 
 class _Metric(NamedTuple):
-    """A metric.
+    """The name, kind, help text and labels of a metric.
 
     Attributes:
         name: The metric's name.
         kind: The metric's kind in Prometheus.
-        about: What the metric measures.
-        labels: The names of its labels.
+        about: What the metric measures, as a help text.
+        labels: The names of the metric's labels.
     """
 
     name: str
@@ -47,12 +47,15 @@ class _Metric(NamedTuple):
     labels: tuple[str, ...] = ()
 
     def head(self) -> Iterator[str]:
-        """The lines of the metric before its samples."""
+        """Yield the metric's ``HELP`` and ``TYPE`` lines."""
         yield f"# HELP {self.name} {self.about}"
         yield f"# TYPE {self.name} {self.kind}"
 
     def written(self, values: Labels, **more: str) -> str:
-        """The labels of a sample as text. Names of actions and states need no escaping."""
+        """Return the labels of a sample as text.
+
+        The label values are the names of actions and states, which need no escaping.
+        """
         labels = {**dict(zip(self.labels, values, strict=True)), **more}
         return "{" + ",".join(f'{name}="{each}"' for name, each in labels.items()) + "}"
 
@@ -85,7 +88,7 @@ LAG: Final = _Metric("turtleact_loop_lag_seconds", "histogram", "How late the ev
 
 
 class GoalMetrics:
-    """Counts the goals of nodes. This needs no other package.
+    """Counts the goals of nodes, for Prometheus. This class needs no extra package.
 
     >>> metrics = GoalMetrics()
     >>> for line in metrics.text().splitlines()[:2]:
@@ -116,12 +119,12 @@ class GoalMetrics:
         await watch_loop(self._totals)
 
     def text(self) -> str:
-        """All metrics in Prometheus's text format."""
+        """Return all metrics in Prometheus's text format."""
         return self._totals.text()
 
 
 class Totals:
-    """Keeps measurements; see `turtleact.telemetry.measuring.Measurements`."""
+    """Keeps measurements; its methods are those of `turtleact.telemetry.measuring.Measurements`."""
 
     def __init__(self) -> None:
         self._goals = Counter[Labels]()
@@ -139,15 +142,15 @@ class Totals:
             self._add(self._durations, labels, seconds)
 
     def waited(self, action: str, seconds: float) -> None:
-        """Record how long a goal has waited."""
+        """Record the time from a goal's acceptance to the start of its body."""
         self._add(self._waits, (action,), seconds)
 
     def active_changed(self, action: str, state: str, change: int) -> None:
-        """Count goals that have entered or left a state."""
+        """Add ``change`` to the number of goals in a state."""
         self._active[action, state] += change
 
     def feedback_lost(self, action: str, count: int) -> None:
-        """Count lost feedback."""
+        """Count feedback messages that have not reached a client."""
         self._lost[action,] += count
 
     def lagged(self, seconds: float) -> None:
@@ -155,7 +158,7 @@ class Totals:
         self._lags[()].add(seconds)
 
     def text(self) -> str:
-        """All metrics in Prometheus's text format."""
+        """Return all metrics in Prometheus's text format."""
         told = (
             _counts(GOALS, self._goals),
             _histograms(DURATION, self._durations),
@@ -175,11 +178,12 @@ class Totals:
 
 
 class _Histogram:
-    """A histogram: counts values between bounds, and adds them up.
+    """Counts values in buckets, and adds the values up.
 
     Attributes:
-        counts: How many values fell between each bound and the one before. The last number counts
-            the values above all bounds.
+        counts: How many values are in each bucket. Each bucket but the last holds the values up to
+            one of the `BOUNDS` and above the bound before it. The last bucket holds the values
+            above all bounds.
         sum: The sum of all values.
     """
 
@@ -190,7 +194,7 @@ class _Histogram:
         self.sum = 0.0
 
     def add(self, value: float) -> None:
-        """Add a value."""
+        """Count a value in its bucket, and add it to the sum."""
         self.counts[bisect_left(BOUNDS, value)] += 1
         self.sum += value
 

@@ -1,6 +1,6 @@
 """Tools for testing actions: virtual time, a call that runs a goal, and an unreliable transport.
 
-This package knows nodes, clocks and transports, but no world and no particular action.
+This package uses nodes, clocks and transports, but no simulated world and no particular action.
 ``turtleact.testing.plugin`` is the pytest plug-in, and the only module that imports pytest.
 """
 

@@ -39,13 +39,14 @@ async def run_goal(action: ActionDeclaration[..., object], goal: Message) -> Goa
 
 
 async def run_goal(action: Any, goal: Message) -> GoalRun[Any, Any]:
-    """Send a goal and wait for its end. A goal that does not succeed raises no error.
+    """Send a goal and wait for its end.
 
-    Cancelling: cancels the goal and waits for its end.
+    If the goal ends ABORTED or CANCELED, this raises no error. Cancelling: cancels the goal and
+    waits for its end.
 
     Args:
         action: An open server, or an action declared with `turtleact.action`. A declared action is
-            served on a node of its own, alone on its graph.
+            served on a new node, which is alone on its graph.
         goal: The goal message.
 
     Returns:

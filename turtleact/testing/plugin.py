@@ -1,10 +1,12 @@
 """Virtual time for pytest: every async test runs on asyncio and, if installed, on trio.
 
-This module has a fixture, ``anyio_backend``, with the name that anyio's own plug-in looks for. To
-use it for a folder, write ``from turtleact.testing.plugin import anyio_backend`` in its
-``conftest.py``. To use it for one test module, write the same line there. The suite's top
-``conftest.py`` may instead have ``pytest_plugins = ["turtleact.testing.plugin"]``. In that case, a
-folder or module can still define another fixture with this name.
+This module defines the fixture ``anyio_backend``, which anyio's pytest plug-in uses to run async
+tests. There are three ways to use it:
+
+- For one test module, write ``from turtleact.testing.plugin import anyio_backend`` there.
+- For all tests in a folder, write the same line in the folder's ``conftest.py``.
+- For all tests, write ``pytest_plugins = ["turtleact.testing.plugin"]`` in the top ``conftest.py``.
+  A folder or test module can still define another fixture named ``anyio_backend`` for its tests.
 """
 
 from __future__ import annotations
@@ -21,5 +23,5 @@ __all__ = ["anyio_backend"]
 
 @pytest.fixture(params=[name for name in ("asyncio", "trio") if find_spec(name)])
 def anyio_backend(request: pytest.FixtureRequest) -> tuple[str, dict[str, Any]]:
-    """The backend of an async test, in virtual time. Each test begins at time 0."""
+    """Return a backend with virtual time for an async test. Each test begins at time 0."""
     return virtual_backend(request.param)

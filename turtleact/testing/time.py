@@ -1,17 +1,15 @@
 """Virtual time for whole programs: an event loop that jumps to its next timer instead of waiting.
 
-`anyio.sleep`, `asyncio.timeout`, ``loop.time()`` and the clocks of nodes opened there all share one
-time. It begins at 0 and stands still while any task can run. When all tasks wait, time jumps, with
-two exceptions:
+`anyio.sleep`, `asyncio.timeout`, ``loop.time()`` and the clocks of nodes in this event loop all use
+the same virtual time. It begins at 0 and stands still while any task can run. When all tasks wait,
+time jumps to the next timer, with two exceptions:
 
-- The loop may have given work to a thread (``asyncio.to_thread``, ``run_in_executor``, or
-  ``anyio.to_thread.run_sync`` with its default limiter). Time then stands still until the thread is
-  done, because it is sure to end.
-- A socket, a pipe or a child process may be open. Time then jumps only after ``patience`` real
-  seconds without any news from it, because nobody can know whether news will come.
-
-Consequently, a thread that itself waits for virtual time waits forever. Time does not wait for a
-thread that the loop did not start.
+- If the loop has given work to a thread (``asyncio.to_thread``, ``run_in_executor``, or
+  ``anyio.to_thread.run_sync`` with its default limiter), time stands still until the thread is
+  done. Therefore, if the thread itself waits for virtual time, it waits forever. Time does not
+  stand still for other threads.
+- If a socket, a pipe or a child process is open, time jumps only after ``patience`` real seconds in
+  which nothing has arrived, because nobody can know whether something will still arrive.
 
 Source: trio's ``MockClock`` for the idea; asyncio's ``BaseEventLoop._run_once``, which asks its
 selector to wait until the next timer.
@@ -56,10 +54,10 @@ def run(
 
     Args:
         async_fn: The coroutine function.
-        *args: Its arguments.
-        backend: The event loop.
-        patience: How long sockets, pipes and child processes must be silent before time jumps (real
-            s, 0 or more). With `math.inf`, time stands still as long as one of these is open.
+        *args: The arguments of the coroutine function.
+        backend: The event loop: ``"asyncio"`` or ``"trio"``.
+        patience: How long sockets, pipes and child processes must be silent before time jumps (s of
+            real time, 0 or more). With `math.inf`, time stands still while one of these is open.
 
     Returns:
         The result of ``async_fn``.
@@ -74,12 +72,12 @@ def run(
 def virtual_backend(
     backend: Backend = "asyncio", *, patience: float = PATIENCE
 ) -> tuple[str, dict[str, Any]]:
-    """Return an anyio backend with virtual time; an ``anyio_backend`` fixture can return it.
+    """Return an anyio backend with virtual time, for example for an ``anyio_backend`` fixture.
 
-    Each backend is for a single run, which begins at 0 s.
+    Use each backend for a single run. The run begins at time 0.
 
     Args:
-        backend: The event loop.
+        backend: The event loop: ``"asyncio"`` or ``"trio"``.
         patience: See `run`.
 
     Returns:
@@ -104,10 +102,10 @@ def virtual_backend(
 
 
 class VirtualEventLoop(WatchedEventLoop):
-    """asyncio's own event loop, with a selector that jumps in time instead of waiting.
+    """asyncio's event loop, with a selector that moves time forward instead of waiting.
 
     Attributes:
-        is_virtual: Tells `turtleact.clock` that the loop's time is virtual.
+        is_virtual: True, which tells `turtleact.clock` that the loop's time is virtual.
     """
 
     is_virtual = True
@@ -124,7 +122,7 @@ class VirtualEventLoop(WatchedEventLoop):
         return self._now
 
     def leap(self, seconds: float) -> None:
-        """Move time forward."""
+        """Move time forward by this many seconds."""
         self._now += seconds
 
     @property
@@ -134,7 +132,7 @@ class VirtualEventLoop(WatchedEventLoop):
 
     @property
     def has_peers(self) -> bool:
-        """Whether news may come from outside, that is, a socket, pipe or child process is open."""
+        """Whether a socket, pipe or child process is open, so that data may still arrive."""
         self._children = [child for child in self._children if child.get_returncode() is None]
         own = 1  # the pipe that wakes the loop
         return bool(self._children) or len(self.idle_selector.get_map()) > own
@@ -147,7 +145,7 @@ class VirtualEventLoop(WatchedEventLoop):
         super().run_forever()
 
     async def _learn(self) -> None:
-        """Find the limiter of anyio's threads. This is possible only inside a task."""
+        """Get anyio's default thread limiter, which can be read only in a task."""
         self._limiter = anyio.to_thread.current_default_thread_limiter()
 
     def run_in_executor(
@@ -163,7 +161,7 @@ class VirtualEventLoop(WatchedEventLoop):
         self._jobs -= 1
 
     async def shutdown_default_executor(self, *timeout: float | None) -> None:
-        """Wait for the threads to end. Time stands still meanwhile."""
+        """Wait for the threads to end. Virtual time stands still during this wait."""
         self._jobs += 1
         try:
             await super().shutdown_default_executor(*timeout)
@@ -171,11 +169,11 @@ class VirtualEventLoop(WatchedEventLoop):
             self._jobs -= 1
 
     async def subprocess_exec(self, *args: Any, **options: Any) -> Any:  # noqa: ANN401  # as there
-        """Start a child process, and remember it."""
+        """Start a child process, which counts as open until it ends."""
         return self._remember(await super().subprocess_exec(*args, **options))
 
     async def subprocess_shell(self, *args: Any, **options: Any) -> Any:  # noqa: ANN401  # as there
-        """Start a child process, and remember it."""
+        """Start a child process, which counts as open until it ends."""
         return self._remember(await super().subprocess_shell(*args, **options))
 
     def _remember(self, started: tuple[asyncio.SubprocessTransport, T]) -> object:
@@ -184,7 +182,7 @@ class VirtualEventLoop(WatchedEventLoop):
 
 
 class _Selector(IdleSelector):
-    """Waits for real events while some may come. Otherwise it moves time forward."""
+    """Moves time forward instead of waiting, unless a thread is working or data may arrive."""
 
     def __init__(self, loop: VirtualEventLoop, patience: float) -> None:
         super().__init__()
@@ -192,7 +190,7 @@ class _Selector(IdleSelector):
         self._patience = patience
 
     def wait_for_events(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Jump to the next timer, unless something real is under way."""
+        """Move time forward to the next timer, or wait for data or a thread if necessary."""
         if timeout is None or self._loop.has_jobs:  # there is no timer, or a thread is working
             return super().wait_for_events(None)
         if self._patience and self._loop.has_peers:
@@ -208,10 +206,11 @@ class _Selector(IdleSelector):
 
 
 class _Hold:
-    """Keeps trio's clock from jumping while something real is under way.
+    """Stops trio's clock from jumping while a thread is working or data may arrive.
 
-    It is a trio instrument: after each step of a task, it sets how long all tasks must have waited,
-    in real time, before the clock jumps.
+    This is a trio instrument. After each step of a task, it sets the clock's
+    ``autojump_threshold``: the real time for which all tasks must have waited before the clock
+    jumps.
     """
 
     def __init__(self, clock: trio.testing.MockClock, patience: float) -> None:
@@ -222,7 +221,7 @@ class _Hold:
         self._patience = patience
 
     def after_task_step(self, task: trio.lowlevel.Task) -> None:  # noqa: ARG002  # trio passes it
-        """Check whether something real is under way, and set the time to wait."""
+        """Check for working threads and open sockets, and set the ``autojump_threshold``."""
         threshold = 0.0
         if self._trio.to_thread.current_default_thread_limiter().borrowed_tokens:
             threshold = math.inf

@@ -1,4 +1,4 @@
-"""Carries messages between nodes. This package exports the public names."""
+"""Carries messages between nodes. The public names are exported here."""
 
 from __future__ import annotations
 

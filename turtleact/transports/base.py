@@ -1,24 +1,23 @@
 """The interface of transports, which carry messages between the nodes of one graph.
 
-A transport knows no goal and no message class. It carries messages between `Endpoint` objects of
-the same name and type. If messages travel as bytes, the `Format` of an endpoint converts them. A
-transport guarantees:
+A transport knows nothing about goals or message classes. It carries messages between `Endpoint`
+objects of the same name and type. If messages travel as bytes, the `Format` of an endpoint converts
+them. A transport guarantees:
 
 - Each subscription gets the messages of one publisher in the order in which they were published.
-- `Transport.subscribe` calls ``deliver`` in the event loop of the subscriber, or, if the subscriber
-  asks for it, in the thread that brings the message. An exception that ``deliver`` raises is logged
-  and never reaches the publisher.
-- A subscription gets the last messages of a transient-local publisher first, even if it was opened
-  after they were published.
-- A closed endpoint neither sends nor receives. When a publisher closes, its latched messages are
-  gone, too.
-- A mismatch of quality of service never keeps two endpoints apart.
-- A call ends, with a reply or with the reason why there is none.
+- The ``deliver`` function of a subscription is called in the subscription's event loop. If the
+  subscription is opened with ``in_any_thread``, the thread that publishes or receives the message
+  calls it instead. An exception that ``deliver`` raises is logged and never reaches the publisher.
+- A topic is *latched* if its endpoints are transient-local. A new subscription of a latched topic
+  first gets the publishers' last messages, even those published before the subscription was opened.
+- A closed endpoint neither sends nor receives. The latched messages of a closed publisher are gone.
+- Two endpoints of the same name and type communicate even if their qualities of service differ.
+- Every call ends, either with a reply or with an error that says why there is none.
 
-`Transport.serve` offers any object as a service. In the same process, `Transport.local` hands that
-object to a client, which uses it directly; no request passes through the transport. If the object
-is an `AsyncHandler`, clients in other processes call it with the `Caller` that `Transport.join`
-returns.
+`Transport.serve` accepts any object as the handler of a service. A client in the same process gets
+the handler from `Transport.local` and calls it directly, so no request passes through the
+transport. If the handler is an `AsyncHandler`, clients in other processes can call it through the
+`Caller` that `Transport.join` returns.
 
 Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 """
@@ -88,12 +87,12 @@ class QoS(msgspec.Struct, frozen=True, kw_only=True):
     """Quality of service of a topic.
 
     Attributes:
-        depth: How many messages are kept for a reader that lags (keep last), at least 1.
-        durability: ``"transient_local"`` also keeps messages for readers that come later.
-        reliability: ``"best_effort"`` allows the transport to lose messages.
+        depth: How many of the newest messages are kept for a slow reader, at least 1.
+        durability: With ``"transient_local"``, the last messages are also kept for later readers.
+        reliability: With ``"best_effort"``, the transport may lose messages.
 
     Raises:
-        InvalidMessage: if an attribute has another value.
+        InvalidMessage: if the value of an attribute is not allowed.
     """
 
     depth: int = 10
@@ -117,14 +116,15 @@ _POLICIES = {
 class TimePolicies(msgspec.Struct, frozen=True, gc=False):
     """The QoS policies of a ROS 2 endpoint that are measured in time.
 
-    turtleact shows these policies of its peers. Its own endpoints have none, and turtleact enforces
-    none.
+    turtleact shows these policies of ROS 2 endpoints, but does not enforce them. Its own endpoints
+    do not set them.
 
     Attributes:
         deadline: The longest time between two messages (ns); None if there is no limit.
-        lifespan: How long a message is valid (ns); None for ever.
+        lifespan: How long a message is valid (ns); None if it is always valid.
         liveliness: How a publisher shows that it is alive, such as ``"automatic"``.
-        lease: How long a publisher counts as alive without showing it (ns); None for ever.
+        lease: How long a publisher counts as alive after its last sign of life (ns); None for no
+            limit.
     """
 
     deadline: int | None = None
@@ -141,18 +141,19 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
     """One end of a topic or service.
 
     Attributes:
-        kind: The role of the endpoint.
+        kind: Whether this is a publisher, a subscription, a client or a server (``"service"``).
         name: The fully qualified name of the topic or service.
-        type_name: The name of its interface, ``pkg/kind/Name``.
-        node: The fully qualified name of its node.
-        qos: Quality of service, for topics.
-        times: The QoS policies that are measured in time, as a ROS 2 peer declares them.
-        type_hash: The hash of its type, if known.
-        gid: The 16 bytes that identify the endpoint to other processes, if any.
+        type_name: The type name of the topic or service, ``pkg/kind/Name``.
+        node: The fully qualified name of the endpoint's node.
+        qos: The quality of service, if the endpoint belongs to a topic.
+        times: The QoS policies that are measured in time. turtleact sets none for its endpoints.
+        type_hash: The hash of the type; empty if it is not known.
+        gid: The 16 bytes that identify the endpoint to other processes; empty if it has none.
         on_demand: Whether the endpoint stays hidden from other processes until one of them has an
-            endpoint with the same name. This saves work if few of thousands of endpoints are ever
-            used.
-        is_unlisted: Whether lists of all endpoints leave the endpoint out, even in its own process.
+            endpoint with the same name. This saves work if a process opens thousands of endpoints
+            and uses only a few.
+        is_unlisted: Whether `Transport.endpoints` and `Transport.local_endpoints` leave the
+            endpoint out if they are called without a name, in the process that opened the endpoint.
     """
 
     kind: EndpointKind
@@ -170,28 +171,31 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
 class Format(Protocol):
     """Converts an endpoint's messages to bytes and back.
 
-    The server of a service reads requests and writes responses. Its client does the opposite.
+    The format of a server decodes requests and encodes responses. The format of a client encodes
+    requests and decodes responses.
     """
 
     @property
     def type_hash(self) -> str:
-        """The hash of the message or service, ``RIHS01_…``."""
+        """The type hash of the topic or service, ``RIHS01_…``."""
 
     def encode(self, message: object) -> bytes:
         """Encode a message. Raises `InvalidMessage` if the message does not fit its type."""
 
     def decode(self, data: bytes) -> object:
-        """Decode a message. Raises `InvalidMessage` if the bytes are not such a message."""
+        """Decode a message. Raises `InvalidMessage` if the bytes are not a message of the type."""
 
 
 class RawFormat:
-    """A format that leaves bytes as they are.
+    """A format for messages that stay encoded.
 
-    A subscription with this format gets bytes where a publisher has them, and otherwise objects.
+    A subscription with this format gets a message as bytes if the message comes from another
+    process or was sent with `Publication.send`. Otherwise, the subscription gets the message
+    object.
 
     Args:
         type_hash: The hash of the type.
-        encode: Encodes messages that are objects.
+        encode: Encodes message objects. None if every message to send is already encoded.
     """
 
     def __init__(self, type_hash: str, encode: Callable[[object], bytes] | None = None) -> None:
@@ -199,72 +203,72 @@ class RawFormat:
         self._encode = encode
 
     def encode(self, message: object) -> bytes:
-        """Return the bytes of a message."""
+        """Return a message as bytes. A message that is already encoded is returned unchanged."""
         if isinstance(message, bytes) or self._encode is None:
             return message  # type: ignore[return-value]  # without a class, only bytes come
         return self._encode(message)
 
     def decode(self, data: bytes) -> object:
-        """Return the bytes."""
+        """Return ``data`` unchanged."""
         return data
 
 
 class MakeEndpoint(Protocol):
-    """A function that describes an endpoint of its node."""
+    """A function of a node that makes `Endpoint` objects for the node."""
 
     def __call__(
         self, kind: EndpointKind, name: str, type_name: str, qos: QoS | None = None
     ) -> Endpoint:
-        """Return the description of an endpoint."""
+        """Return an `Endpoint` of the node."""
 
 
 class Closeable(Protocol):
-    """Something opened on a transport."""
+    """An open object of a transport, such as a subscription."""
 
     def close(self) -> None:
-        """Close this object. A second call does nothing."""
+        """Close this object. Closing it again does nothing."""
 
 
 class AsyncCloseable(Protocol):
-    """Something open that may take a while to close."""
+    """An open object that may take a while to close."""
 
     async def aclose(self) -> None:
-        """Close this object. A second call does nothing."""
+        """Close this object. Closing it again does nothing."""
 
 
 class Serving(AsyncCloseable, Protocol):
-    """A server."""
+    """An action server or a service server."""
 
     @property
     def is_idle(self) -> bool:
-        """Whether closing the server would take no time."""
+        """Whether the server can be closed without waiting."""
 
 
 class Owner(Protocol):
-    """Owns everything that is opened on it, as a node does. Closing the owner closes everything.
+    """Owns other objects, as a node does. When the owner is closed, it closes these objects.
 
     Attributes:
-        home: The event loop for the owner and for everything that is opened on it.
+        home: The event loop of the owner and of everything that is opened on the owner.
     """
 
     home: Home
 
     def add(self, thing: AsyncCloseable, opened: Closeable) -> Closeable:
-        """Track an object until the user or the owner closes it.
+        """Track an open object, so that the owner can close it when the owner is closed.
 
         Args:
-            thing: The user's object.
-            opened: The transport's object, closed together with it.
+            thing: The object that the user has opened, such as a subscription.
+            opened: The object that the transport has opened for ``thing``.
 
         Returns:
-            An object that closes both. When the user closes ``thing``, ``thing`` must close this
-            object.
+            An object whose ``close`` closes ``opened`` and ends the tracking. When ``thing`` is
+            closed, ``thing`` must call this ``close``.
         """
 
     def add_server(
         self, kind: ServerKind, server: Serving, close: Callable[[], object]
     ) -> Closeable:
-        """Track a server, as `add` does. ``close`` removes the server from the graph."""
+        """Track a server, as `add` does. ``close`` must remove the server from the graph."""
 
 
 class Publication(Closeable, Protocol):
@@ -272,54 +276,49 @@ class Publication(Closeable, Protocol):
 
     @property
     def has_readers(self) -> bool:
-        """Whether a message published now has a reader.
-
-        On a latched topic, it may get one later.
-        """
+        """Whether a message published now has a reader, or may get one later (latched topics)."""
 
     @property
     def has_near_readers(self) -> bool:
-        """Whether a subscription in this process would get a message."""
+        """Whether a message published now has a reader in this process, or may get one later."""
 
     @property
     def has_object_readers(self) -> bool:
-        """Whether a subscription in this process needs objects, not bytes; see `RawFormat`."""
+        """Whether a subscription in this process needs, or may later need, message objects."""
 
     @property
     def is_congested(self) -> bool:
-        """Whether messages are published faster than they are read; see `drained`."""
+        """Whether so many bytes wait to be sent that you should await `drained`."""
 
     @property
     def dropped(self) -> int:
-        """How many messages were dropped before they were sent, because too many waited."""
+        """How many messages were dropped before they were sent, because too many were waiting."""
 
     def publish(self, message: object) -> None:
         """Send a message to every subscription. Do not change the message afterwards."""
 
     def send(self, data: bytes) -> None:
-        """Send an encoded message to subscriptions in other processes, or with a `RawFormat`."""
+        """Send an encoded message to other processes, and to subscriptions with a `RawFormat`."""
 
     def expect_readers(self) -> None:
-        """Send from now on. A reader exists, even if it has not been discovered yet."""
+        """From now on, send messages to other processes even if no reader is known there yet."""
 
     def refresh(self) -> None:
-        """Publish the source's current state.
-
-        Other processes get one message for many calls in a row.
-        """
+        """Publish the source's state. The transport may skip a state that is soon replaced."""
 
     async def drained(self) -> None:
         """Wait until the publication is no longer congested. Cancelling: safe."""
 
 
 class Source(Protocol):
-    """Makes the messages of a topic from the current state, while somebody reads the topic.
+    """Makes the messages of a topic from the current state of an object.
 
-    A subclass without a state only implements `readers_changed`.
+    Unless the topic is latched, messages are made only while somebody reads the topic. If a
+    subclass has no state, it needs to implement only `readers_changed`.
     """
 
     def current(self) -> Sequence[object]:
-        """The messages that a new reader of a transient-local topic gets first."""
+        """Return the messages that a new reader of a latched topic gets first."""
         return ()
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
@@ -327,9 +326,9 @@ class Source(Protocol):
         return ()
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Called when the first reader has come, and when the last one has left.
+        """Called when the topic gets its first reader or loses its last one.
 
-        If a reader exists before the publisher, this is called while the publisher is opened.
+        If the topic already has a reader, this is called while the publisher is being opened.
         """
 
 
@@ -338,7 +337,7 @@ class LossAware(Protocol):
     """A source that is told when its topic loses messages."""
 
     def message_lost(self) -> None:
-        """Called when a message was dropped because messages are sent too slowly."""
+        """Called when a message was dropped because too many messages were waiting to be sent."""
 
 
 class Reply(msgspec.Struct, frozen=True):
@@ -361,11 +360,10 @@ class Target(msgspec.Struct, frozen=True, gc=False):
     """Selects servers for a client's requests if several processes serve the same service.
 
     Attributes:
-        servers: ``"all"``, as in ROS 2, or ``"one"``, the nearest server. With ``"all"``, the first
-            reply wins.
-        counts: Decides by the bytes of a reply whether the reply may win. A reply that may not win
-            is used only if no other server sends a better one. This function may be called in any
-            thread.
+        servers: Which servers get each request: ``"all"``, as in ROS 2, or ``"one"``, the nearest
+            server. With ``"all"``, the client uses the first reply.
+        counts: Called with the bytes of each reply, in any thread. The client uses the first reply
+            for which this function returns True. If there is none, the client uses the last reply.
     """
 
     servers: Literal["one", "all"] = "all"
@@ -377,37 +375,37 @@ EVERY_SERVER = Target()
 
 
 class PendingCall(Protocol):
-    """A request that is under way. In the end, call `take`, `reply` or `drop`."""
+    """A request that is under way. Its sender must end it with `take`, `reply` or `drop`."""
 
     @property
     def is_over(self) -> bool:
-        """Whether a reply has arrived or will never arrive."""
+        """Whether a reply has arrived, or none will ever arrive."""
 
     @property
     def stamp(self) -> int | None:
-        """When the reply was sent, by the clock of its sender (ns since the epoch), if known."""
+        """When the reply was sent (ns since the epoch, by its sender's clock); None if unknown."""
 
     def tell(self, told: Callable[[], object]) -> None:
         """Call ``told`` in the event loop, at least once, when the call is over."""
 
     def take(self) -> Reply:
-        """Return the reply of a call that is over, or raise the error of `Caller.call`."""
+        """Return the reply of a call that is over. Raises the same errors as `Caller.call`."""
 
     async def reply(self) -> Reply:
-        """Wait for the reply, and return it or raise its error like `take`."""
+        """Wait for the reply and return it. Raises the same errors as `Caller.call`."""
 
     def drop(self) -> None:
-        """Give up the reply. After the reply was taken, this does nothing."""
+        """Stop waiting for the reply. After `take` or `reply`, this does nothing."""
 
 
 class CallObserver(Protocol):
-    """Watches the calls of one service, at its client or at its server.
+    """Watches the calls of one service, either at a client or at the server.
 
     A call is identified by the gid of its client and by its sequence number. The methods must not
-    raise. They are called where the call is handled: in the event loop, unless the client or the
-    server works in other threads. A handler has its observer in the attribute ``observer``, which
-    must be set before the handler is offered. A request or response that travels between processes
-    is given as its bytes.
+    raise. They are called in the event loop, unless the client or the server handles calls in other
+    threads. The observer gets a request or response as bytes if it travels between processes, and
+    otherwise as an object. To observe a handler, set the handler's attribute ``observer`` before
+    you pass the handler to `Transport.serve`.
     """
 
     def requested(self, request: object, gid: bytes, sequence: int) -> None:
@@ -424,17 +422,17 @@ class Caller(Closeable, Protocol):
     """The client end of a service.
 
     Attributes:
-        observer: Watches the calls; None, the default, for no observer.
+        observer: Watches the calls; None (the default) if nobody watches them.
     """
 
     observer: CallObserver | None
 
     @property
     def is_served(self) -> bool:
-        """Whether a call would reach a server now. This changes only when the graph changes."""
+        """Whether a call would reach a server now. This changes only if the graph changes."""
 
     async def wait_for_route(self) -> None:
-        """Wait at most a few seconds until a server that is on the graph can be reached.
+        """Wait, at most a few seconds, until a server that is on the graph can be reached.
 
         A client that was opened a moment ago sees a server before it can reach that server. If no
         server is on the graph, this returns at once. Cancelling: safe.
@@ -443,19 +441,20 @@ class Caller(Closeable, Protocol):
     async def call(self, request: object, note: str = "") -> Reply:
         """Send a request and wait for the reply.
 
-        Cancelling: safe. A server in the same process is told of the cancellation.
+        Cancelling: safe. A server in the same process learns of the cancellation.
 
         Args:
             request: The request.
-            note: A short text to send with it, for `REQUEST_NOTE` of a server in another process.
+            note: A short text for a server in another process; see `REQUEST_NOTE`.
 
         Raises:
             InvalidMessage: if the request does not fit its type. Nothing was sent.
-            ServerUnavailable: if nobody serves the service, if it has another type, or if the
-                server went away.
-            ServiceError: if the handler failed. If the handler raised a `TurtleactError`, that
-                error is raised here instead.
-            TurtleactError: if the caller is closed.
+            ServerUnavailable: if no server of the client's service type exists, or if the server
+                goes away during the call.
+            ServiceError: if the handler failed. But if a handler in the same process raises a
+                `TurtleactError`, the call raises that error. If a handler in another process raises
+                `InvalidMessage` or `ServerUnavailable`, the call also raises that error.
+            TurtleactError: if this client is closed.
         """
 
     def ask(
@@ -464,29 +463,32 @@ class Caller(Closeable, Protocol):
         on_end: Callable[[PendingCall], object] | None = None,
         note: str = "",
     ) -> PendingCall | None:
-        """Send a request to another process now. Return None if `call` would have to wait first.
+        """Send a request to a server in another process, without waiting for anything.
+
+        If no server in another process can be reached now, or if this process has a server itself,
+        return None without sending the request.
 
         Args:
             request: The request.
-            note: As for `call`.
-            on_end: Called once, with the call, when the call is over, either in the thread that
-                brings the reply or in the event loop. If you pass it, you may call `ask` in any
-                thread, but not in two at the same time.
+            note: A short text to send with the request, as for `call`.
+            on_end: Called once, with the `PendingCall`, when the call is over, either in the thread
+                that receives the reply or in the event loop. If you pass ``on_end``, you may call
+                `ask` in any thread, but not in two threads at the same time.
 
         Raises:
             InvalidMessage: if the request does not fit its type. Nothing was sent.
         """
 
     def why_not_served(self, suffix: str = "") -> str:
-        """Explain why a call would reach no server. ``suffix`` is cut from the type names shown."""
+        """Explain why a call would reach no server. Type names are given without ``suffix``."""
 
 
 @runtime_checkable
 class AsyncHandler(Protocol):
-    """A handler that answers callers of any process, in a task."""
+    """A handler of a service that answers clients in any process. Answering may take time."""
 
     async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a request. ``caller`` is the gid of its client."""
+        """Answer a request. ``caller`` is the gid of the client."""
 
 
 Respond: TypeAlias = Callable[[Reply | TurtleactError], object]
@@ -495,23 +497,22 @@ Respond: TypeAlias = Callable[[Reply | TurtleactError], object]
 
 @runtime_checkable
 class SyncHandler(Protocol):
-    """An `AsyncHandler` that can answer some requests without a task."""
+    """An `AsyncHandler` that can also answer some requests without a task."""
 
     def reply_nowait(self, request: object, caller: bytes, respond: Respond) -> bool:
         """Answer a request by calling ``respond`` once, now or later, with a reply or an error.
 
-        Returns:
-            Whether ``respond`` has been or will be called. If not, nothing has happened, and the
-            request must be answered in a task.
+        Return True if ``respond`` has been or will be called. Return False if the request must be
+        answered in a task. In that case, the handler must not have done anything.
         """
 
 
 @runtime_checkable
 class ThreadedHandler(Protocol):
-    """A `SyncHandler` that takes other processes' requests in the thread that brings them.
+    """A `SyncHandler` that is called in the thread that receives a request from another process.
 
-    Its `SyncHandler.reply_nowait` always returns True, must be quick, and may call ``respond`` in
-    any thread. That saves a detour through the event loop.
+    This is faster than passing the request to the event loop. `SyncHandler.reply_nowait` must be
+    quick, must always return True, and may call ``respond`` in any thread.
 
     Attributes:
         is_threaded: True.
@@ -522,7 +523,7 @@ class ThreadedHandler(Protocol):
 
 @runtime_checkable
 class CallerAware(Protocol):
-    """A handler that is told when a caller of its service has gone."""
+    """A handler that is told when a client of its service has gone."""
 
     def caller_lost(self, caller: bytes) -> None:
         """Called when the client with this gid was closed or has died."""
@@ -530,28 +531,29 @@ class CallerAware(Protocol):
 
 @runtime_checkable
 class Lazy(Protocol):
-    """A transport that can open something only when another process looks for it."""
+    """A transport that can delay opening an object until another process looks for it."""
 
     def open_when_sought(self, name: str, open: Callable[[], Closeable]) -> Closeable:
-        """Call ``open`` once another process has an endpoint with this name; at once if one has.
+        """Call ``open`` as soon as another process has an endpoint with this name.
 
-        This is cheaper than an endpoint with ``on_demand``, which is visible in its own process at
-        once.
+        This costs less than an endpoint with ``on_demand``, because that endpoint exists in this
+        process from the start.
 
         Returns:
-            An object that closes the opened thing, or stops waiting.
+            An object whose ``close`` closes what ``open`` has returned. If ``open`` has not been
+            called yet, ``close`` prevents the call.
         """
 
 
 class Transport(Protocol):
-    """A graph of endpoints.
+    """The graph of nodes and endpoints, as seen from one process.
 
     Attributes:
-        clock: The time of all nodes on the graph.
-        round_trip: How long other processes took to answer which nodes and endpoints exist (s); 0
-            if none was asked.
-        discovery_ends: Before this moment, a server that already exists may not have been seen
-            (event loop time, as `anyio.current_time`). It is -inf if all servers are seen at once.
+        clock: The clock of all nodes that use this transport.
+        round_trip: How long other processes took to say which nodes and endpoints they have (s); 0
+            if they were not asked.
+        discovery_ends: The moment until which the transport may not know all existing servers yet
+            (event loop time, as in `anyio.current_time`); -inf if it always knows all servers.
     """
 
     clock: Clock
@@ -563,7 +565,8 @@ class Transport(Protocol):
     ) -> Publication:
         """Open the sending end of a topic.
 
-        With a source, only the source's messages are latched.
+        If there is a ``source``, a new reader of a latched topic gets the messages of the source,
+        not those passed to `Publication.publish`.
         """
 
     def subscribe(
@@ -574,30 +577,30 @@ class Transport(Protocol):
         *,
         in_any_thread: bool = False,
     ) -> Closeable:
-        """Open the receiving end of a topic. ``deliver`` gets each message.
+        """Open the receiving end of a topic. ``deliver`` is called with each message.
 
-        With ``in_any_thread``, ``deliver`` is called in the thread that brings the message, without
-        a detour through the event loop. Such a ``deliver`` must be quick, and safe in any thread.
-        If all subscriptions of a topic in this process are of this kind, any thread may publish to
-        the topic, but not two at the same time.
+        With ``in_any_thread``, the thread that publishes or receives a message calls ``deliver``
+        itself, instead of passing the message to the event loop. ``deliver`` must then be quick and
+        thread-safe. If all subscriptions of a topic in this process use ``in_any_thread``, you may
+        publish to the topic in any thread, but not in two threads at the same time.
         """
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
-        """Offer ``handler`` as the server of a service, and show the service on the graph.
+        """Offer ``handler`` as the server of a service, and show the server on the graph.
 
-        Each request of another process runs in its own task. Closing the service lets these tasks
-        finish; closing the transport cancels them.
+        Each request from another process is handled in its own task, unless a `SyncHandler` answers
+        it without a task. Closing the service lets these tasks finish. Closing the transport
+        cancels them.
 
-        If a node serves the same name and type several times, other processes see one service, so
-        that no client gets two replies. The oldest handler answers. If that handler has to answer
-        for the others too, it finds them with `all_local`.
+        If a node offers several handlers of a service, other processes see only one server, so that
+        no client gets two replies. The oldest handler answers. `all_local` returns all handlers.
         """
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
-        """Show a client of a service on the graph, and return the object to call it with."""
+        """Show a client of a service on the graph, and return the object that calls the service."""
 
     def local(self, name: str, type_name: str) -> object | None:
-        """The handler that serves a service in this process, if there is one."""
+        """The oldest handler that serves a service in this process; None if there is none."""
 
     def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
         """All handlers that serve a service in this process, in the order they were offered."""
@@ -606,29 +609,30 @@ class Transport(Protocol):
         """Show a node with this fully qualified name on the graph."""
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints on the graph, or only those called ``name``, in the order of opening."""
+        """All endpoints, those of this process first. With a ``name``, only those of that name."""
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints opened in this process, or only those called ``name``."""
+        """All endpoints opened in this process. With a ``name``, only those of that name."""
 
     def nodes(self) -> tuple[str, ...]:
-        """The names of all nodes, in the order they appeared. A name may occur twice."""
+        """The names of all nodes, those of this process first. A name may occur twice."""
 
     @property
     def changes(self) -> int:
-        """How often a node or endpoint has come or gone. If this is unchanged, so is the graph."""
+        """The number of changes of the graph so far. If it is unchanged, so is the graph."""
 
     async def wait_for_change(self) -> None:
-        """Wait until a node or endpoint comes or goes. Cancelling: safe.
+        """Wait until a node or endpoint appears or disappears. Cancelling: safe.
 
-        Earlier changes are not remembered, so look at the graph first, in the same task. To limit
-        the wait, use a cancel scope or `asyncio.timeout`. `asyncio.wait_for` of Python 3.11 starts
-        another task, and would miss a change that comes before that task runs.
+        This notices only changes after the call. So look at the graph first, and then call this
+        without another ``await`` in between. To limit the wait, use a cancel scope or
+        `asyncio.timeout`. Do not use `asyncio.wait_for` of Python 3.11: it waits in another task,
+        and misses a change that happens before that task runs.
         """
 
 
 def observer_of(handler: object) -> CallObserver | None:
-    """Return the observer of a handler's calls, if it has one."""
+    """Return the observer of a handler's calls; None if the handler has none."""
     observer: CallObserver | None = getattr(handler, "observer", None)
     return observer
 
@@ -636,10 +640,10 @@ def observer_of(handler: object) -> CallObserver | None:
 async def wait_until_served(
     transport: Transport, find: Callable[[], object | None], timeout: float | None
 ) -> bool:
-    """Wait until ``find`` finds a server. Cancelling: safe.
+    """Wait until ``find`` returns a server; return False after ``timeout``. Cancelling: safe.
 
     Args:
-        transport: The graph.
+        transport: The transport on whose graph the server will appear.
         find: A function that returns the server, or None.
         timeout: How long to wait (s, by the graph's clock); None for no limit.
 
@@ -656,12 +660,10 @@ async def wait_until_served(
 
 
 async def find_server(transport: Transport, find: Callable[[], T | None]) -> T | None:
-    """Return the server that ``find`` finds. Wait for it while the graph is being discovered.
+    """Return the server that ``find`` returns; None if there is none. Cancelling: safe.
 
-    A transport that was opened a moment ago may not have seen an older server yet. This function
-    therefore waits for it, at most until `Transport.discovery_ends`.
-
-    Cancelling: safe.
+    A transport that was opened a moment ago may not know all existing servers yet. Until
+    `Transport.discovery_ends`, this function therefore waits for the server to appear.
     """
     import anyio  # slow to import, and command-line completion has no event loop
 
@@ -677,9 +679,10 @@ def why_not_served(servers: Sequence[Endpoint], wanted: Endpoint, suffix: str = 
     """Explain why a client finds no server.
 
     Args:
-        servers: All endpoints with the service's name, clients included.
-        wanted: The client. The client's type hash is compared if it has one.
-        suffix: The ending of the type names, which is not shown to users.
+        servers: All endpoints with the service's name, including clients.
+        wanted: The client's endpoint. Its type hash, if known, is compared with those of the
+            servers.
+        suffix: An ending of type names, such as ``_SendGoal``, that the explanation leaves out.
     """
     others = [each for each in servers if each.kind == "service" and each.name == wanted.name]
     hashes = {each.type_hash for each in others if each.type_name == wanted.type_name}

@@ -1,9 +1,9 @@
-"""The web server: gives browsers and rosbridge clients access to a node, and serves its page.
+"""The web server: gives browsers and rosbridge clients access to a node, and serves a web page.
 
-`add_error_handlers` is for web apps of your own.
+`add_error_handlers` is for your own web apps, made with Starlette or FastAPI.
 
-The web server serves an ordinary `turtleact.Node` and knows nothing below that. The rest of
-turtleact imports this package only when it is used.
+The web server serves an ordinary `turtleact.Node`. Other modules of turtleact import this package
+only when they use it.
 """
 
 from __future__ import annotations

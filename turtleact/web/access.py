@@ -1,11 +1,12 @@
-"""Decides who may connect, by the Host, Origin and token of a request; logs refusals.
+"""Checks the Host, Origin and token of each request, and logs refused connections.
 
 - A web page of another site can open a WebSocket to any address. The browser sends that page's
-  origin, and the server refuses the connection. Programs send no origin, and may connect.
-- By DNS rebinding, a page of another site can make its own name lead to this machine. Then the Host
-  is that name, and the server refuses the connection. IP addresses and loopback names cannot be
-  rebound.
-- Clients on other machines must know the token.
+  origin, and the server refuses the connection. Programs other than browsers send no origin, and
+  may connect.
+- By DNS rebinding, another site can make its own host name lead to this machine. Requests of its
+  pages then have that name in the Host header, and the server refuses them. An IP address or a
+  loopback name in the Host header is allowed, because neither can be rebound.
+- If the server has a token, clients must send it.
 
 Source: RFC 6454 (origins); RFC 6455, section 10.2; RFC 9110, section 7.2 (Host).
 """
@@ -27,16 +28,16 @@ __all__ = ["TELL_EVERY", "Access", "Refusals"]
 logger = logging.getLogger("turtleact.web")
 
 TELL_EVERY: Final = 10.0
-"""Refused connections are logged at most once in this time (s)."""
+"""Refused connections are logged at most once per this time (s)."""
 
 
 class Access(msgspec.Struct, frozen=True):
-    """The rules for requests.
+    """The rules that decide whether a request is allowed.
 
     Attributes:
-        hosts: Host names that a request may use, besides IP addresses and loopback names.
-        origins: The origins of pages that may connect, besides this server's own origin and those
-            of the loopback.
+        hosts: The names that a Host header may have, besides IP addresses and loopback names.
+        origins: The origins of pages that may connect, besides the server's own origin and those of
+            loopback hosts.
         token: The token that a request must have; empty if none is needed.
     """
 
@@ -45,12 +46,12 @@ class Access(msgspec.Struct, frozen=True):
     token: str = ""
 
     def problem(self, *, host: str, origin: str | None, token: str) -> str:
-        """Why a request is refused; empty if it is allowed.
+        """Return why a request is refused, or an empty string if it is allowed.
 
         Args:
-            host: Its Host header.
-            origin: Its Origin header, if it has one.
-            token: The token of the request; empty if it has none.
+            host: The request's Host header.
+            origin: The request's Origin header; None if it has none.
+            token: The request's token; empty if it has none.
         """
         name = _name_of(f"//{host}")
         if not (is_address(name) or is_loopback(name) or name in self.hosts):
@@ -73,9 +74,10 @@ class Access(msgspec.Struct, frozen=True):
 
 
 class Refusals:
-    """Logs refused connections: the first at once, later ones as a count.
+    """Counts and logs refused connections, with at most one line every `TELL_EVERY` seconds.
 
-    Anybody who can reach the port can cause refusals, so not every refusal may write a line.
+    Anybody who can reach the port can cause refusals. With a line for each refusal, they could fill
+    the log.
     """
 
     def __init__(self) -> None:
@@ -84,11 +86,11 @@ class Refusals:
         self._told_at = -math.inf
 
     def note(self, reason: str, now: float) -> None:
-        """Note a refused connection.
+        """Count a refused connection. Log the count, but only once in `TELL_EVERY` seconds.
 
         Args:
-            reason: Why it was refused.
-            now: The time (s) of any clock that never goes back.
+            reason: Why the connection was refused.
+            now: The time of any monotonic clock (s).
         """
         self._count += 1
         self._reason = reason
@@ -97,7 +99,7 @@ class Refusals:
             self.tell()
 
     def tell(self) -> None:
-        """Log the connections that were refused since the last line, if there are any."""
+        """Log how many connections have been refused since the last log line, if any."""
         if self._count == 1:
             logger.warning("a web connection was refused: %s", self._reason)
         elif self._count:
@@ -108,7 +110,7 @@ class Refusals:
 
 
 def _name_of(url: str) -> str:
-    """The host in a URL, in lower case; empty if there is none."""
+    """Return the host in a URL, in lower case; empty if the URL has none."""
     try:
         return (urlsplit(url).hostname or "").removesuffix(".")
     except ValueError:
@@ -116,5 +118,5 @@ def _name_of(url: str) -> str:
 
 
 def _place_of(origin: str) -> str:
-    """The host and port of an origin, as a Host header would name them."""
+    """Return the host and port of an origin, in the form of a Host header."""
     return urlsplit(origin).netloc.lower()

@@ -1,8 +1,9 @@
 """Keeps the goals that the page shows: running goals, and the last goals that have ended.
 
-The history only records the news from `watching`. Each change gets the next revision number. A page
-asks for the changes after the revision that it knows. Times are seconds of the graph's clock,
-except that `GoalRecord.at` is a time of day. This module does no I/O.
+`turtleact.web.watching` follows the goals, and tells the history what happens. Each change gets the
+next revision number. A page asks for the changes after the last revision that it has received.
+Times are in seconds by the graph's clock, except that `GoalRecord.at` is by the wall clock. This
+module does no I/O.
 """
 
 from __future__ import annotations
@@ -34,9 +35,10 @@ MOST_POINTS: Final = 64
 
 
 class Series:
-    """The values of a number over time. If there are many, some are left out.
+    """The values of a number over time, for a plot.
 
-    The first and the newest value are always kept.
+    If there are more than `MOST_POINTS` values, some are dropped, but never the first or the
+    newest.
     """
 
     def __init__(self) -> None:
@@ -44,7 +46,7 @@ class Series:
         self._spacing = 0.0
 
     def add(self, time: float, value: float) -> None:
-        """Add a value. ``time`` must never decrease."""
+        """Add a value. Its ``time`` must not be earlier than the time of the previous value."""
         points, time = self.points, round(time, 3)
         is_close = len(points) > 1 and time - points[-2][0] < self._spacing
         if is_close or (points and time <= points[-1][0]):
@@ -56,23 +58,24 @@ class Series:
 
 
 class GoalRecord:
-    """The record of one goal.
+    """The data of one goal that the page shows.
 
     Attributes:
-        id: The goal's id in hexadecimal. A rejected goal has one, too.
-        action: The name of its action.
+        id: The goal's id in hexadecimal. A rejected goal gets a new random id.
+        action: The name of the goal's action.
         type: The full name of the action's type.
-        accepted: When the goal was accepted, by the graph's clock (s).
-        at: When the goal was accepted, as a time of day (s since the epoch).
-        status: The name of its status, or `REJECTED`.
-        request: The goal message, shortened; None if nobody in this process knows it.
-        result: Its result, shortened; None before its end.
-        reason: Why it was aborted or rejected.
-        duration: How long the goal took; None while it runs, or if nobody saw its end.
-        revision: The revision of its last change.
-        has_ended: Whether it has ended.
-        is_paused: Whether it is paused.
-        is_resumed: Whether an earlier process of its server began it.
+        accepted: When the goal was accepted or rejected, by the graph's clock (s).
+        at: When the goal was accepted or rejected, by the wall clock (s since the epoch).
+        status: The name of the goal's status, or `REJECTED`.
+        request: An excerpt of the goal message; None if this process does not know the message.
+        result: An excerpt of the goal's result; None as long as no result is known.
+        reason: Why the goal was aborted or rejected, or why its end is unknown; may be empty.
+        duration: How long the goal took (s); None while it runs, or if the time of its end is
+            unknown.
+        revision: The revision of the record's last change.
+        has_ended: Whether the goal has ended.
+        is_paused: Whether the goal is paused.
+        is_resumed: Whether an earlier process of the action server began the goal.
     """
 
     def __init__(self, id: str, action: str, type: str, *, accepted: float, at: float) -> None:
@@ -95,24 +98,24 @@ class GoalRecord:
         self._told = (-1, msgspec.Raw())
 
     def take(self, feedback: Message, now: float) -> None:
-        """Take feedback."""
+        """Record a feedback message and the numbers in it."""
         self._feedback = feedback
         for path, value in numbers_in(feedback):
             self._series.setdefault(path, Series()).add(now - self.accepted, value)
 
     def shorten(self) -> None:
-        """Keep only an excerpt of the newest feedback, because the feedback may be large."""
+        """Replace the newest feedback message by an excerpt, because the message may be large."""
         if isinstance(self._feedback, Message):
             self._feedback = excerpt(self._feedback)
 
     def told(self) -> msgspec.Raw:
-        """The record as JSON for the page. It is made once for all pages."""
+        """Return the record as JSON. The JSON is made once for each revision, not for each page."""
         if self._told[0] != self.revision:
             self._told = self.revision, msgspec.Raw(msgspec.json.encode(self.plain()))
         return self._told[1]
 
     def plain(self) -> dict[str, object]:
-        """The record as plain values."""
+        """Return the record as values that JSON can express."""
         self.shorten()
         series: dict[str, Plain] = {
             path: [[time, value] for time, value in each.points]
@@ -138,13 +141,13 @@ class GoalRecord:
 
 
 class Changes(msgspec.Struct, frozen=True):
-    """The changes since a revision.
+    """The changes of the history since a revision.
 
     Attributes:
         goals: The goals that are new or have changed, the latest change first.
-        dropped: The ids of goals that are no longer kept.
-        is_complete: Whether ``dropped`` names all goals dropped since the revision. If not, the
-            page must get everything anew.
+        dropped: The ids of goals that were dropped since the revision.
+        is_complete: Whether ``dropped`` contains all goals that were dropped since the revision. If
+            not, the page needs the whole history again.
     """
 
     goals: list[GoalRecord]
@@ -156,7 +159,7 @@ class GoalHistory:
     """The goals of all actions, in the order of their last change.
 
     Args:
-        revise: A function that returns the next revision. It is called at each change.
+        revise: Called at each change. Returns the number of the new revision.
     """
 
     def __init__(self, revise: Callable[[], int]) -> None:
@@ -170,11 +173,15 @@ class GoalHistory:
         return len(self._active) + len(self._ended)
 
     def find(self, id: str) -> GoalRecord | None:
-        """The record of a goal, if it is kept."""
+        """Return the record of a goal; None if it is not kept."""
         return self._active.get(id) or self._ended.get(id)
 
     def change(self, record: GoalRecord) -> None:
-        """Note that a record is new or has changed. If there are too many, drop the oldest."""
+        """Give a new or changed record the next revision.
+
+        At most `MOST_ACTIVE` running goals and `MOST_ENDED` ended goals are kept. When a limit is
+        exceeded, the goal that has not changed for the longest time is dropped.
+        """
         # Taken out and put in again, so that the record changed last is the last one.
         self._active.pop(record.id, None)
         self._ended.pop(record.id, None)
@@ -185,12 +192,12 @@ class GoalHistory:
             self._drop(kept)
 
     def end(self, record: GoalRecord, status: str, now: float | None = None) -> None:
-        """Note the end of a goal.
+        """Record the end of a goal.
 
         Args:
-            record: The goal.
-            status: Its last status, or `REJECTED`.
-            now: The time; None if nobody saw when the goal ended.
+            record: The record of the goal.
+            status: The goal's last status, or `REJECTED`.
+            now: When the goal ended (s); None if that is unknown.
         """
         record.status = status
         record.has_ended = True
@@ -211,7 +218,7 @@ class GoalHistory:
         return Changes(goals, dropped, is_complete=revision >= self._forgotten)
 
     def _drop(self, kept: dict[str, GoalRecord]) -> None:
-        """Drop the goal that has not changed for the longest time."""
+        """Drop the record that has not changed for the longest time."""
         id = next(iter(kept))
         del kept[id]
         if len(self._dropped) == self._dropped.maxlen:

@@ -1,11 +1,11 @@
 """Keeps the frames that wait for one client, and limits the memory of all clients.
 
-This module has no clock: time comes in as ``now=``.
+This module reads no clock: the caller passes the time as ``now``.
 
-- The responses, results and goals that a client has asked for are kept in order and never dropped.
-  A client that lets too many of them pile up is disconnected (`Mailbox.is_overfull`).
-- Of topics and feedback, only the newest messages are kept. `Mailbox.dropped` counts those that
-  were dropped.
+- `Mailbox.keep` takes frames that must arrive, such as responses, results and goals. These are
+  never dropped. If too many of them wait, the client is disconnected (`Mailbox.is_overfull`).
+- `Mailbox.put` takes frames of topics and feedback. If too many of them wait, the oldest ones are
+  dropped and counted (`Mailbox.dropped`).
 - `Budget` bounds the memory of all clients together. Without the budget, a hundred clients could
   stay below their own limits and still take a gigabyte together.
 
@@ -36,23 +36,23 @@ MOST_KEPT_BYTES: Final = 32 * 2**20
 
 
 class Holder(Protocol):
-    """Something that holds memory for a client."""
+    """An object that holds memory for a client, such as its connection."""
 
     def shrink(self) -> int:
-        """Hold less, or disconnect the client. Return how much it still holds (bytes)."""
+        """Free memory, or disconnect the client. Return how much the object still holds (bytes)."""
 
 
 class Budget:
-    """How much memory all clients together may hold.
+    """Limits the memory that all clients together hold.
 
-    If this is exceeded, the client that holds the most must give some memory up, not the client
-    that asked last. Otherwise a few clients could fill the budget and shut out all others.
+    If the limit is exceeded, the client that holds the most must free memory, even if the data of
+    another client came last. So a few clients cannot use up the budget and shut out all others.
 
     Args:
         most: The limit (bytes).
 
     Attributes:
-        held: How much is held now (bytes).
+        held: How much memory the clients hold now (bytes).
 
     Example:
         >>> class Client:
@@ -73,7 +73,7 @@ class Budget:
         self._holders: dict[Holder, int] = {}
 
     def hold(self, holder: Holder, size: int) -> None:
-        """Record how much a holder holds from now on (bytes)."""
+        """Record that a holder now holds ``size`` bytes, and enforce the limit."""
         self._set(holder, size)
         # Shrinking may take a holder several turns: first it drops what may be dropped, then it is
         # let go. It counts as smaller after each, so that this ends.
@@ -91,7 +91,7 @@ class Mailbox:
     """The frames that wait for one client.
 
     Attributes:
-        dropped: How many frames were dropped for newer ones.
+        dropped: How many frames were dropped to limit the memory.
     """
 
     def __init__(self) -> None:
@@ -112,16 +112,16 @@ class Mailbox:
 
     @property
     def is_overfull(self) -> bool:
-        """Whether so much is waiting that the client must have stopped reading."""
+        """Whether the frames that must arrive exceed `MOST_KEPT` or `MOST_KEPT_BYTES`."""
         return len(self._kept) > MOST_KEPT or self._kept_bytes > MOST_KEPT_BYTES
 
     def keep(self, frame: Frame) -> None:
-        """Put in a frame that must arrive."""
+        """Add a frame that must not be dropped."""
         self._kept.append((next(self._order), frame))
         self._kept_bytes += len(frame)
 
     def put(self, source: str, frame: Frame) -> None:
-        """Put in a frame that may be dropped for newer frames, of its own source or of another."""
+        """Add a frame of a topic or goal. It may be dropped to make room for newer frames."""
         line = self._droppable.setdefault(source, deque())
         line.append((next(self._order), frame))
         self._droppable_bytes += len(frame)
@@ -133,7 +133,7 @@ class Mailbox:
             self._drop(self._oldest())
 
     def take(self) -> Frame | None:
-        """Take the next frame, in the order of arrival; None if no frame waits."""
+        """Remove and return the oldest frame; None if no frame waits."""
         # Frames are numbered in the order of their arrival, whichever queue they wait in. So a
         # client never sees a result before feedback that came earlier.
         source = self._oldest() if self._droppable else None
@@ -148,19 +148,19 @@ class Mailbox:
         return frame
 
     def forget(self, source: str) -> None:
-        """Drop all frames of a source without counting them, because nobody wants them any more."""
+        """Remove the frames of an unwanted source. `dropped` does not count them."""
         for _, frame in self._droppable.pop(source, ()):
             self._droppable_bytes -= len(frame)
 
     def shed(self) -> bool:
-        """Drop and count everything that may be dropped. Return False if there was nothing."""
+        """Drop and count all frames that may be dropped. Return False if there were none."""
         dropped = sum(map(len, self._droppable.values()))
         self.dropped += dropped
         self.drop_all()
         return dropped > 0
 
     def drop_all(self) -> None:
-        """Drop all frames except those that must arrive."""
+        """Drop all frames that may be dropped, without counting them."""
         for source in list(self._droppable):
             self.forget(source)
 
@@ -181,18 +181,20 @@ class Mailbox:
 
 
 class Throttle:
-    """Decides when a client gets a topic's messages, and which early messages it gets later.
+    """Limits how often a client gets a topic's messages.
+
+    A message that comes too soon after the last one waits or is dropped.
 
     Args:
-        topic: The topic, as the client spells it.
+        topic: The topic's name as the client spells it.
 
     Attributes:
-        topic: The topic.
-        interval: Least time between two messages (s).
-        queue_length: How many early messages may wait for their time; the newest are kept. If 0,
-            early messages are dropped.
-        compression: The form in which messages are written.
-        due: When the next waiting message may be sent; None if no message waits.
+        topic: The argument ``topic``.
+        interval: The minimum time between two messages (s).
+        queue_length: How many messages may wait for this time to pass. If more come, only the
+            newest are kept. If 0, messages that would have to wait are dropped.
+        compression: How messages are encoded: ``none``, ``png``, ``cbor`` or ``cbor-raw``.
+        due: The time when the next waiting message may be sent (s); None if no message waits.
     """
 
     __slots__ = ("_last", "_waiting", "compression", "due", "interval", "queue_length", "topic")
@@ -207,14 +209,17 @@ class Throttle:
         self._waiting: deque[Rendering] = deque()
 
     def adjust(self, interval: float, queue_length: int, compression: Compression) -> None:
-        """Change the settings. The newest ``queue_length`` waiting messages keep waiting."""
+        """Change the settings. Of the waiting messages, keep only the newest ``queue_length``."""
         self.interval, self.queue_length, self.compression = interval, queue_length, compression
         while len(self._waiting) > queue_length:
             self._waiting.popleft()
         self._reckon()
 
     def offer(self, message: Rendering, now: float) -> Rendering | None:
-        """Take a message that has arrived. Return the message to send now, if there is one."""
+        """Return a new message if it may be sent now.
+
+        Otherwise let the message wait or drop it, and return None.
+        """
         if not self._waiting and (self._last is None or now >= self._last + self.interval):
             self._last = now
             return message
@@ -226,7 +231,7 @@ class Throttle:
         return None
 
     def release(self, now: float) -> Rendering | None:
-        """Return the message that is due now, if there is one."""
+        """Remove and return the waiting message that is due now; None if none is due."""
         if self.due is None or now < self.due:
             return None
         message = self._waiting.popleft()

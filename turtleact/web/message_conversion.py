@@ -1,19 +1,19 @@
 """Converts messages and replies to frames of JSON or CBOR, and clients' values to messages.
 
-Values that JSON cannot express are written and read as in rosbridge:
+Some values have rosbridge's form in JSON:
 
-- ``uint8[]`` and ``char[]`` are base64 text; a list of numbers is accepted, too.
-- NaN and infinity are null; null is read as NaN where a floating-point number belongs.
-- A time is ``sec`` and ``nanosec``; ``secs`` and ``nsecs`` are accepted, too.
-- A whole number is accepted where a floating-point number belongs: JavaScript writes ``1`` for
-  ``1.0``.
-- A list in place of the outermost object gives the fields in their order.
+- ``uint8[]`` and ``char[]`` are written as base64 text. A list of numbers is accepted, too.
+- NaN and infinity are written as null. In place of a floating-point number, null is read as NaN.
+- A time has the members ``sec`` and ``nanosec``. The names ``secs`` and ``nsecs`` are accepted,
+  too.
+- A whole number is accepted in place of a floating-point number, because JavaScript writes ``1``
+  for ``1.0``.
+- A list is accepted in place of the outermost object. The list holds the values of the fields in
+  their order.
 
-In CBOR, bytes stay bytes, and lists of numbers become typed arrays. Large values are checked in a
-thread, so that other clients do not wait: a million numbers take seconds.
-
-The server never sends an operation that the client has not asked for, because client libraries fail
-on operations that they do not know.
+In CBOR, ``uint8[]`` and ``char[]`` are byte strings, and other lists of numbers are typed arrays. A
+client's large values are checked in a thread, because a million numbers take seconds, and other
+clients would have to wait.
 
 Source: rosbridge_library ``message_conversion.py`` and ``cbor_conversion.py``; RFC 8746, section 2;
 ``ROSBRIDGE_PROTOCOL.md`` of rosbridge_suite, version 2; PNG 1.2.
@@ -77,7 +77,7 @@ TYPED_ARRAYS = {
     "float32": (85, "f"),
     "float64": (86, "d"),
 }
-"""For each type of number: the tag of a little-endian list, and the code of `struct`."""
+"""For each type of number: the CBOR tag of a little-endian array, and the code of `struct`."""
 
 LARGE: Final = 2000
 """This many values can be checked in a few milliseconds."""
@@ -92,21 +92,22 @@ beyond_ascii = re.compile(r"[^\x00-\x7f]")
 
 
 def request(op: str, **members: object) -> str:
-    """Make a frame as JSON text, with its members in this order."""
+    """Return a frame as JSON text, with its members in the given order."""
     return ENCODER.encode({"op": op, **members}).decode()
 
 
 def reply(op: str, id: Id, **members: object) -> str:
-    """Make a frame that answers a request. It repeats the request's id, if there was one."""
+    """Return a frame that answers a request, with the request's id, if the request has one."""
     if id is not None:
         members["id"] = id
     return request(op, **members)
 
 
 def png(text: str) -> str:
-    """Put a frame into a picture: the bytes of its pixels are the text, padded with line breaks.
+    """Return a ``png`` frame, which contains another frame as a picture.
 
-    Clients decode the picture byte by byte as Latin-1, so the text inside is ASCII.
+    The bytes of the pixels are the text of the other frame, padded with line breaks. Clients decode
+    each byte as Latin-1, so characters beyond ASCII are escaped.
     """
     data = beyond_ascii.sub(_escaped, text).encode()
     width = max(1, math.isqrt(len(data) // 3))
@@ -124,11 +125,12 @@ def png(text: str) -> str:
 
 
 class Rendering:
-    """A topic's message and its frames. Each frame is made once for all clients.
+    """A message of a topic, and the frames made from it. Each frame is made once for all clients.
 
     Args:
         message: The message.
-        now: The time (ns since the epoch), which ``cbor-raw`` frames contain.
+        now: When the message was received (ns since the epoch). ``cbor-raw`` frames contain this
+            time.
     """
 
     __slots__ = ("_made", "_message", "_now")
@@ -139,7 +141,7 @@ class Rendering:
         self._made: dict[tuple[Compression, str], Frame] = {}
 
     def frame(self, compression: Compression, topic: str) -> Frame:
-        """The ``publish`` frame. It spells the topic as the client does."""
+        """Return the ``publish`` frame for clients that spell the topic's name like ``topic``."""
         key = (compression, topic)
         made = self._made.get(key)
         if made is None:
@@ -148,28 +150,29 @@ class Rendering:
 
 
 def json_values(message: Message) -> object:
-    """The value that msgspec encodes as a message's JSON. Often it is the message itself."""
+    """Return the value that msgspec writes as a message's JSON. It is often the message itself."""
     convert = _writer(type(message), is_json=True)
     return message if convert is None else convert(message)
 
 
 def cbor_values(message: Message) -> dict[str, object]:
-    """The value that cbor2 encodes as the CBOR of a message."""
+    """Return a value that cbor2 encodes as a message's CBOR."""
     convert = cast("Convert", _writer(type(message), is_json=False))
     return cast("dict[str, object]", convert(message))
 
 
 def message_from(cls: type[M], values: object, *, root: str) -> M:
-    """Make a message with a client's values. Fields that are left out keep their defaults.
+    """Make a message from a client's values. Fields without a value keep their defaults.
 
     Args:
-        cls: The class.
-        values: An object by field names, or a list of the fields in their order. None for all
-            defaults.
-        root: The first word of the path in errors.
+        cls: The class of the message.
+        values: A dict of values by field name, or a list of values in the order of the fields. With
+            None, all fields keep their defaults.
+        root: The name of the whole message. Paths in errors begin with this name.
 
     Raises:
-        InvalidMessage: with the path of the first value or name that does not fit.
+        InvalidMessage: if a value or a name does not fit. The error contains the path of the first
+            value or name that does not fit.
 
     >>> from turtleact.interfaces.standard import Point, Time
     >>> message_from(Point, [1, 2], root="args")
@@ -189,10 +192,11 @@ def message_from(cls: type[M], values: object, *, root: str) -> M:
 
 
 async def read_message(cls: type[M], values: object, *, root: str) -> M:
-    """Do what `message_from` does, but serve other clients meanwhile.
+    """Make a message as `message_from` does. Use a thread if the values are large.
 
     Raises:
-        InvalidMessage: with the path of the first value or name that does not fit.
+        InvalidMessage: if a value or a name does not fit. The error contains the path of the first
+            value or name that does not fit.
     """
     # A large message takes seconds to check. Counting its values first takes little, and most
     # messages are small: a thread for each would cost more than the check.
@@ -202,7 +206,7 @@ async def read_message(cls: type[M], values: object, *, root: str) -> M:
 
 
 def is_large(values: object) -> bool:
-    """Whether objects and lists hold more than `LARGE` values.
+    """Whether the objects and lists in a value hold more than `LARGE` values together.
 
     >>> is_large({"x": [1] * 100}), is_large({"x": {"y": [1] * 3000}})
     (False, True)
@@ -249,7 +253,7 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
 
 
 def _escaped(found: re.Match[str]) -> str:
-    """The JSON escape of a character, in UTF-16."""
+    """Return a character's escape sequence in JSON, with one or two UTF-16 units."""
     units = struct.unpack(">2H", found[0].encode("utf-16-be").rjust(4, b"\x00"))
     return "".join(f"\\u{unit:04x}" for unit in cast("tuple[int, ...]", units) if unit)
 
@@ -259,7 +263,7 @@ def _escaped(found: re.Match[str]) -> str:
 
 @functools.cache
 def _writer(cls: type[Message], *, is_json: bool) -> Convert | None:
-    """Return a function that makes plain values of a message; None if none is needed."""
+    """Return a function that turns messages into plain values; None if they need no change."""
     converters = [
         (field, _field_writer(field, nested, is_json=is_json))
         for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
@@ -304,7 +308,7 @@ def _typed_array(tag: int, code: str, numbers: list[float]) -> cbor2.CBORTag:
 
 @functools.cache
 def _reader(cls: type[Message]) -> Convert | None:
-    """Return a function that converts a client's values to those of ROS; None if none is needed."""
+    """Return a function that prepares values for `from_dict`; None if they need no change."""
     converters = {
         field.name: change
         for field, nested in zip(fields(cls), nested_classes(cls), strict=True)

@@ -1,8 +1,8 @@
-"""Serves metrics on a port, where Prometheus reads them.
+"""Serves metrics over HTTP, for Prometheus.
 
-On a loopback address, a request must name this machine as its host, so that no page of another site
-can read the metrics through DNS rebinding. On other addresses, everybody who can reach the port can
-read them.
+If the server listens on a loopback address, the Host header of a request must be an IP address or a
+loopback name. So no page of another site can read the metrics through DNS rebinding. If the server
+listens on any other address, everybody who can reach the port can read the metrics.
 
 Source: Prometheus, "Exposition formats", text format 0.0.4.
 """
@@ -33,10 +33,10 @@ FORBIDDEN: Final = (
 )
 
 MOST_CONNECTIONS: Final = 256
-"""So many connections may be open. Most programs may open 1,024 files."""
+"""The maximum number of open connections. Most programs may open 1,024 files."""
 
 SPARE: Final = 64
-"""So many more connections may be open, whose requests are answered with 503."""
+"""How many connections may be open beyond that number. Their requests are answered with 503."""
 
 REQUEST_WITHIN: Final = 2.0
 """How long a client may take to send its request, which is short (s)."""
@@ -44,10 +44,12 @@ REQUEST_WITHIN: Final = 2.0
 
 @asynccontextmanager
 async def open_metrics(text: Callable[[], str], host: str, port: int) -> AsyncIterator[str]:
-    """Serve a text at ``/metrics`` for the length of a block. The block gets the address.
+    """Serve a text at ``/metrics`` until the ``async with`` block ends.
+
+    The context manager yields the text's URL.
 
     Args:
-        text: A function that returns all metrics.
+        text: Called at each request. Returns all metrics as text.
         host: The address or name to bind.
         port: The port, 1 to 65535, or 0 for any free one.
 

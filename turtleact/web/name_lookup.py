@@ -1,12 +1,12 @@
-"""Reads names and types as clients of rosbridge spell them, and looks them up on the graph.
+"""Reads names and types in the spellings of rosbridge's clients, and looks them up on the graph.
 
-A name comes with or without its leading slash. A type comes as ``pkg/Name``, ``pkg/msg/Name`` or,
-from DDS, ``pkg::msg::dds_::Name_``. `Directory` reads the current endpoints of the graph, including
-hidden ones, and stores nothing.
+A name may lack its leading slash. A type may be spelled ``pkg/Name``, ``pkg/msg/Name`` or, as in
+DDS, ``pkg::msg::dds_::Name_``. At each call, `Directory` looks at the current endpoints of the
+graph, including hidden ones.
 
 Source: rosbridge v2; the ROS 2 article "Topic and Service name mapping to DDS"; rosapi
-``proxy.py``; rosbridge_library ``publishers.py`` and ``subscribers.py`` for types that are left out
-or differ from the graph's.
+``proxy.py``; rosbridge_library ``publishers.py`` and ``subscribers.py`` for types that a client
+leaves out, or that differ from those on the graph.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ ALWAYS = {"/rosout": "rcl_interfaces/msg/Log"}
 
 
 def absolute(name: str) -> str:
-    """The absolute form of the name of a topic, service or action.
+    """Return the absolute name of a topic, service or action.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules, or is longer than `LONGEST`.
@@ -61,7 +61,7 @@ def absolute(name: str) -> str:
 
 
 def type_name(spelled: str, kind: Kind) -> str:
-    """The full name of a type. An unknown spelling is returned unchanged.
+    """Return the full name of a type, without checking whether the type exists.
 
     >>> type_name("turtlesim/Pose", "msg"), type_name("turtlesim::msg::dds_::Pose_", "msg")
     ('turtlesim/msg/Pose', 'turtlesim/msg/Pose')
@@ -75,7 +75,7 @@ def type_name(spelled: str, kind: Kind) -> str:
 
 
 def message_class(spelled: str) -> type[Message]:
-    """The class of a message with this type name.
+    """Return the message class with this type name.
 
     Raises:
         UnknownInterface: if there is no interface with that name.
@@ -85,12 +85,12 @@ def message_class(spelled: str) -> type[Message]:
 
 
 def service_class(spelled: str) -> type[Service]:
-    """The class of a service with this type name. The errors are those of `message_class`."""
+    """Return the service class with this type name. The errors are those of `message_class`."""
     return cast("type[Service]", _class(spelled, "srv", Service))
 
 
 def action_class(spelled: str) -> type[Action]:
-    """The class of an action with this type name. The errors are those of `message_class`."""
+    """Return the action class with this type name. The errors are those of `message_class`."""
     return cast("type[Action]", _class(spelled, "action", Action))
 
 
@@ -98,20 +98,20 @@ class Directory:
     """Looks up names on a graph.
 
     Args:
-        transport: The graph.
+        transport: The transport of the graph, which lists the endpoints.
     """
 
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
 
     def find(self, kinds: tuple[EndpointKind, ...], name: str = "") -> Iterator[Endpoint]:
-        """The endpoints of these kinds. With a name, only the endpoints with that name."""
+        """Yield the endpoints of these kinds; if a name is given, only those with that name."""
         for endpoint in self._transport.endpoints(name):
             if endpoint.kind in kinds:
                 yield endpoint
 
     def types(self, kinds: tuple[EndpointKind, ...], name: str) -> list[str]:
-        """The types that a name has on the graph, sorted."""
+        """Return the types of the endpoints with this name and these kinds, sorted."""
         return sorted({endpoint.type_name for endpoint in self.find(kinds, name)})
 
     def is_latched(self, topic: str) -> bool:
@@ -122,16 +122,17 @@ class Directory:
         )
 
     def topic_class(self, topic: str, spelled: str) -> type[Message]:
-        """The class of a topic's messages.
+        """Return the class of a topic's messages.
 
         Args:
-            topic: Its absolute name.
+            topic: The topic's absolute name.
             spelled: The type as the client spells it; empty if the client gives no type.
 
         Raises:
-            InvalidOption: if the client gives no type and the topic has none or several on the
-                graph, or if the topic has only other types there.
-            UnknownInterface: if there is no such type.
+            InvalidOption: if the client gives no type, and the graph does not have exactly one type
+                for the topic; or if the client gives a type, and the graph has only other types for
+                the topic.
+            UnknownInterface: if the type is not known.
         """
         types = self.types(TOPIC_KINDS, topic)
         if spelled:
@@ -149,15 +150,15 @@ class Directory:
         return message_class(types[0])
 
     def service_class(self, service: str, spelled: str) -> type[Service]:
-        """The class of a service.
+        """Return the class of a service.
 
         Args:
-            service: Its absolute name.
+            service: The service's absolute name.
             spelled: The type as the client spells it; empty if the client gives no type.
 
         Raises:
             ServerUnavailable: if the client gives no type and nobody serves the service.
-            UnknownInterface: if there is no such type.
+            UnknownInterface: if the type is not known.
         """
         types = [] if spelled else self.types(SERVICE_KINDS, service)
         if not spelled and not types:

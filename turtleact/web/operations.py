@@ -1,7 +1,7 @@
 """The operations of rosbridge v2 that a client may send, one class each.
 
-A frame is JSON text. Unknown members are ignored. An unknown operation is an error. This module
-does no I/O.
+A client sends each operation as a frame of JSON text. Unknown members of a frame are ignored, but a
+frame with an unknown operation is `Malformed`. This module does no I/O.
 
 Source: ``ROSBRIDGE_PROTOCOL.md`` of rosbridge_suite, version 2; the frames that its clients send.
 """
@@ -44,19 +44,19 @@ Arguments: TypeAlias = dict[str, Any] | list[Any] | None
 
 
 class Base(msgspec.Struct, tag_field="op", frozen=True, kw_only=True):
-    """The id, which every operation may have."""
+    """The base of all operations. Any operation may have an id."""
 
     id: Id = None
 
 
 class SetLevel(Base, tag="set_level", frozen=True, kw_only=True):
-    """The client sets the least severity of the ``status`` frames that it wants."""
+    """The client sets the lowest severity of the ``status`` frames that it wants."""
 
     level: str | None = None
 
 
 class Advertise(Base, tag="advertise", frozen=True, kw_only=True):
-    """The client will publish to a topic."""
+    """The client announces that it will publish to a topic."""
 
     topic: str
     type: str
@@ -65,7 +65,7 @@ class Advertise(Base, tag="advertise", frozen=True, kw_only=True):
 
 
 class Unadvertise(Base, tag="unadvertise", frozen=True, kw_only=True):
-    """The client will not publish to the topic any more."""
+    """The client announces that it will no longer publish to a topic."""
 
     topic: str
 
@@ -80,14 +80,15 @@ class Publish(Base, tag="publish", frozen=True, kw_only=True):
 
 
 class Subscribe(Base, tag="subscribe", frozen=True, kw_only=True):
-    """The client wants a topic's messages.
+    """The client subscribes to a topic.
 
     Attributes:
-        topic: Its name.
-        type: The topic's type. If left out, it is the type on the graph.
-        throttle_rate: The least time between two messages (ms).
-        queue_length: How many messages that come too early are kept; with 0, none.
-        compression: ``none``, ``png``, ``cbor`` or ``cbor-raw``.
+        topic: The topic's name.
+        type: The topic's type. If left out, the topic's type on the graph is used.
+        throttle_rate: The minimum time between two messages (ms).
+        queue_length: How many messages may wait until the time in ``throttle_rate`` has passed. If
+            0, messages that would have to wait are dropped.
+        compression: How messages are encoded: ``none``, ``png``, ``cbor`` or ``cbor-raw``.
     """
 
     topic: str
@@ -98,13 +99,13 @@ class Subscribe(Base, tag="subscribe", frozen=True, kw_only=True):
 
 
 class Unsubscribe(Base, tag="unsubscribe", frozen=True, kw_only=True):
-    """The client ends a subscription. Without an id, it ends all its subscriptions of the topic."""
+    """The client ends a subscription or, if ``id`` is None, all its subscriptions to the topic."""
 
     topic: str
 
 
 class CallService(Base, tag="call_service", frozen=True, kw_only=True):
-    """The client calls a service. ``timeout`` is how long it waits (s)."""
+    """The client calls a service. ``timeout`` is the longest time to wait for the response (s)."""
 
     service: str
     type: str | None = None
@@ -126,7 +127,7 @@ class UnadvertiseService(Base, tag="unadvertise_service", frozen=True, kw_only=T
 
 
 class ServiceResponse(Base, tag="service_response", frozen=True, kw_only=True):
-    """The client's answer to a ``call_service`` that we sent it."""
+    """The client answers a ``call_service`` that the bridge has sent to it."""
 
     service: str | None = None
     values: Arguments | str = None
@@ -138,12 +139,12 @@ class SendActionGoal(Base, tag="send_action_goal", frozen=True, kw_only=True):
 
     Attributes:
         action: The name of the action.
-        action_type: Its type.
+        action_type: The type of the action.
         args: The goal message.
         feedback: Whether the client wants feedback.
-        traceparent: The span in which the client sends the goal, as in W3C Trace Context. Other
-            bridges ignore this member.
-        tracestate: What the client's tracing system adds to ``traceparent``.
+        traceparent: The client's tracing span, in the format of W3C Trace Context. Other rosbridge
+            servers ignore this member.
+        tracestate: More data of the client's tracing system, in the format of W3C Trace Context.
     """
 
     action: str
@@ -155,7 +156,7 @@ class SendActionGoal(Base, tag="send_action_goal", frozen=True, kw_only=True):
 
 
 class CancelActionGoal(Base, tag="cancel_action_goal", frozen=True, kw_only=True):
-    """The client cancels a goal. ``id`` is the id of its ``send_action_goal``."""
+    """The client cancels a goal. ``id`` is that of the goal's ``send_action_goal``."""
 
     action: str
 
@@ -219,11 +220,11 @@ DECODER: msgspec.json.Decoder[Operation] = msgspec.json.Decoder(Operation)
 
 
 class Malformed(msgspec.Struct, frozen=True):
-    """A frame that rosbridge cannot understand.
+    """A frame that is not a valid operation.
 
     Attributes:
         problem: What is wrong with the frame.
-        id: Its id, if it has one.
+        id: The frame's id; None if the frame has none.
     """
 
     problem: str
@@ -231,7 +232,7 @@ class Malformed(msgspec.Struct, frozen=True):
 
 
 def parse(frame: str | bytes) -> Operation | Malformed:
-    """Return the operation in a frame, or a description of what is wrong with the frame.
+    """Return the operation in a frame, or `Malformed` if there is none.
 
     >>> parse('{"op": "unsubscribe", "topic": "/pose"}').topic
     '/pose'
@@ -252,7 +253,7 @@ def parse(frame: str | bytes) -> Operation | Malformed:
 
 
 def _is_sound(frame: str) -> bool:
-    """Whether all text in a frame can be encoded, so that an answer can quote it."""
+    """Whether all text in a frame can be encoded as UTF-8, so that an answer can quote it."""
     try:
         json.dumps(json.loads(frame), ensure_ascii=False).encode()
     except (ValueError, RecursionError):
@@ -261,7 +262,7 @@ def _is_sound(frame: str) -> bool:
 
 
 def _second_look(frame: str, first: ValueError | RecursionError) -> Operation | Malformed:
-    """Read a frame with Python's own JSON, which allows NaN, or return what is wrong."""
+    """Parse a frame with Python's own JSON parser, which allows NaN."""
     try:
         members = json.loads(frame)
     except (ValueError, RecursionError):

@@ -1,8 +1,8 @@
-"""Keeps the lines that turtles have drawn, for every page that opens later.
+"""Keeps the lines that turtles have drawn, so that pages that open later show them, too.
 
-The lines are made from poses, because no topic has the drawing of a turtle. Only pens that web
-clients have set are known. If another program clears the drawing, the lines stay. This module does
-no I/O.
+The lines are made from poses, because no topic publishes the drawing. This module learns only what
+web clients change: if another program sets a pen or clears the drawing, the lines here stay
+unchanged. This module does no I/O.
 
 Source: turtlesim ``turtle.cpp`` for the first pen.
 """
@@ -26,7 +26,7 @@ MOST_POINTS: Final = 2000
 """The maximum number of points of one turtle's line. The oldest points are dropped."""
 
 DETOUR: Final = 0.00003
-"""The turtle's way between two points may be longer than the straight line by this much (m)."""
+"""How much longer a turtle's way between two points may be than the straight line (m)."""
 
 LONGEST: Final = 0.3
 """The maximum length of a straight piece (m), so that a long arc is not taken for a line."""
@@ -36,7 +36,7 @@ class Pen(msgspec.Struct, frozen=True):
     """A turtle's pen.
 
     Attributes:
-        colour: Its colour, as CSS writes it.
+        colour: The pen's colour in CSS notation, such as ``#b3b8ff``.
         width: The pen's width in pixels of turtlesim's window, which is 500 pixels wide.
         is_off: Whether the pen is off, so that it draws nothing.
     """
@@ -50,15 +50,16 @@ FIRST_PEN: Final = Pen("#b3b8ff", 3)
 LIFTED: Final = Pen("", 0, is_off=True)
 
 Point: TypeAlias = tuple[int, float, float, Pen]
-"""The revision, a place (m), and the pen that drew the line to that place."""
+"""The revision, x (m), y (m), and the pen that drew the line to this point."""
 
 
 class Tail(msgspec.Struct, frozen=True):
-    """The new end of a line.
+    """The part of a line that a page does not have yet.
 
     Attributes:
         is_whole: Whether this is the whole line, which then replaces the line that the page has.
-        points: Places, each with its pen.
+        points: For each point, its x (m), its y (m), and the colour and the width (pixels) of the
+            pen. The colour is empty if no line leads to the point.
     """
 
     is_whole: bool
@@ -69,7 +70,7 @@ class PenTrails:
     """The lines of all turtles.
 
     Args:
-        revise: A function that returns the next revision. It is called at each change.
+        revise: Called at each change. Returns the number of the new revision.
     """
 
     def __init__(self, revise: Callable[[], int]) -> None:
@@ -77,17 +78,20 @@ class PenTrails:
         self._lines: dict[str, _Line] = {}
 
     def follow(self, name: str, x: float, y: float) -> None:
-        """Note where a turtle is now."""
+        """Record where a turtle is now (m), and continue its line to this place."""
         self._line(name).follow((x, y), self._revise)
 
     def set_pen(self, name: str, pen: Pen) -> None:
-        """Give a turtle another pen from now on."""
+        """Change the pen with which a turtle draws from now on."""
         line = self._line(name)
         line.turn(self._revise)
         line.pen = pen
 
     def lift(self, name: str) -> None:
-        """Record that a turtle is gone. A new turtle of the same name starts a new line."""
+        """Record that a turtle is gone.
+
+        No line will lead from its last place to a new turtle with the same name.
+        """
         if name in self._lines:
             self._lines[name].lift()
 
@@ -98,12 +102,12 @@ class PenTrails:
             self._lines[name].pen = line.pen
 
     def reset(self) -> None:
-        """Erase all lines, and give every turtle its first pen."""
+        """Erase all lines, and give every turtle `FIRST_PEN`."""
         for name in self._lines:
             self._lines[name] = _Line(self._revise())
 
     def since(self, revision: int) -> dict[str, Tail]:
-        """The ends of the lines that have changed after a revision."""
+        """Return the new parts of the lines that have changed after a revision, by turtle name."""
         tails = {name: line.since(revision) for name, line in self._lines.items()}
         return {name: tail for name, tail in tails.items() if tail.is_whole or tail.points}
 
@@ -150,12 +154,12 @@ class _Line:
             self._add(here, revise)
 
     def turn(self, revise: Callable[[], int]) -> None:
-        """Make the turtle's current place a point of the line."""
+        """Add the turtle's current place to the points of the line."""
         if self._here is not None:
             self._add(self._here, revise)
 
     def lift(self) -> None:
-        """Draw nothing on the way to the next place."""
+        """Record that the turtle is gone. If it comes back, no line joins the two places."""
         self._here = None
 
     def since(self, revision: int) -> Tail:

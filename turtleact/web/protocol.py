@@ -1,13 +1,14 @@
-"""rosbridge's rules for one connection, without I/O: frames in, effects out.
+"""Turns the frames of one client into effects by rosbridge's rules, without I/O.
 
 A `Protocol` knows what a client has opened and under which ids, how much the client may open, and
-which status messages the client wants. A `Protocol` knows no graph, no loop and no time. Carry out
-the effects that it returns in order.
+which status messages the client wants. It uses no graph, no event loop and no clock. It returns
+effects, which the caller must carry out in order.
 
-- Several subscriptions of one topic, with different ids, share one subscription on the graph. The
-  shortest ``throttle_rate`` and the newest ``compression`` apply to all of them.
-- Without an id, ``unsubscribe`` and ``unadvertise`` end everything that the client has opened for
-  the topic.
+- A client may subscribe to one topic several times, with different ids. These subscriptions share
+  one subscription on the graph, with the smallest ``throttle_rate``, the largest ``queue_length``
+  and the newest ``compression``.
+- ``unsubscribe`` without an id ends all of the client's subscriptions to the topic. ``unadvertise``
+  without an id ends all of the client's advertisements of the topic.
 - Only clients that have sent ``set_level`` get ``status`` frames, because client libraries fail on
   operations that they do not expect.
 
@@ -41,19 +42,20 @@ __all__ = [
 LEVELS: Final = {"none": 0, "error": 1, "warning": 2, "info": 3}
 
 LONGEST_QUEUE: Final = 1000
-"""Larger values of a client's ``queue_length`` and ``queue_size`` are reduced to this."""
+"""The maximum of ``queue_length`` and ``queue_size``. Larger values of a client are reduced to it.
+"""
 
 LONGEST_INTERVAL: Final = 3600.0
-"""Larger values of a client's ``throttle_rate`` are reduced to this (s)."""
+"""The maximum of ``throttle_rate`` (s). Larger values of a client are reduced to it."""
 
 
 class Delivery(msgspec.Struct, frozen=True):
-    """How a client wants the messages of a topic.
+    """How a client wants to get the messages of a topic.
 
     Attributes:
-        interval: The least time between two messages (s).
-        queue_length: How many messages that come too early are kept.
-        compression: The form in which messages are written.
+        interval: The minimum time between two messages (s).
+        queue_length: How many messages may wait for this time to pass.
+        compression: How messages are encoded.
     """
 
     interval: float = 0.0
@@ -62,7 +64,7 @@ class Delivery(msgspec.Struct, frozen=True):
 
 
 class Reader(msgspec.Struct, frozen=True):
-    """A topic that a client subscribes to. ``key`` is its name as the client spells it."""
+    """A topic that a client subscribes to. ``key`` is the topic's name as the client spells it."""
 
     key: str
     type: str
@@ -71,7 +73,7 @@ class Reader(msgspec.Struct, frozen=True):
 
 
 class Writer(msgspec.Struct, frozen=True):
-    """A topic that a client publishes to. ``key`` is its name as the client spells it."""
+    """A topic that a client publishes to. ``key`` is the topic's name as the client spells it."""
 
     key: str
     type: str
@@ -81,17 +83,17 @@ class Writer(msgspec.Struct, frozen=True):
 
 
 class Open(msgspec.Struct, frozen=True):
-    """Open something on the graph."""
+    """An effect: open a subscription or a publisher, or start to serve a service or an action."""
 
     what: Reader | Writer | operations.AdvertiseService | operations.AdvertiseAction
 
 
 class Shut(msgspec.Struct, frozen=True):
-    """Close something that was opened.
+    """An effect: close what `Open` has opened.
 
     Attributes:
         kind: ``reader``, ``writer``, ``service`` or ``action``.
-        key: Its name as the client spells it.
+        key: The name of the topic, service or action as the client spells it.
     """
 
     kind: str
@@ -99,14 +101,14 @@ class Shut(msgspec.Struct, frozen=True):
 
 
 class Adjust(msgspec.Struct, frozen=True):
-    """Change how a subscribed topic is delivered."""
+    """An effect: change how the client gets the messages of a topic that it subscribes to."""
 
     key: str
     delivery: Delivery
 
 
 class Do(msgspec.Struct, frozen=True):
-    """Carry out an operation that opens and closes nothing."""
+    """An effect: carry out an operation that neither opens nor closes anything."""
 
     operation: (
         operations.Publish
@@ -120,7 +122,7 @@ class Do(msgspec.Struct, frozen=True):
 
 
 class Say(msgspec.Struct, frozen=True):
-    """Send a frame."""
+    """An effect: send a frame to the client."""
 
     frame: str
 
@@ -129,14 +131,15 @@ Effect: TypeAlias = Open | Shut | Adjust | Do | Say
 
 
 class Protocol:
-    """The state of one client by rosbridge's rules.
+    """Keeps the state of one client, and applies rosbridge's rules to its frames.
 
     Args:
         most_opened: How many subscriptions, advertisements, services and actions the client may
             have open.
 
     Attributes:
-        level: The status messages that the client wants: 0 none, 1 errors, 2 warnings, 3 all.
+        level: Which status messages the client wants: 0 for none, 1 for errors, 2 for errors and
+            warnings, 3 for all.
     """
 
     def __init__(self, most_opened: int = 256) -> None:
@@ -148,7 +151,7 @@ class Protocol:
         self._served: set[tuple[str, str]] = set()
 
     def receive(self, frame: str | bytes) -> list[Effect]:
-        """Take a frame, and return its effects."""
+        """Return the effects of a frame that the client has sent."""
         said = parse(frame)
         if isinstance(said, operations.Malformed):
             return self.complain(f"not understood: {said.problem}", said.id)
@@ -176,13 +179,13 @@ class Protocol:
         return [Do(said)]
 
     def complain(self, problem: str, id: Id = None, *, level: str = "error") -> list[Effect]:
-        """Tell the client what is wrong, if it wants such messages."""
+        """Return an effect that reports a problem, if the client wants messages of this level."""
         if self.level < LEVELS[level]:
             return []
         return [Say(reply("status", id, level=level, msg=problem))]
 
     def forget(self, kind: str, key: str) -> None:
-        """Record that something could not be opened."""
+        """Record that a subscription, publisher, service or action is closed or could not open."""
         if kind == "reader":
             self._opened -= len(self._readers.pop(key, ()))
         elif kind == "writer":
@@ -264,7 +267,7 @@ class Protocol:
         return [Shut("writer", said.topic)]
 
     def _publish(self, said: operations.Publish) -> list[Effect]:
-        """Publish a message. If its topic was not advertised, advertise it now, without an id."""
+        """Publish a message. If the topic is not advertised yet, advertise it without an id."""
         if said.topic in self._writers:
             return [Do(said)]
         if not self._may_open():
@@ -306,7 +309,7 @@ class Protocol:
 
 
 def _merged(wishes: dict[Id, Delivery]) -> Delivery:
-    """Merge the deliveries of several subscriptions of a topic, given in the order of creation."""
+    """Merge the settings of a client's subscriptions to one topic, given from old to new."""
     return Delivery(
         min(each.interval for each in wishes.values()),
         max(each.queue_length for each in wishes.values()),
@@ -315,5 +318,5 @@ def _merged(wishes: dict[Id, Delivery]) -> Delivery:
 
 
 def _amount(number: float | None) -> float:
-    """Turn a number from a client into one of at least 0. NaN and None become 0."""
+    """Return a number from a client, or 0 if the number is negative, NaN or None."""
     return 0.0 if number is None or math.isnan(number) else max(float(number), 0.0)

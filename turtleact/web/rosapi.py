@@ -1,11 +1,12 @@
-"""Answers rosapi's services: questions about the graph, its interfaces, and parameters.
+"""Answers rosapi's services, which describe the graph, and get and set parameters.
 
-The services are for web clients only, and are not on the graph. Type names are those of ROS 2
-(``pkg/msg/Name``). Typedefs are those of rosapi.
+Only web clients can call these services, because they are not on the graph. Type names have the
+form of ROS 2 (``pkg/msg/Name``). In typedefs, type names have the form of rosapi (``pkg/Name``).
 
-A parameter with a colon in its name, ``/turtlesim:background_b``, belongs to a node; the parameter
-services of the node are called. All other parameters belong to the clients, and exist as long as
-the bridge. Values are JSON text.
+A name such as ``/turtlesim:background_b`` stands for the parameter ``background_b`` of the node
+``/turtlesim``. This module gets and sets such a parameter through the node's parameter services.
+Parameters without a colon in their names belong to the clients, and are kept until the bridge is
+closed. Values of parameters are JSON text.
 
 Source: rosapi ``rosapi_node.py``, ``proxy.py``, ``params.py``, ``objectutils.py`` and
 ``stringify_field_types.py``, and ``rosapi_msgs``; package ``rcl_interfaces`` of ROS 2 Jazzy.
@@ -99,9 +100,9 @@ class Rosapi:
     """Answers rosapi's services.
 
     Args:
-        node: A node of the graph to describe.
-        directory: The directory of the graph's endpoints.
-        parameters: Gets and sets parameters.
+        node: A node on the graph that the answers describe.
+        directory: Looks up the endpoints of the graph.
+        parameters: Answers the services for parameters.
     """
 
     def __init__(self, node: Node, directory: Directory, parameters: Parameters) -> None:
@@ -140,16 +141,18 @@ class Rosapi:
         }
 
     async def call(self, service: str, args: object) -> Values | None:
-        """Return the values of a response; None if the service does not belong to rosapi.
+        """Return the response of a service under ``/rosapi/``; None for any other service.
 
         Args:
-            service: The name as a client spells it, with or without the leading slash.
-            args: An object by argument names, or a list in the order of rosapi's request.
+            service: The service's name, with or without the leading slash.
+            args: A dict of arguments by name, or a list of arguments in the order of the request's
+                fields.
 
         Raises:
-            ServerUnavailable: if rosapi has no such service.
+            ServerUnavailable: if rosapi has no service with this name.
             InvalidMessage: if an argument is not a string.
-            TurtleactError: if a type is not known, a name breaks the rules, or a node is silent.
+            TurtleactError: if a type is not known, a name breaks ROS 2's rules, or a node does not
+                answer.
         """
         prefix, _, name = service.removeprefix("/").partition("/")
         if prefix != "rosapi" or not name:
@@ -172,9 +175,10 @@ class Rosapi:
         return {"topics": list(topics), "types": [types[0] for types in topics.values()]}
 
     def _topics_and_raw_types(self) -> Values:
-        """Include ``/rosout``.
+        """Return all topics, their types, and the definitions of the types.
 
-        Without it, Foxglove and Lichtblick take the graph for one of ROS 1.
+        ``/rosout`` is always included. Otherwise Foxglove and Lichtblick would take the graph for
+        one of ROS 1.
         """
         listed = self._topics()
         for topic, type in ALWAYS.items():
@@ -261,11 +265,11 @@ class Ask(Protocol):
     """A function that calls a service."""
 
     async def __call__(self, name: str, service_type: ServiceType[Req, Res], request: Req) -> Res:
-        """Call the service with a name and type."""
+        """Call the service with this name and type, and return its response."""
 
 
 class Parameters:
-    """Gets and sets parameters.
+    """Answers rosapi's services for parameters.
 
     Args:
         node: A node on the graph.
@@ -310,7 +314,7 @@ class Parameters:
         return {"successful": True, "reason": ""}
 
     async def names(self) -> Values:
-        """Answer ``get_param_names``. A node that does not answer is left out."""
+        """Answer ``get_param_names``. The parameters of nodes that do not answer are left out."""
         found = sorted(self._own)
         for service, types in self._node.graph().services.items():
             if not service.endswith(LIST) or ListParameters.type_name not in types:
@@ -325,7 +329,7 @@ class Parameters:
         return {"names": found}
 
     async def _value(self, name: str) -> str | None:
-        """The value of a parameter, as JSON; None if it is not set."""
+        """Return the value of a parameter as JSON text; None if the parameter is not set."""
         if ":" not in name:
             return self._own.get(name)
         held = await self._held(name)
@@ -335,9 +339,9 @@ class Parameters:
         return msgspec.json.encode(list(value) if isinstance(value, bytes) else value).decode()
 
     async def _held(self, name: str) -> ParameterValue:
-        """The value of a node's parameter.
+        """Return the value of a node's parameter.
 
-        The value is "not set" if the node has no such parameter.
+        If the node has no such parameter, the value has the type ``PARAMETER_NOT_SET``.
 
         Raises:
             TurtleactError: if the node does not answer.
@@ -361,7 +365,7 @@ class Parameters:
 
 
 def short_name(type_name: str) -> str:
-    """A type's name without its kind.
+    """Return the name of a type without ``msg``, ``srv`` or ``action``.
 
     >>> short_name("geometry_msgs/msg/Point")
     'geometry_msgs/Point'
@@ -371,12 +375,15 @@ def short_name(type_name: str) -> str:
 
 
 def typedefs(cls: type[Message]) -> list[dict[str, object]]:
-    """The typedefs of a message and all messages in it, each once, the outermost first."""
+    """Return the typedefs of a message and of all messages in it.
+
+    Each type occurs once. The outermost message comes first.
+    """
     return [_typedef(each) for each in _with_nested(cls)]
 
 
 def full_text(cls: type[Message]) -> str:
-    """The definition of a message, then the definitions of the messages in it."""
+    """Return the definition of a message, followed by the definitions of the messages in it."""
     first, *rest = _with_nested(cls)
     blocks = [f"{RULE}\nMSG: {short_name(each.type_name)}\n{interface_text(each)}" for each in rest]
     return "\n".join([interface_text(first), *blocks])
@@ -433,10 +440,13 @@ def _get_ros_version() -> Values:
 
 
 def _as_parameter(value: object, declared: int) -> ParameterValue:
-    """Make a parameter value. If JSON leaves its kind open, it gets the declared kind.
+    """Turn a value from JSON into a parameter value.
+
+    JSON does not distinguish 1 from 1.0, and an empty list has no item type. In these cases, the
+    value gets the type that the node has declared.
 
     Raises:
-        InvalidMessage: if no parameter can have this value.
+        InvalidMessage: if no type of parameter can hold the value.
     """
     if value is None:
         return ParameterValue()
@@ -490,7 +500,10 @@ def _field_types(cls: type[Message]) -> Iterator[str]:
 
 
 def _array_length(field: Field) -> int:
-    """-1 for a single element, 0 for a list of any length, else the length."""
+    """Return the length of a field's array in a typedef of rosapi.
+
+    The length is -1 for a single value, and 0 for a list of variable length.
+    """
     if not field.type.is_sequence:
         return -1
     return field.type.size if field.type.form is ArrayForm.FIXED else 0

@@ -1,7 +1,7 @@
-"""Serves the services and actions of one client: sends requests to it, and takes its answers.
+"""Serves the services and actions that one client offers.
 
-On the graph, the bridge is the server. Each request and each goal is sent to the client with an id,
-and waits until the client answers or leaves.
+On the graph, the bridge is the server. It sends each request and each goal to the client with an
+id, and waits until the client answers or disconnects.
 
 Source: rosbridge_library ``capabilities/advertise_{service,action}.py``.
 """
@@ -40,18 +40,18 @@ CANCEL_WITHIN: Final = 30.0
 
 
 class Server(Protocol):
-    """A server that was opened on the node."""
+    """A server of a service or an action on the node."""
 
     async def aclose(self) -> None:
-        """Stop serving."""
+        """Close the server."""
 
 
 class Serving:
-    """The services and actions that one client serves.
+    """Serves the services and actions that one client offers.
 
     Args:
-        node: The node that serves them.
-        keep: Called with each frame for the client.
+        node: The node on which the services and actions are served.
+        keep: Called with each frame to send to the client.
     """
 
     def __init__(self, node: Node, keep: Callable[[str], None]) -> None:
@@ -63,11 +63,11 @@ class Serving:
         self._count = 0
 
     def serve_service(self, said: AdvertiseService) -> None:
-        """Serve a service.
+        """Start to serve a service of the client.
 
         Raises:
-            InvalidName: if its name breaks ROS 2's rules.
-            UnknownInterface: if there is no such type.
+            InvalidName: if the service's name breaks ROS 2's rules.
+            UnknownInterface: if the service's type is not known.
         """
         service_type = cast("ServiceType[Message, Message]", service_class(said.type))
         handle = partial(self._handle, said, service_type)
@@ -75,7 +75,7 @@ class Serving:
         self._servers["service", said.service] = server
 
     def serve_action(self, said: AdvertiseAction) -> None:
-        """Serve an action. The errors are those of `serve_service`."""
+        """Start to serve an action of the client. The errors are those of `serve_service`."""
         action_type = cast("ActionType[Message, Message, Message]", action_class(said.type))
 
         async def execute(goal: Message, handle: ServerGoalHandle[Any, Any, Any]) -> Message:
@@ -85,9 +85,10 @@ class Serving:
         self._servers["action", said.action] = server
 
     def withdraw(self, kind: str, name: str) -> Server:
-        """Stop serving something, and return its server.
+        """Stop waiting for the client's answers for a service or action, and return its server.
 
-        Closing the server answers waiting calls.
+        The caller must close the server. When the server is closed, callers that still wait get an
+        error.
         """
         # First the questions are given up, so that closing the server does not wait for answers.
         for question in self._asked.values():
@@ -96,14 +97,14 @@ class Serving:
         return self._servers.pop((kind, name))
 
     def answer(self, said: ServiceResponse | ActionResult) -> bool:
-        """Take the client's answer. Return False if nobody asked the client."""
+        """Record the client's answer. Return False if it belongs to no request or goal."""
         question = self._asked.get(str(said.id))
         if question is not None:
             question.answer(said)
         return question is not None
 
     async def take_feedback(self, said: ActionFeedback) -> None:
-        """Publish the client's feedback. If the goal has ended, drop it.
+        """Publish the client's feedback, unless the goal has ended.
 
         Raises:
             TurtleactError: if the feedback does not fit the action.
@@ -113,7 +114,7 @@ class Serving:
             await question.take_feedback(said.values)
 
     async def aclose(self) -> None:
-        """Stop serving, because the client has gone."""
+        """Close all servers, because the client has gone."""
         # One after the other is quick enough: `withdraw` has given up the questions, so no server
         # waits for an answer of the client that has gone.
         for kind, name in list(self._servers):
@@ -131,7 +132,7 @@ class Serving:
         service_type: ServiceType[Message, Message],
         message: Message,
     ) -> Message:
-        """Send a request to the client, and return its answer."""
+        """Send a service request to the client, and return the client's response."""
         name = said.service
         question = self._ask("service", name, "service_request")
         try:
@@ -156,7 +157,7 @@ class Serving:
         goal: Message,
         handle: ServerGoalHandle[Any, Any, Any],
     ) -> Message:
-        """Let the client carry out a goal. This is the body of the action."""
+        """Send a goal to the client, and return the result. This is the body of the action."""
         name = said.action
         question = self._ask("action", name, "action_goal")
         feedback_type = cast("type[Message]", action_type.Feedback)
@@ -203,7 +204,7 @@ class Serving:
 
 
 def _trace() -> dict[str, str]:
-    """The members that carry the span of the running goal, if it has one."""
+    """Return the frame members for the running goal's tracing span, if it has one."""
     note = GoalNote.read(REQUEST_NOTE.get())
     members = {"traceparent": note.traceparent, "tracestate": note.tracestate}
     return {name: value for name, value in members.items() if value}
@@ -213,11 +214,12 @@ class _Question:
     """A request or a goal that was sent to the client.
 
     Attributes:
-        id: Its id in frames.
-        about: The service or action that the question is for.
-        said: The client's answer; None until it has come.
+        id: The id of the request or goal in frames.
+        about: The kind (``service`` or ``action``) and the name of the service or action.
+        said: The client's answer; None until the answer has come.
         is_lost: Whether no answer will come.
-        take_feedback: Takes the values of feedback, if this is a goal.
+        take_feedback: Called with the values of each feedback message of a goal. For a service
+            request, it does nothing.
     """
 
     def __init__(self, id: str, about: tuple[str, str], changed: Signal) -> None:
@@ -229,7 +231,7 @@ class _Question:
         self._changed = changed
 
     def answer(self, said: ServiceResponse | ActionResult) -> None:
-        """Take an answer. The first answer counts."""
+        """Record the client's answer. Any later answer is ignored."""
         if self.said is None:
             self.said = said
         self._changed.fire()
@@ -240,22 +242,23 @@ class _Question:
         self._changed.fire()
 
     async def wait(self) -> None:
-        """Wait until the answer has come, or will never come. Cancelling: safe."""
+        """Wait until the answer has come or `lose` has been called. Cancelling: safe."""
         while self.said is None and not self.is_lost:
             await self._changed.wait()
 
 
 async def _no_feedback(_values: object) -> None:
-    """Do nothing, because a service has no feedback."""
+    """Ignore feedback, because a service has none."""
 
 
 async def _result(
     said: ServiceResponse | ActionResult | None, result_type: type[Message]
 ) -> Message:
-    """Turn the client's answer into the outcome of the body: return a result, or raise an error.
+    """Return the goal's result from the client's answer, or raise the error that ends the goal.
 
     Raises:
-        Abort: if the client has gone or has failed, or if its answer does not fit the action.
+        Abort: if the client has gone, has aborted the goal, or has sent an answer that does not fit
+            the action.
         Cancel: if the client has canceled the goal.
     """
     if said is None:

@@ -1,10 +1,10 @@
-"""Steering: from a pose and a target to a speed and a turn rate.
+"""Steering: computes a speed and a turn rate from a pose and a target.
 
-A small library of pure functions. It knows no topic, message, clock or simulator.
+This is a small library that only calculates. It uses no topics, messages, clocks or simulator.
 
 - `limits`: what a turtle may do, how its speed may change, and where it aims.
-- `law`: the steering law, and how long a command holds.
-- `bounds`: how long a tour takes, at least and at most.
+- `law`: the steering law, and the helm, which holds a command as long as the law would repeat it.
+- `bounds`: lower and upper bounds of the time of a tour.
 """
 
 from __future__ import annotations

@@ -1,36 +1,43 @@
-"""How long a tour takes: at least, with any steering law; and at most, with our law.
+"""Lower and upper bounds of the time that a turtle needs for a tour of targets.
 
-`shortest_time` is proven for every law that keeps to a style. `time_bound` is proven for unlimited
-accelerations (`turtleact.actions.steering.law` has the proof). For limited ones it is an estimate
-that no test has exceeded.
+`shortest_time` is a lower bound for any steering law that keeps to a given style. `time_bound` is
+an upper bound for the law in `turtleact.actions.steering.law`. For unlimited accelerations, the
+docstring of that module proves the upper bound. For limited accelerations, the upper bound is an
+estimate that no test has exceeded.
 
-`least_loss` is the least time that turning costs a turtle that turns while it drives. Each leg of a
-tour has a direction, in which the turtle must cover a certain distance. While its heading is off by
-an angle e, only cos(e) of its speed counts in that direction, or nothing if cos(e) is negative. In
-a tick, the turtle therefore loses 1 - cos(e) of its speed. The error changes no faster than the
-turn rate, so turning from an error e to zero loses F(e) over the turn rate, where F(e) is the
-integral of that loss from 0 to e. The loss of a leg depends on the errors at both ends:
+`least_loss` computes the least time that a turtle loses by turning while it drives. On each leg of
+a tour, the turtle must cover a certain distance in the direction of the leg. The error e is the
+angle between the turtle's heading and that direction. Only the share cos(e) of the turtle's speed
+counts in that direction, or nothing if cos(e) is negative. In each tick, the turtle therefore loses
+the share 1 - cos(e) of its speed, or all of its speed if cos(e) is negative. F(e) is the integral
+of the lost share from 0 to e. The error changes no faster than the turn rate. While the turtle
+turns an error e to zero, it therefore loses at least the time F(e) divided by the turn rate. The
+loss on a leg depends on the errors at the start and at the end of the leg:
 
-- If the errors are on different sides, the loss is F of one plus F of the other. If the leg is too
-  short for that turn, the rest of the turn is added.
-- If the errors are on the same side, the loss is the same sum. On a short leg, the error never
-  falls to zero; the loss below its least value is subtracted.
+- If the two errors are on different sides of the direction, the loss is the sum of F for both
+  errors. If the turtle covers more than the length of the leg while it turns, the excess is added
+  to the loss.
+- If the two errors are on the same side, and the error falls to zero on the way, the loss is also
+  the sum of F for both errors. On a short leg, the error may fall only to a value m above zero. The
+  loss is then the sum minus 2 F(m).
 
-A leg may lose more than this shows. The distance of the leg in any other direction gives another
-bound, and for a short leg that bound may be the higher one. Short legs are therefore measured in
-several directions. For each pair of headings, the direction with the strongest bound is used. If
-the bound of the length leaves out a leg (see `shortest_time`), that leg still takes at least the
-time of its turn.
+The true loss may be larger, because these formulas measure the leg in only one direction. The
+distance that the leg covers in any other direction gives another lower bound of the loss, which may
+be higher if the leg is short. Short legs are therefore measured in several directions. For each
+pair of headings at the two ends of a leg, the highest bound counts. If `shortest_time` leaves a leg
+out of the length of the tour, the leg still takes at least the time to turn from the heading at its
+start to the heading at its end.
 
-The heading at the end of a leg is the heading at the start of the next. The headings are divided
-into cells, and all cells are tried. Each cell counts like its best heading, so the result is a
-bound, however coarse the cells are. In this module, angles are in rad, distances in turning radii,
-and losses in rad of turning at full rate. In a tick the turtle first turns and then moves, which
-may save it time; that gain is subtracted.
+The heading at the end of a leg is the heading at the start of the next leg. The possible headings
+between two legs are divided into ranges, called cells, and `least_loss` tries all cells. The loss
+of a cell is the loss of its best heading, so the result is a lower bound, however wide the cells
+are. In this module, angles are in rad, distances in turning radii, and losses in rad of turning at
+full rate. In each tick, the turtle first turns and then moves. This order may save time, so the
+bounds are lowered by the time that it may save.
 
-Source: Boyd and Vandenberghe, Convex Optimization, section 5.2 (weak duality); L. S. Pontryagin et
-al., The Mathematical Theory of Optimal Processes, 1962, chapter 1: the directions are the
-multipliers of the positions.
+Source: Boyd and Vandenberghe, Convex Optimization, section 5.2 (weak duality); Pontryagin et al.,
+The Mathematical Theory of Optimal Processes, 1962, chapter 1 (the directions are the multipliers of
+the positions).
 """
 
 from __future__ import annotations
@@ -86,18 +93,21 @@ def time_bound(
 ) -> float:
     """Return a time (s) within which the steering law is sure to have reached all targets in order.
 
-    For each target, the bound counts the time to drive to it and one tolerance farther at full
-    speed, the time of half a turn (``natural`` and ``forward``: three quarters of a turn), and four
-    ticks. A wanted heading counts as another half turn and four ticks. With limited accelerations,
-    all this is tripled, and the time to reach full speed, driving and turning, is added four times
-    for each target and four times more. The bound holds if every command acts for its tick and
-    nobody else moves the turtle.
+    The bound is a sum. For each target, it contains the time to drive to the target and one
+    tolerance farther, at full speed. It also contains four ticks and the time of half a turn at
+    full rate, or of three quarters of a turn for ``natural`` and ``forward``. For a wanted heading,
+    it contains the time of another half turn and another four ticks.
+
+    With limited accelerations, the sum is multiplied by 3. For n targets, 4 (n + 1) times a ramp
+    time is then added. The ramp time is the time to reach full speed from rest, plus the time to
+    reach the full turn rate from rest. The bound holds if every command takes effect in the tick
+    for which it was computed, and nobody else moves the turtle.
 
     Args:
-        pose: Where the turtle starts.
-        targets: In order; without targets the time is 0.
-        steering: The style and the limits.
-        theta: The heading (rad) at the last target. If left out, any heading will do.
+        pose: The pose at which the turtle starts: x and y (m), and the heading (rad).
+        targets: The targets in order (m). Without targets, the time is 0.
+        steering: The steering law with its style and limits.
+        theta: The wanted heading (rad) at the last target. If left out, any heading will do.
     """
     limits = steering.limits
     length = sum(distance(*a, *b) for a, b in pairwise([(pose[0], pose[1]), *targets]))
@@ -120,27 +130,34 @@ def shortest_time(
     *,
     theta: float | None = None,
 ) -> float:
-    """Return a time (s) that no law of the style can beat when it visits the targets in order.
+    """Return a lower bound (s) of the time that a turtle needs to visit the targets in order.
 
-    The time has two parts. One is the time along the shortest line through the discs of all
-    targets. The other is the time that the turtle must lose by turning. For styles that turn while
-    they drive, this loss is the least sum over all possible headings at the targets (see the
-    module's docstring). For styles that turn before they drive, the loss is the sum of all turns.
+    The bound holds for any steering law with the style and the limits of ``steering``. The function
+    computes three lower bounds, and returns the highest:
 
-    Two more times are lower bounds: the time to drive the line from rest with a limited
-    acceleration, and the time to turn to a wanted heading.
+    - The first bound is the time to drive at full speed along the shortest line through the discs
+      of all targets, plus the time that the turtle must lose by turning. The disc of a target
+      consists of all points within the tolerance.
+    - The second bound is the time to drive along this line from rest with the limited acceleration.
+    - The third bound is the time to turn to the wanted heading at the last target.
 
-    The line need not be exact. By duality, any unit vectors, one for each leg, prove a lower bound
-    of the length: the sum of the legs, each measured along its vector, with each point at its worst
-    place in its disc. A zero vector leaves out its leg. If a leg is too short for its turns, the
-    vectors are rotated until the bound no longer rises. In tours of at most six targets, such legs
-    are also measured in several directions.
+    For styles that turn while they drive, the time lost by turning is the least sum of the losses
+    over all possible headings at the targets (see the docstring of the module). For
+    ``rotate_then_drive``, it is the time of all turns on the spot.
+
+    The length of the shortest line is not computed exactly. Instead, the function chooses one unit
+    vector for each leg. By duality, every choice of vectors proves a lower bound of the length. To
+    compute this bound, each leg is measured along its vector, and the lengths are added up. Each
+    point between two legs is at the place in its disc where the sum is least. A leg with a zero
+    vector adds nothing to the sum. In tours of at most six targets, if a leg is too short for its
+    turns, the function rotates the vectors, or sets them to zero, as long as that raises the first
+    bound. In such tours, it also measures short legs in several directions.
 
     Args:
-        pose: Where the turtle starts, at rest.
-        targets: In order; without targets the time is 0.
-        steering: The style and the limits; the default ones if left out.
-        theta: The heading (rad) at the last target. If left out, any heading will do.
+        pose: The pose at which the turtle starts, at rest: x and y (m), and the heading (rad).
+        targets: The targets in order (m). Without targets, the time is 0.
+        steering: A steering law with the style and the limits. If left out, ``Steering()`` is used.
+        theta: The wanted heading (rad) at the last target. If left out, any heading will do.
 
     Source: Boyd and Vandenberghe, Convex Optimization, section 5.2 (weak duality).
     """
@@ -150,10 +167,10 @@ def shortest_time(
 def rising_times(
     pose: Pose, targets: Sequence[Point], steering: Steering, *, theta: float | None = None
 ) -> Iterator[float]:
-    """Yield lower bounds (s) of the duration; the greatest is the `shortest_time`.
+    """Yield lower bounds (s) of the time of a tour. `shortest_time` returns the highest of them.
 
-    At most a few milliseconds pass between two bounds, so that the caller can let other tasks run.
-    Yields nothing without targets.
+    Computing one bound takes a few milliseconds at most, so that the caller can let other tasks run
+    between two bounds. Without targets, this yields nothing.
     """
     if not targets:
         return
@@ -174,13 +191,13 @@ def rising_times(
 
 
 def _turn_time(angle: float, limits: Limits) -> float:
-    """Return the time (s) to turn the short way to a heading, within a tolerance."""
+    """Return the time (s) of the shortest turn that ends within the tolerance of ``angle``."""
     turn = max(0.0, abs(wrap_angle(angle)) - limits.heading_tolerance)
     return ramp_time(turn, limits.max_angular, limits.max_angular_acceleration)
 
 
 def _tour(start: complex, centres: Sequence[complex], tolerance: float) -> list[complex]:
-    """Return points in the targets' discs that form a nearly shortest line."""
+    """Return one point in each target's disc; the line through them is nearly the shortest."""
     touches = list(centres)
     for _ in range(_ROUNDS):
         before = start
@@ -199,17 +216,18 @@ def _touch(before: complex, leg: complex, centre: complex, tolerance: float) -> 
 
 
 def _unit(leg: complex) -> complex:
-    """Return the direction of a leg; zero if its ends are the same."""
+    """Return the unit vector along a leg, or zero if the leg has no length."""
     return leg / abs(leg) if leg else leg
 
 
 def _proven_length(
     start: complex, centres: Sequence[complex], units: Sequence[complex], tolerance: float
 ) -> float:
-    """The least sum of the legs, each measured along its unit vector.
+    """Return the lower bound (m) that unit vectors prove for the length of a tour.
 
-    A point's weight is the difference of the vectors before and after it. The sum is negative if
-    the vectors point against the legs. The loss by turning is then added to that negative sum.
+    `shortest_time` explains the bound. The sum over the legs is computed as a sum over their end
+    points: each point is multiplied by the difference of the unit vectors of the legs before
+    and after it. The result is negative if the vectors point against the legs.
     """
     total = -(start * units[0].conjugate()).real
     for centre, unit, leaving in zip(centres, units, [*units[1:], 0j], strict=True):
@@ -219,7 +237,7 @@ def _proven_length(
 
 
 def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[float]:
-    """The time (s) of each turn on the spot towards the best point of the next disc."""
+    """Yield the least time (s) of each turn on the spot towards the disc of the next target."""
     heading, off = cmath.rect(1.0, theta), 0.0
     for i, (stop, target) in enumerate(pairwise(stops)):
         leg, ends = target - stop, (2.0 if i else 1.0) * limits.tolerance
@@ -233,7 +251,10 @@ def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[f
 
 
 class _Tour:
-    """The lower bounds that unit vectors prove, for a turtle that turns as it drives."""
+    """Computes lower bounds for a tour of a turtle that turns while it drives.
+
+    Each bound is proved by unit vectors, one for each leg (see `shortest_time`).
+    """
 
     def __init__(
         self, pose: Pose, centres: Sequence[complex], steering: Steering, theta: float | None
@@ -245,7 +266,7 @@ class _Tour:
         self._theta = theta
 
     def proofs(self, units: Sequence[complex]) -> Iterator[tuple[float, float]]:
-        """Yield the length (m) and time (s) that these directions prove, then better ones."""
+        """Yield pairs of lower bounds: of the length (m) and of the time (s) of the tour."""
         if len(units) > _TUNED:
             yield self._length(units), self._time(units, _COARSE)[0]
             return
@@ -258,10 +279,10 @@ class _Tour:
         yield self._length(units), time
 
     def _better(self, units: list[complex]) -> Iterator[tuple[float, list[complex], list[float]]]:
-        """Turn or drop one direction after another, as long as that proves more.
+        """Rotate unit vectors, or set them to zero, as long as that raises the bound of the time.
 
-        After each attempt, yields the best result so far: the time (s) that it proves, the
-        directions, and the headings (rad) at the targets.
+        After each attempt, this yields the best result so far: the bound of the time (s), the
+        vectors that prove it, and the headings (rad) at the targets.
         """
         known: dict[tuple[Leg, ...], list[Cell]] = {}
         best, headings = self._time(units, _COARSE, known)
@@ -281,7 +302,7 @@ class _Tour:
         return _proven_length(self._start, self._centres, units, self._limits.tolerance)
 
     def _legs(self, units: Sequence[complex], views: int = 0) -> dict[int, Leg]:
-        """The legs by their index, except those without any direction."""
+        """Return the legs by index; a leg with a zero vector is left out if it has no views."""
         limits, off, legs = self._limits, self._limits.tolerance, dict[int, Leg]()
         stops = pairwise([self._start, *self._centres])
         for i, ((stop, target), unit) in enumerate(zip(stops, units, strict=True)):
@@ -297,7 +318,7 @@ class _Tour:
         return legs
 
     def _view(self, way: complex, unit: complex, off: float, own: complex | None = None) -> View:
-        """Measure a distance in a direction; both ends together may be off by ``off`` (m)."""
+        """Measure a leg in a direction; ``off`` (m) is the sum of the tolerances at its ends."""
         limits = self._limits
         along, ends = (way * unit.conjugate()).real, off + limits.step
         more = unit - (unit if own is None else own)
@@ -315,9 +336,10 @@ class _Tour:
         tried: Sequence[float] | None = None,
         enough: float = -math.inf,
     ) -> tuple[float, list[float]]:
-        """The least time (s), as proved in these directions, and the headings (rad) of that time.
+        """Return the bound (s) that the vectors ``units`` prove, and the headings at the targets.
 
-        If the headings in ``tried`` need at most the time ``enough``, the search ends with them.
+        If the bound with the headings in ``tried`` is at most ``enough`` (s), no other headings are
+        tried.
         """
         limits, driven = self._limits, self._length(units) / self._limits.max_linear
         legs = self._legs(units, views)
@@ -348,9 +370,9 @@ class _Tour:
 
 
 class View(msgspec.Struct, frozen=True):
-    """A direction (rad), and how far the turtle must and can come in that direction (radii).
+    """How far a leg leads in one direction (rad): from ``least`` to ``most`` (radii).
 
-    ``gain`` is how much longer the leg counts in this direction than in its own (radii).
+    The leg leads at least ``gain`` (radii) farther in this direction than along its own vector.
     """
 
     direction: float
@@ -360,9 +382,10 @@ class View(msgspec.Struct, frozen=True):
 
 
 class Leg(msgspec.Struct, frozen=True):
-    """One leg: its unit vector, and how far along it the turtle must and can come (radii).
+    """A leg of a tour: its unit vector, and how far it leads along this vector (radii).
 
-    A leg that is left out of the length counts only through its views in other directions.
+    If ``is_left_out`` is true, the leg adds nothing to the length of the tour, and its loss is
+    measured only in the directions of its ``views``.
     """
 
     unit: complex
@@ -373,9 +396,10 @@ class Leg(msgspec.Struct, frozen=True):
 
 
 class Cell(msgspec.Struct, frozen=True):
-    """A range of headings between two legs: its middle and width (rad), and the least cost so far.
+    """A range of headings (rad) between two legs.
 
-    ``before`` is the cell at the previous corner that leads here at this cost.
+    ``heading`` is the middle of the range. ``cost`` is the least loss (rad) from the start of the
+    tour up to this cell. ``before`` is the cell at the previous corner that leads to this loss.
     """
 
     heading: float
@@ -389,14 +413,15 @@ _Sight: TypeAlias = tuple[float, int, float]
 
 
 class Turning(msgspec.Struct, frozen=True, kw_only=True):
-    """How a turtle turns on a tour, and how finely its headings are told apart.
+    """How a turtle turns on a tour, and into how many cells its headings are divided.
 
     Attributes:
-        half: The largest error there is (rad): pi, or pi / 2 if it may also drive in reverse.
-        tick: How far it may turn before it moves (rad).
-        parts: How many cells each eighth of the largest error is cut into, at a corner.
-        last: The heading that is wanted at the end (rad); any if None.
-        slack: How far the last heading may be off to either side (rad).
+        half: The largest possible error (rad): pi, or pi / 2 if the turtle may also drive in
+            reverse.
+        tick: How far the turtle may turn in a tick before it moves (rad).
+        parts: Into how many cells each range of ``half / 8`` (rad) is divided at a corner.
+        last: The wanted heading at the end of the tour (rad). If None, any heading will do.
+        slack: How far the heading at the end may be off, to either side (rad).
     """
 
     half: float
@@ -415,20 +440,22 @@ def least_loss(
     tried: Sequence[float] | None = None,
     enough: float = -math.inf,
 ) -> tuple[float, list[float]]:
-    """The least loss by turning over all legs, and the headings at the corners that lead to it.
+    """Return the least loss by turning on all legs (rad), and the headings at the corners (rad).
 
-    The loss is in rad of turning at full rate, the headings are in rad.
+    The loss is given in rad of turning at full rate. The headings are those that lead to this loss.
 
     Args:
         heading: The heading at the start, a unit vector.
         legs: The legs in order, at least one.
         turning: How the turtle turns.
-        known: Results for the first legs of other tours with the same first heading and the same
-            ``turning``. New results are added.
-        tried: Headings (rad), one for each corner, that may be nearly the best. These headings are
-            tried first. If ``known`` is not given, headings that cannot be better are then left
-            out.
-        enough: The search ends with the tried headings if they lose at most this much.
+        known: A cache for calls with the same ``heading`` and ``turning``. It maps the first legs
+            of a tour to the cells at the corner before the last of these legs. The function adds
+            its own results to the cache.
+        tried: A guess of the best headings (rad), one for each corner. The function tries these
+            headings first. If ``known`` is not given, the function skips headings that cannot be
+            better than the guess.
+        enough: If the loss with the headings in ``tried`` is at most this (rad), no other headings
+            are tried.
     """
     corners = [_corner(one, next_, turning) for one, next_ in pairwise(legs)]
     wanted = None if turning.last is None else Cell(turning.last, 2.0 * turning.slack)
@@ -456,7 +483,7 @@ def least_loss(
 def _ended(
     cells: Sequence[Cell], leg: Leg, wanted: Cell | None, turning: Turning
 ) -> tuple[float, list[float]]:
-    """The least cost at the end of the last leg, and the headings at all corners."""
+    """Return the least loss up to the end of the last leg, and the headings at all corners."""
     if wanted is None:
         costs = [cell.cost + _started(cell, leg, turning) for cell in cells]
         cost = min(costs)
@@ -472,7 +499,7 @@ def _ended(
 
 
 def _nearest(corner: Sequence[Cell], heading: float, half: float) -> Cell:
-    """The cell that a heading is in."""
+    """Return the cell that contains a heading or, if there is none, the nearest cell."""
     apart = [
         abs(math.remainder(cell.heading - heading, 2.0 * half)) - cell.width / 2.0
         for cell in corner
@@ -481,9 +508,11 @@ def _nearest(corner: Sequence[Cell], heading: float, half: float) -> Cell:
 
 
 def _corner(leg: Leg, following: Leg, turning: Turning) -> list[Cell]:
-    """All headings at a corner, in cells that end at the legs' directions and at their opposites.
+    """Divide all headings at a corner into cells.
 
-    If there is room for both turns, only the best heading: half of the turn before the target.
+    Cells end exactly at the directions of the two legs and at the opposite directions. If both legs
+    have room for their turns, the only cell is the best heading. With this heading, the turtle
+    makes half of the turn before the corner.
     """
     half, begun = turning.half, phase(leg.unit)
     turn = math.remainder(phase(following.unit * leg.unit.conjugate()), 2.0 * half)
@@ -499,9 +528,9 @@ def _corner(leg: Leg, following: Leg, turning: Turning) -> list[Cell]:
 
 
 def _views(leg: Leg) -> Sequence[View]:
-    """Return all views of a leg, its own direction first.
+    """Return a leg as seen along each direction (its views). The first direction is the leg's own.
 
-    If the leg is left out, only the views in other directions remain.
+    If ``leg.is_left_out`` is true, that first view is not returned.
     """
     if leg.is_left_out:
         return leg.views
@@ -509,7 +538,7 @@ def _views(leg: Leg) -> Sequence[View]:
 
 
 def _sight(cell: Cell, view: View, half: float, tick: float = 0.0) -> _Sight:
-    """The least error of a cell's headings in a view, after a turn by at most ``tick`` (rad)."""
+    """Return the least error of a cell's headings in a view, after a turn by up to ``tick`` rad."""
     angle, off = math.remainder(cell.heading - view.direction, 2.0 * half), cell.width / 2.0
     error = abs(angle)
     if error < off - _ROUNDING or error > half - off + _ROUNDING:
@@ -530,9 +559,9 @@ def _pass(
     limit: float = math.inf,
     following: Leg | None = None,
 ) -> Iterator[Cell]:
-    """The cells at the end of a leg, each with the least cost up to there.
+    """Yield the cells at the end of a leg, each with the least loss up to this cell.
 
-    A cell is left out if the cost after the following leg must exceed the limit.
+    A cell is left out if its loss plus the least loss on the following leg exceeds ``limit``.
     """
     half, tick = turning.half, turning.tick
     starts, views = _best(starts, half), _views(leg)
@@ -572,9 +601,9 @@ def _pass(
 
 
 def _best(cells: Sequence[Cell], half: float) -> list[Cell]:
-    """The cells, cheapest first.
+    """Return the cells in the order of their cost, without those that are never needed.
 
-    A cell is left out if another cell and a turn on the spot from there cost no more.
+    A cell is not needed if another cell and a turn on the spot from that cell cost no more.
     """
     best: list[Cell] = []
     for cell in sorted(cells, key=_cost):
@@ -592,15 +621,15 @@ def _cost(cell: Cell) -> float:
 
 
 def _turned(start: Cell, end: Cell, half: float) -> float:
-    """The least turn from one cell to another (rad)."""
+    """Return the least turn from one cell to another (rad); negative if the cells overlap."""
     angle = abs(math.remainder(end.heading - start.heading, 2.0 * half))
     return angle - (start.width + end.width) / 2.0
 
 
 def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
-    """The cost of a leg from one error to another.
+    """Return the least loss of a leg that begins with one error and ends with another.
 
-    Each error may be larger by up to ``width`` (rad).
+    Each error may be larger by up to ``width`` (rad), because a cell is a range of headings.
     """
     sides = start[1] * end[1]
     if sides > 0:
@@ -612,7 +641,7 @@ def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) 
 
 
 def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
-    """The cost of a leg from an error to one on the other side."""
+    """Return the least loss that a leg has when its two errors are on different sides."""
     (error, _, made), (wanted, _, made_wanted) = start, end
     least = max(error - made + wanted - made_wanted, error + wanted - view.most)
     # Or the turtle turns the other way round: an error of half a turn is on both sides.
@@ -627,10 +656,10 @@ def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: f
 
 
 def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
-    """The cost of a leg from one error to another on the same side.
+    """Return the least loss that a leg has when its two errors are on the same side.
 
-    The error first falls. It rises again when the rest of the leg is just long enough for the turn
-    to the other error.
+    On the leg, the error first falls. It rises again when the rest of the leg is just long enough
+    for the turn to the other error.
     """
     (low, _, made_low), (high, _, made_high) = (one, other) if one < other else (other, one)
     lost = low - made_low + high - made_high
@@ -649,7 +678,7 @@ def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
 
 
 def _started(cell: Cell, leg: Leg, turning: Turning) -> float:
-    """The cost of the last leg from a cell, if it may end in any heading."""
+    """Return the least loss of a leg that begins in a cell and may end with any heading."""
     least = 0.0
     for view in _views(leg):
         if view.least > 0.0:
@@ -660,10 +689,10 @@ def _started(cell: Cell, leg: Leg, turning: Turning) -> float:
 
 
 def _made(error: float) -> float:
-    """How far the turtle gets while it turns until an error is zero (radii)."""
+    """Return how far the turtle gets along a leg while it turns an error to zero (radii)."""
     return math.sin(error) if error < _RIGHT else 1.0
 
 
 def _lost(error: float) -> float:
-    """The loss until an error is zero: the integral of 1 - cos, or of 1 beyond a right angle."""
+    """Return the loss while the turtle turns an error to zero: F in the docstring of the module."""
     return error - _made(error)

@@ -1,58 +1,69 @@
 """The steering law: drives a turtle through targets in nearly the shortest time.
 
-A pose and a target go in; a speed and a turn rate come out. The law remembers nothing between
-calls, so if somebody else moves the turtle, it continues from its new place. The rules:
+From a pose and a target, the law computes a speed and a turn rate. The law remembers nothing
+between calls, so if somebody else moves the turtle, the turtle continues from its new place. The
+law follows these rules:
 
-- **Turn hard, drive hard.** The turtle turns towards its aim at full rate, the short way round, and
-  drives at full speed meanwhile. The shortest paths consist of arcs and straight lines (Dubins
-  1957).
-- **Choose the gear.** The style ``fastest`` reverses to a target behind the turtle. The style
-  ``natural`` does so only if turning round and driving forwards would take three times as long.
-- **Never orbit.** At full speed, a turtle would circle for ever round a target inside its turning
-  circle. The shortest way to such a target begins with an arc in the other gear and keeps turning
-  the same way (Souères, Fourquet and Laumond 1994). ``fastest`` drives that arc; the other styles
-  turn on the spot.
-- **Look one target ahead.** Before a turn, the turtle swings wide: a turn by an angle phi costs
-  phi - sin(phi) over the turn rate, and only a quarter of that if half of the turn is made before
-  the target. The turtle also cuts the inner side of the target's disc. It does neither if the
-  target would then get into the turning circle. Styles that drive forwards turn to the next target
-  as soon as the arc to that target leads through the current one. If the discs of two targets
-  overlap, the turtle may drive to a point between them. It drives to that point if an arc leads
-  there, or if it would otherwise have to turn round for the second target.
-- **Land.** No tick turns beyond the aim or drives beyond the target. A step that would leave the
-  area ends at its edge; there the turtle continues to turn.
-- **Face last.** If a heading is wanted at the target, the turtle turns to that heading there, on
-  the spot.
-- **Ease.** With limited accelerations, the turtle does not swing wide, and only stops at the last
-  target. It slows down early enough to stop before the target and the edge of the area, and to
-  finish its turn on the way. While it rolls the wrong way, it does not turn. A turtle that comes
-  fast into a corner may leave the area by centimetres.
+- **Turn and drive at full speed.** The turtle turns at full rate, the short way round, towards the
+  point that it aims at. Meanwhile, it drives at full speed. The shortest paths consist of arcs and
+  straight lines (Dubins 1957).
+- **Choose the gear.** With the style ``fastest``, the turtle drives in reverse to a target behind
+  it. With the style ``natural``, the turtle does so only if turning round and driving forwards
+  would take at least three times as long as reversing.
+- **Never circle round a target.** At full speed, a turtle would circle for ever round a target
+  inside its turning circle. The shortest way to such a target begins with an arc in the other gear,
+  and the turtle turns to the same side all the way (Souères, Fourquet and Laumond 1994). With
+  ``fastest``, the turtle drives that arc. With the other styles, it turns on the spot.
+- **Look one target ahead.** If the turtle makes a turn by an angle phi after a target, it loses the
+  time (phi - sin(phi)) / omega, where omega is the turn rate. If it makes half of the turn before
+  the target, it loses only about a quarter of that time. The turtle therefore swings wide, so that
+  it makes half of the turn before the target. The turtle also drives through the inner side of the
+  target's disc, in which the target counts as reached. The turtle does these two things only while
+  the target stays outside the turning circle. With ``natural`` and ``forward``, the turtle begins
+  to turn to the next target as soon as the arc of that turn leads through the current target. If
+  the discs of two targets overlap, the turtle may drive to a point between the targets. It does so
+  if it can reach that point without changing gear, or if it would otherwise have to turn round for
+  the second target.
+- **Stop in time.** In no tick does the turtle turn beyond its aim or drive beyond its target. If a
+  step would leave the area, the turtle stops at the edge of the area and turns there.
+- **Turn to a wanted heading last.** If a heading is wanted at the target, the turtle turns to that
+  heading at the target, on the spot.
+- **Brake early.** If the accelerations are limited, the turtle brakes early enough to finish its
+  turn without swinging wide, to stop at the last target, and to stop before the edge of the area.
+  It does not stop at the other targets. While the turtle still rolls away from the point that it
+  aims at, it does not turn. If a turtle drives fast into a corner of the area, it may leave the
+  area by a few centimetres.
 
-`Helm` holds a command as long as the law would repeat it. Most ticks are like the one before:
-straight on, or turning at full rate. So the helm asks the law twice: for this pose, and for the
-pose to which the command leads some ticks later. If the answers are the same, the helm assumes the
-same answer for all ticks in between, and holds the command for them. Then the helm looks ahead
-again, twice as far each time, up to eight ticks. If the answers differ, the hold is not extended,
-and the answer for the pose where it ends is the next command. The helm checks each pose: as soon as
-the turtle is not where it should be, the hold ends. The helm holds no command while commands come
-late. With limited accelerations it holds none either, because then the speeds change with every
-tick. A hold ends before the target is reached, and never leads out of the area.
+`Helm` holds a command: the command also applies in the following ticks, as long as the law would
+repeat it. In most ticks, the turtle does the same as in the tick before: it drives straight on, or
+turns at full rate. The helm therefore asks the law twice: for the present pose, and for the pose to
+which the command leads some ticks later. If both answers are the same, the helm assumes the same
+answer for all ticks in between, and holds the command in these ticks. At the end of these ticks,
+the helm looks ahead again, each time twice as far, up to eight ticks. If the answers differ, the
+hold ends. At the end of a hold, the helm uses the answer that it already has for that pose.
 
-Why the turtle always arrives: let e be the angle to the target, d its distance, and R = v/omega the
-radius of the turning circle. The law drives forwards only if tan(e) <= d / R. Then e/omega + d/v,
-the time to turn on the spot and then drive, falls at least as fast as time passes, also at lower
-speeds. In the other gear, this time falls at least half as fast, and e falls faster than at the
-rate omega, so the turtle leaves that gear within e/omega. Therefore a target takes at most 1.5
-e/omega + d/v; `time_bound` adds room for swinging wide. With limited accelerations, the turtle
-drives at v <= omega d / (2 tan(e)) in the same region, and stands still elsewhere.
+The helm compares each pose with the expected pose. If they differ, the hold ends. While commands
+come late, the helm holds no command. With limited accelerations, it holds no command either,
+because the speeds then change with every tick. A hold ends before the turtle reaches the target,
+and a held command never leads out of the area.
 
-The law assumes that a command acts in the tick after the pose was seen, and that the turtle first
-turns and then moves.
+Why the turtle always arrives: let e be the angle between its heading and the target, d the distance
+of the target, v the full speed, omega the full turn rate, and R = v/omega the radius of the turning
+circle. The law drives on in a gear only if tan(e) <= d / R. Let T = e/omega + d/v be the time to
+turn on the spot and then drive straight. While the turtle drives on, T falls by at least one second
+per second, also at lower speeds. While the turtle drives in the other gear, T falls at least half
+as fast. In that gear, e falls faster than at the rate omega, so the turtle leaves the gear within
+e/omega. The turtle therefore reaches a target within 1.5 e/omega + d/v. `time_bound` adds time for
+swinging wide. With limited accelerations, the turtle drives no faster than omega d / (2 tan(e))
+while e is below a quarter turn. If e is larger, the turtle stands still and turns.
 
-Source: L. E. Dubins, "On curves of minimal length with a constraint on average curvature", 1957;
-J. A. Reeds and L. A. Shepp, "Optimal paths for a car that goes both forwards and backwards", 1990;
-P. Souères, J.-Y. Fourquet and J.-P. Laumond, "Set of reachable positions for a car", 1994;
-R. Siegwart and I. R. Nourbakhsh, Introduction to Autonomous Mobile Robots, section 3.6.
+The law assumes that a command takes effect in the tick after the pose, and that in each tick the
+turtle first turns and then moves.
+
+Source: Dubins, "On curves of minimal length with a constraint on average curvature", 1957; Reeds
+and Shepp, "Optimal paths for a car that goes both forwards and backwards", 1990; Souères, Fourquet
+and Laumond, "Set of reachable positions for a car", 1994; Siegwart and Nourbakhsh, Introduction to
+Autonomous Mobile Robots, section 3.6.
 """
 
 from __future__ import annotations
@@ -123,17 +134,17 @@ _ROUNDING = 1e-5
 
 
 class Steering(msgspec.Struct, frozen=True):
-    """A style of driving, under limits.
+    """A steering law: a style of driving, and the limits of the turtle.
 
     Attributes:
-        style: ``fastest`` drives forwards or in reverse, whichever is faster. ``natural`` reverses
-            only to targets close behind it. ``forward`` never reverses. ``rotate_then_drive`` turns
-            on the spot to face each target, then drives straight. ``arc`` is the former name of
-            ``fastest``.
-        limits: What the turtle may do.
+        style: With ``fastest``, the turtle drives forwards or in reverse, whichever is faster. With
+            ``natural``, it reverses only to targets close behind it. With ``forward``, it never
+            reverses. With ``rotate_then_drive``, it turns on the spot to face each target, then
+            drives straight. ``arc`` is the former name of ``fastest``.
+        limits: The highest speeds and accelerations, the tolerances, and the area.
 
     Raises:
-        InvalidMessage: if there is no such style.
+        InvalidMessage: if the style does not exist.
 
     Example:
         >>> Steering().command((5.0, 5.0, 0.0), (1.0, 5.0))
@@ -152,7 +163,7 @@ class Steering(msgspec.Struct, frozen=True):
             raise InvalidMessage("style", f"'{self.style}' is none of {', '.join(get_args(Style))}")
 
     def is_reached(self, pose: Pose, target: Point, *, theta: float | None = None) -> bool:
-        """Whether the target is reached and, if given, the heading ``theta`` (rad)."""
+        """Whether a pose is at the target and, if ``theta`` is given, has that heading (rad)."""
         if distance(pose[0], pose[1], *target) > self.limits.tolerance:
             return False
         return theta is None or abs(wrap_angle(theta - pose[2])) <= self.limits.heading_tolerance
@@ -166,22 +177,25 @@ class Steering(msgspec.Struct, frozen=True):
         *,
         theta: float | None = None,
     ) -> Speeds:
-        """The speeds for the next tick.
+        """Return the speeds for the next tick.
 
-        At the target the turtle stops, or turns to the heading. To make it drive through, pass the
-        next target instead.
+        At the target, the turtle stops, or turns to the heading ``theta``. To make the turtle drive
+        on without a stop, pass the next target as ``target`` as soon as the turtle has reached the
+        first target.
 
         Args:
-            pose: Where the turtle is (m), and its heading (rad).
-            target: Where to go.
-            next_target: Where to go next. It shapes the approach to ``target``.
-            speeds: The last command. Accelerations are counted from these speeds. If both ways
-                round are equally good, the turtle keeps turning the same way, so that it does not
-                dither when commands come late.
-            theta: The heading (rad) at the target. If left out, any heading will do.
+            pose: The place of the turtle (m) and its heading (rad).
+            target: The target to drive to (m).
+            next_target: The target after ``target`` (m). The law takes it into account on the way
+                to ``target``.
+            speeds: The speeds of the last command. If the accelerations are limited, the new speeds
+                depend on the last speeds. If both ways to turn are equally long, the turtle keeps
+                turning to the same side, so that it does not swing to and fro when commands come
+                late.
+            theta: The wanted heading (rad) at the target. If left out, any heading will do.
 
         Returns:
-            Linear (m/s) and angular (rad/s) speed, each within its limit.
+            The linear speed (m/s) and the turn rate (rad/s), each within its limit.
         """
         if distance(pose[0], pose[1], *target) <= self.limits.tolerance:
             return self._rest(pose, theta, speeds)
@@ -200,7 +214,7 @@ class Steering(msgspec.Struct, frozen=True):
         return gear * linear + 0.0, angular
 
     def _rest(self, pose: Pose, theta: float | None, speeds: Speeds) -> Speeds:
-        """The speeds to stop, and to turn to a heading if one is given."""
+        """Return the speeds that stop the turtle at the target, or turn it to ``theta`` there."""
         limits = self.limits
         linear = ramp(0.0, speeds[0], limits.max_acceleration * limits.dt)
         error = 0.0 if theta is None else wrap_angle(theta - pose[2])
@@ -209,7 +223,10 @@ class Steering(msgspec.Struct, frozen=True):
         return linear, self._turn_rate(error, speeds[1])
 
     def _turn_rate(self, error: float, turning: float) -> float:
-        """The turn rate (rad/s) that ends an error (rad) soonest, without turning too far."""
+        """Return the turn rate (rad/s) for the next tick of a turn by ``error`` (rad).
+
+        With this rate, the turtle turns as fast as it can without turning too far.
+        """
         limits = self.limits
         ends = stopping_speed(abs(error), limits.max_angular_acceleration, limits.dt)
         wanted = math.copysign(min(ends, limits.max_angular), error) + 0.0
@@ -217,11 +234,11 @@ class Steering(msgspec.Struct, frozen=True):
 
     @property
     def _turns_round(self) -> bool:
-        """Whether the turtle drives forwards even to a target that lies behind the one before."""
+        """Whether the turtle turns round while driving, if the next target lies behind it."""
         return self.style in ("natural", "forward")
 
     def _gear(self, seen: complex, turning: float) -> float:
-        """1 to drive forwards, -1 in reverse."""
+        """Return 1 to drive forwards, or -1 to drive in reverse."""
         if self.style == "natural":
             return -1.0 if self._is_worth_reversing(seen) else 1.0
         if self.style != "fastest":
@@ -231,11 +248,11 @@ class Steering(msgspec.Struct, frozen=True):
         return math.copysign(1.0, seen.real)
 
     def _is_worth_reversing(self, seen: complex) -> bool:
-        """Whether turning round and driving forwards takes far longer than reversing.
+        """Return whether turning round and driving forwards takes far longer than reversing.
 
-        Both times are those of a turn on the spot and a straight drive to the target's disc. The
-        choice does not change on the way: turning round leaves less to turn, and reversing brings
-        the disc nearer.
+        Each of the two ways consists of a turn on the spot and a straight drive to the target's
+        disc. The choice does not change on the way: while the turtle turns round, less of that turn
+        is left, and while the turtle reverses, the disc comes nearer.
         """
         limits, away = self.limits, abs(seen)
         half_width = math.asin(
@@ -246,7 +263,7 @@ class Steering(msgspec.Struct, frozen=True):
         return max(0.0, error - half_width) + length >= _WORTH * reversing
 
     def _push(self, error: float, *, clear: bool) -> float:
-        """1 to drive on in the gear, -1 to back away, 0 to turn on the spot."""
+        """Return 1 to drive on in this gear, -1 to change the gear, 0 to turn on the spot."""
         if not clear:
             return -1.0 if self.style == "fastest" else 0.0
         return float(self.style != "rotate_then_drive" or abs(error) <= late(self.limits))
@@ -254,7 +271,10 @@ class Steering(msgspec.Struct, frozen=True):
     def _at_once(
         self, frame: Frame, goal: complex, after: complex | None, turning: float
     ) -> Speeds:
-        """Both speeds in the gear of ``frame`` when speeds may jump."""
+        """Return the speeds for unlimited accelerations.
+
+        The linear speed is the speed along ``frame.heading``.
+        """
         limits, miss = self.limits, MISS * self.limits.tolerance
         if after is not None and abs(after - goal) <= 2.0 * miss:
             # Both are reached from a point between them, unless the turtle would have to back away
@@ -280,7 +300,10 @@ class Steering(msgspec.Struct, frozen=True):
         return share * limits.max_linear, angular
 
     def _eased(self, frame: Frame, goal: complex, speeds: Speeds, *, is_last: bool) -> Speeds:
-        """Both speeds in the gear of ``frame`` when accelerations are limited."""
+        """Return the speeds for limited accelerations.
+
+        The linear speed is the speed along ``frame.heading``.
+        """
         limits = self.limits
         area, aim = inside(goal, limits)
         facing = late(limits) if self.style == "rotate_then_drive" else math.pi / 2
@@ -297,7 +320,7 @@ class Steering(msgspec.Struct, frozen=True):
     def _eased_speed(
         self, frame: Frame, aim: complex, area: Area, *, facing: float, is_last: bool
     ) -> float:
-        """The speed (m/s) from which the turtle can still turn to its aim, and stop in time."""
+        """Return the highest speed (m/s) at which the turtle can turn to its aim and stop there."""
         limits, seen = self.limits, frame.see(aim)
         error = phase(seen)
         if abs(error) >= facing:
@@ -315,7 +338,7 @@ class Steering(msgspec.Struct, frozen=True):
 
 
 class Course(NamedTuple):
-    """The arguments of the law besides the pose and the speeds."""
+    """The arguments of `Steering.command` other than the pose and the speeds."""
 
     target: Point
     next_target: Point | None
@@ -326,13 +349,15 @@ class Helm:
     """Asks the law for commands, and holds each command as long as the law would repeat it.
 
     Args:
-        steering: The steering law. Its ``limits.dt`` is the turtle's tick.
-        longest: For how many ticks a command may be held, 1 or more.
+        steering: The steering law. Its ``limits.dt`` is the length of the turtle's ticks.
+        longest: The largest number of ticks for which a command may be held, 1 or more.
 
     Attributes:
         speeds: The last command: linear (m/s) and angular (rad/s).
-        at: The pose at which it was given, or the last pose at which it still held.
-        left: For how many more ticks it holds; 0 if the next tick needs a new one.
+        at: The pose for which the last command was given, or the newest pose at which it still
+            applied.
+        left: For how many more ticks the last command is held. If 0, the next tick needs a new
+            command.
     """
 
     def __init__(self, steering: Steering, longest: int = LONGEST) -> None:
@@ -350,7 +375,11 @@ class Helm:
 
     @property
     def steering(self) -> Steering:
-        """The steering law. A new law drops the held command, but keeps the first law's tick."""
+        """The steering law.
+
+        If you set a new law, the hold of the last command ends. The helm keeps the tick length of
+        its first law.
+        """
         return self._steering
 
     @steering.setter
@@ -366,7 +395,7 @@ class Helm:
         *,
         theta: float | None = None,
     ) -> Speeds:
-        """The speeds from this pose on, as from `Steering.command`."""
+        """Return the speeds for the next tick. The arguments are those of `Steering.command`."""
         course = Course(target, next_target, theta)
         is_obeyed = self.foresees(pose)
         if self._known is not None and self._known[0] == course and self.at == pose:
@@ -385,7 +414,7 @@ class Helm:
         return self.speeds
 
     def holds(self, pose: Pose) -> bool:
-        """Whether the command still applies at the next pose, so that no new one is needed."""
+        """Return whether the last command is still held at a new pose."""
         if not self.left:
             return False
         if not self.foresees(pose):
@@ -399,7 +428,7 @@ class Helm:
         return self.left > 0
 
     def foresees(self, pose: Pose) -> bool:
-        """Whether a pose is that of the last command, or the expected pose one tick later."""
+        """Return whether a pose is the same as ``at``, or the one expected a tick after ``at``."""
         (x, y, theta), (new_x, new_y, new_theta) = self.at, pose
         along, step_x, step_y = self._stride
         if along != new_theta:  # else it goes straight on
@@ -426,7 +455,7 @@ class Helm:
         return self._steering.command(pose, target, next_target, self.speeds, theta=theta)
 
     def _hold(self, course: Course) -> int:
-        """For how many more ticks the command holds; 0 if only for the next one."""
+        """Return for how many more ticks to hold the command; 0 if it is for the next tick only."""
         pose = self.at
         ticks = min(self._longest, 2 * self._tried, self._before(course.target))
         self._tried = max(1, ticks // 4)
@@ -444,7 +473,7 @@ class Helm:
         return ticks
 
     def _before(self, target: Point) -> int:
-        """The number of ticks in which the turtle cannot yet reach the target."""
+        """Return a number of ticks in which the turtle surely cannot reach the target."""
         limits = self._steering.limits
         if limits.is_eased:
             return 0
@@ -453,7 +482,7 @@ class Helm:
         return int(away / step) if step and away < LONGEST * step else LONGEST
 
     def pose_after(self, ticks: int) -> Pose:
-        """The pose to which the command leads in ``ticks`` ticks."""
+        """Return the pose to which the last command leads in ``ticks`` ticks."""
         x, y, theta = self.at
         half = self._turn / 2.0
         # The sum of the steps, each along the heading at its end.
@@ -467,11 +496,14 @@ class Helm:
         )
 
     def _bulge(self, ticks: int) -> float:
-        """How far the path of ``ticks`` ticks can deviate from a straight line (m)."""
+        """Return how far the path of ``ticks`` ticks deviates from a straight line at most (m)."""
         return abs(self._step * self._turn) * ticks * ticks / 8.0
 
     def _is_same(self, command: Speeds, ticks: int) -> bool:
-        """Whether a command leads to nearly the same place as the held one in ``ticks`` ticks."""
+        """Return whether ``command`` leads to nearly the same place as the last command does.
+
+        The places are compared after ``ticks`` ticks.
+        """
         limits, speeds = self._steering.limits, self.speeds
         if command[0] != speeds[0] or not speeds[0]:
             return command == speeds

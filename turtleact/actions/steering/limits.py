@@ -1,12 +1,13 @@
 """What a turtle may do, how its speed may change, and where it aims.
 
 - `Limits`: speeds, accelerations, tolerances, and the `Area` in which the turtle stays.
-- `ramp`, `stopping_speed`, `ramp_time`: speeds under limited accelerations. These functions count
-  in ticks: a speed holds for a tick, and the next speed differs by at most the acceleration times
-  the tick. The functions work for lengths (m) and for angles (rad). An acceleration may be
-  infinite.
-- `Frame`, `approach` and the rest: where a turtle sees its target, and where it aims on the way
-  there. Points are complex numbers here, so a turn is a product.
+- `ramp` and `stopping_speed`: the speed of the next tick under limited accelerations. A speed holds
+  for one tick, and the next speed differs from it by at most the acceleration times the length of a
+  tick.
+- `ramp_time`: the time to cover a length under a limited acceleration. These three functions work
+  for lengths (m) and for angles (rad), and the acceleration may be infinite.
+- `Frame`, `approach` and the other functions: where a turtle sees its target, and where it aims on
+  the way there. Points are complex numbers, so that a multiplication by a unit vector turns them.
 
 Source: Lynch and Park, Modern Robotics, section 9.2.2.2 (trapezoidal motion profiles); for aiming,
 the sources of `turtleact.actions.steering.law`.
@@ -71,7 +72,7 @@ _LATE = 3  # A command may come this many ticks late without harm.
 
 
 class Area(msgspec.Struct, frozen=True):
-    """The rectangle in which the turtle stays (m); without arguments it is infinite."""
+    """The rectangle in which the turtle stays (m). Without arguments, the rectangle is infinite."""
 
     left: float = -math.inf
     bottom: float = -math.inf
@@ -80,7 +81,7 @@ class Area(msgspec.Struct, frozen=True):
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
-    """What a turtle may do, and how close to its targets it must come.
+    """How fast a turtle may move, and how close to its targets it must come.
 
     Attributes:
         max_linear: Highest speed, forwards and backwards (m/s).
@@ -88,13 +89,14 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         max_acceleration: How fast the speed may change (m/s²); may be infinite.
         max_angular_acceleration: How fast the turn rate may change (rad/s²); may be infinite.
         tolerance: A target at this distance or nearer is reached (m).
-        heading_tolerance: How far a wanted heading may be off (rad).
+        heading_tolerance: How far the turtle's heading may be from the wanted heading (rad).
         dt: Length of a tick (s).
-        area: Where the turtle stays. It leaves the area only for a target outside.
+        area: The rectangle in which the turtle stays. The turtle leaves it only to reach a target
+            outside, or by a few centimetres if an acceleration is limited.
 
     Raises:
-        InvalidMessage: if a number is not above zero, or not finite where it must be, or a tick at
-            full rate turns by more than pi/2 rad.
+        InvalidMessage: if a number is not above zero, if a number other than an acceleration is not
+            finite, or if the turtle would turn by more than pi/2 rad in a tick at full rate.
     """
 
     max_linear: float = 2.0
@@ -120,7 +122,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
     @cached_property
     def is_eased(self) -> bool:
-        """Whether an acceleration is limited."""
+        """Whether the linear or the angular acceleration is limited."""
         return min(self.max_acceleration, self.max_angular_acceleration) < math.inf
 
     @cached_property
@@ -140,11 +142,11 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
 
 def ramp(wanted: float, now: float, most: float) -> float:
-    """The speed of the next tick: the wanted one, or as near to it as the limit allows.
+    """Return the speed of the next tick: ``wanted``, or the nearest speed that ``most`` allows.
 
     Args:
         wanted: The wanted speed.
-        now: The speed of this tick, in the same unit.
+        now: The speed of this tick, in the unit of ``wanted``.
         most: The largest change from tick to tick, zero or more; may be infinite.
 
     Example:
@@ -155,14 +157,15 @@ def ramp(wanted: float, now: float, most: float) -> float:
 
 
 def stopping_speed(room: float, acceleration: float, dt: float) -> float:
-    """The highest speed for the next tick after which the turtle can still stop within some room.
+    """Return the highest speed in the next tick from which the turtle can stop within ``room``.
 
-    From a speed v, the ticks until it stops cover v dt + (v - a dt) dt + …, at most
-    (v + a dt / 2)² / 2a. From any speed v <= a dt, the turtle stops within the tick.
+    From a speed v, with ticks of length dt and an acceleration a, the turtle covers v dt + (v - a
+    dt) dt + … until it stops. This is at most (v + a dt / 2)² / 2a. From any speed v <= a dt, the
+    turtle stops within one tick.
 
     Args:
-        room: The length or angle that it may still cover, 0 or more (m or rad).
-        acceleration: Above zero (m/s² or rad/s²).
+        room: The length or angle that the turtle may still cover, 0 or more (m or rad).
+        acceleration: The highest acceleration, above zero; may be infinite (m/s² or rad/s²).
         dt: Length of a tick (s).
 
     Example:
@@ -179,14 +182,14 @@ def stopping_speed(room: float, acceleration: float, dt: float) -> float:
 
 
 def ramp_time(length: float, speed: float, acceleration: float) -> float:
-    """The shortest time (s) to cover a length from rest, without stopping at its end.
+    """Return the shortest time (s) to cover a length from rest, without stopping at its end.
 
-    The speed rises with the acceleration up to its limit, and then stays there.
+    The speed rises at the highest acceleration up to the highest speed, and then stays constant.
 
     Args:
-        length: 0 or more (m or rad).
+        length: The length or angle, 0 or more (m or rad).
         speed: The highest speed, above zero (m/s or rad/s).
-        acceleration: Above zero (m/s² or rad/s²).
+        acceleration: The highest acceleration, above zero; may be infinite (m/s² or rad/s²).
 
     Example:
         >>> ramp_time(4.0, 2.0, math.inf), ramp_time(4.0, 2.0, 2.0), ramp_time(0.25, 2.0, 2.0)
@@ -205,16 +208,19 @@ class Frame(msgspec.Struct, frozen=True):
     heading: complex
 
     def see(self, point: complex) -> complex:
-        """How far a point is ahead (real part) and to the left (imaginary part), in m."""
+        """Return how far a point is ahead (real part) and to the left (imaginary part), in m."""
         return (point - self.at) * self.heading.conjugate()
 
     def turned(self, angle: float) -> Frame:
-        """The same place with its heading turned by an angle (rad)."""
+        """Return the same place with the heading turned to the left by an angle (rad)."""
         return Frame(self.at, self.heading * cmath.rect(1.0, angle))
 
 
 def turn_to(seen: complex, turning: float, limits: Limits) -> float:
-    """The angle to a point (rad), the short way round. In a tie, the side of ``turning`` wins."""
+    """Return the angle to a point (rad, positive to the left), the short way round.
+
+    If both ways round are about equally long (see `late`), the sign of ``turning`` decides.
+    """
     error = wrap_angle(phase(seen))
     if error * turning < 0.0 and abs(error) > math.pi - late(limits):
         return math.copysign(math.pi, turning)
@@ -222,35 +228,40 @@ def turn_to(seen: complex, turning: float, limits: Limits) -> float:
 
 
 def late(limits: Limits) -> float:
-    """How far a late command may turn (rad). Two ways round that differ by less count as equal."""
+    """Return how far the turtle can turn (rad) before a late command arrives.
+
+    If the direction to a point differs from straight behind by less than this angle, both ways to
+    turn to the point count as equally long.
+    """
     return min(_LATE * limits.turn, math.pi / 8)
 
 
 def sway(aside: float, limits: Limits) -> float:
-    """How far late commands may shift a point along the heading (m).
+    """Return how far a point can move along the turtle's heading (m) before a late command arrives.
 
-    If a point is less far ahead or behind, both gears count as equally good.
-
-    A turtle that backs away from a point beside it both turns and drives, and both shift the point.
+    The point moves in the turtle's view because the turtle both turns and drives. If the point is
+    ahead or behind by less than this distance, driving forwards and in reverse count as equally
+    good.
 
     Args:
         aside: How far the point is to the side (m).
-        limits: What the turtle may do.
+        limits: The speeds of the turtle and the length of a tick.
     """
     return min(_LATE * (limits.turn * aside + limits.step), math.pi / 8 * aside)
 
 
 def leads_back(frame: Frame, target: complex, after: complex, limits: Limits) -> bool:
-    """Whether the next target lies behind this one.
+    """Return whether the turtle must turn by more than a quarter turn for the next target.
 
-    False if late commands could drive the turtle past both.
+    The answer is False if the turtle could drive farther than the tolerance before a late command
+    arrives, because it might then miss both targets.
     """
     back = ((target - frame.at) * (after - target).conjugate()).real < 0.0
     return back and _LATE * limits.step <= limits.tolerance
 
 
 def nearest(area: Area, point: complex, limits: Limits) -> complex:
-    """The nearest point that lies in the area, with a margin."""
+    """Return the point nearest to ``point`` that lies in the area, with a margin to its edge."""
     margin = min(_MARGIN, limits.tolerance / 10)
     x = max(area.left + margin, min(area.right - margin, point.real))
     y = max(area.bottom + margin, min(area.top - margin, point.imag))
@@ -258,13 +269,20 @@ def nearest(area: Area, point: complex, limits: Limits) -> complex:
 
 
 def inside(target: complex, limits: Limits) -> tuple[Area, complex]:
-    """The area and the aim in it; an infinite area if the target cannot be reached from inside."""
+    """Return the area in which the turtle must stay, and the point to aim at for a target.
+
+    If the target cannot be reached from inside the area, the returned area is infinite and the aim
+    is the target itself.
+    """
     aim = nearest(limits.area, target, limits)
     return (limits.area, aim) if abs(aim - target) <= limits.tolerance / 2 else (Area(), target)
 
 
 def room(area: Area, at: complex, step: complex, limits: Limits) -> float:
-    """The share of a step, 0 to 1, that stays in the area; 1 if the step leads inwards."""
+    """Return the share of a step, 0 to 1, that the turtle can drive without leaving the area.
+
+    If the turtle is outside and the step leads towards the area, the share is 1.
+    """
     # Half the margin of the aims, so that rounding on the way to an aim does not end at the edge.
     margin = min(_MARGIN, limits.tolerance / 10) / 2
     right = area.right - margin if step.real > 0.0 else area.left + margin
@@ -275,7 +293,7 @@ def room(area: Area, at: complex, step: complex, limits: Limits) -> float:
 
 
 def reach(area: Area, at: complex, heading: complex, limits: Limits) -> float:
-    """The distance straight ahead to the edge of the area (m)."""
+    """Return the distance straight ahead to the edge of the area (m)."""
     margin = min(_MARGIN, limits.tolerance / 10) / 2
     right = area.right - margin if heading.real > 0.0 else area.left + margin
     top = area.top - margin if heading.imag > 0.0 else area.bottom + margin
@@ -285,11 +303,12 @@ def reach(area: Area, at: complex, heading: complex, limits: Limits) -> float:
 
 
 def is_clear(seen: complex, limits: Limits, *, slack: float = 0.0) -> bool:
-    """Whether the shortest way to a point is to drive on.
+    """Return whether the shortest way to a point begins without a change of gear.
 
-    Driving on is shortest if the last turn is at most a quarter turn. Then the point lies outside
-    the turning circle and, if it is farther aside than the circle's centre, at least a radius
-    ahead. A point inside by up to ``slack`` (m) counts as outside.
+    No change is needed if the turtle faces the point after an arc of at most a quarter turn. The
+    point then lies ahead and outside the turning circle. If the point is farther to the side than
+    the circle's centre, it also lies at least one radius ahead. A point that is inside the circle
+    by up to ``slack`` (m) counts as outside.
     """
     if seen.real >= limits.radius:
         return True
@@ -302,11 +321,14 @@ def is_clear(seen: complex, limits: Limits, *, slack: float = 0.0) -> bool:
 def approach(
     frame: Frame, target: complex, after: complex, limits: Limits, *, area: Area, sharpest: float
 ) -> complex | None:
-    """The point to aim at on the way to a target before the last; None for the target itself.
+    """Return where to aim on the way to a target that another target follows.
 
-    The path consists of a line to a corner, a line from there through the inner side of the
-    target's disc, and the arc that joins them. The turtle aims at the corner while the disc would
-    still be outside the turning circle after another tick that way. Then it aims at the disc.
+    If the turtle must aim at the target itself, the result is None.
+
+    The path consists of a line to a corner, a line from the corner through the inner side of the
+    target's disc, and an arc that joins the two lines. The turtle first aims at the corner, as long
+    as the disc would still be outside the turning circle one tick later. From then on, the turtle
+    aims at a point in the disc.
     """
     way, leg = target - frame.at, after - target
     if abs(leg) <= limits.tolerance or frame.see(target).real < _FACING * abs(way):
@@ -323,11 +345,11 @@ def approach(
 
 
 def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area: Area) -> float:
-    """Whether to turn to the next target now: 1 to the left, -1 to the right, 0 not yet.
+    """Return whether to turn to the next target now: 1 for left, -1 for right, 0 for not yet.
 
-    The turtle turns if the arc leads through this target: the turning circle cuts its disc within a
-    quarter turn, before it leads to the next target. It does not turn if it would leave the area in
-    the next tick.
+    The turtle turns now if the arc of the turn leads through the disc of the present target. The
+    arc ends after a quarter turn, or as soon as the turtle heads in the direction from the present
+    target to the next. The turtle does not turn if it would leave the area in the next tick.
     """
     turn = wrap_angle(phase((after - target) * frame.heading.conjugate()))
     side = math.copysign(1.0, turn)
@@ -344,7 +366,11 @@ def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area
 
 
 def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
-    """The vector from the corner to the aim: midway between way and leg, as long as needed."""
+    """Return the vector from the corner to the aim in the target's disc; see `approach`.
+
+    Its direction is midway between the direction to the target and the direction from the target to
+    the next one. The vector is not longer than the arc needs.
+    """
     turn = phase(leg / way)
     if abs(turn) > sharpest:
         turn -= math.copysign(math.pi, turn)
@@ -353,6 +379,6 @@ def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
 
 
 def landing(seen: complex, limits: Limits) -> float:
-    """The share of a full step to take: 1, or less to end at the point nearest to the target."""
+    """Return the share of a full step to drive: less than 1 if that step would pass the target."""
     lands = 0.0 < seen.real < limits.step and abs(seen.imag) <= limits.tolerance
     return seen.real / limits.step if lands else 1.0

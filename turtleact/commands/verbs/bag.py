@@ -54,7 +54,7 @@ class ManyVerb(Verb):
     """A verb with options that take several values, as in argparse: ``--topics /a /b``."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
-        """Repeat each such option before each of its values, then read the arguments."""
+        """Write each option before each of its values, and then parse the arguments."""
         many = {name for each in self.params if _is_list(each) for name in each.opts}
         args = [SHORT.get(each, each) for each in _with_frequency(args)]
         for option, following in pairwise([*args, "--"]):
@@ -68,7 +68,7 @@ def _is_list(param: Any) -> bool:  # noqa: ANN401  # of click, as in `load`
 
 
 def _repeated(args: Sequence[str], many: set[str]) -> list[str]:
-    """Repeat each option with several values, once before each value.
+    """Repeat each option in ``many`` before each of its values.
 
     >>> _repeated(["--topics", "/a", "/b", "-o", "run", "/c"], {"--topics"})
     ['--topics', '/a', '--topics', '/b', '-o', 'run', '/c']
@@ -86,7 +86,7 @@ def _repeated(args: Sequence[str], many: set[str]) -> list[str]:
 
 
 def _with_frequency(args: Sequence[str]) -> list[str]:
-    """Add the default frequency of ``ros2 bag play`` to a ``--clock`` without one.
+    """If ``--clock`` has no frequency, add the default frequency of ``ros2 bag play``.
 
     >>> _with_frequency(["run", "--clock", "--loop"])
     ['run', '--clock', '40', '--loop']
@@ -411,7 +411,7 @@ def record(
 def _recording(
     where: Reach, interfaces: Path | None, named: dict[str, Any], files: tuple[object, ...]
 ) -> Job:
-    """Make the job that records to files; see `bag_sessions.RecordOrder`."""
+    """Make the job that records a graph to a bag; see `bag_sessions.RecordOrder`."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known
@@ -597,7 +597,7 @@ def view(bag: BagPath, *, port: Port = 0, no_open: NoOpen = False) -> Job:
 
 
 def _rate(text: str) -> float | str:
-    """Parse the speed of playing: a factor above zero, or ``max``."""
+    """Parse how fast a bag is played: a factor above zero, or ``max``."""
     if text == "max":
         return text
     try:
@@ -607,7 +607,7 @@ def _rate(text: str) -> float | str:
 
 
 def _renamed(rule: str) -> tuple[str, str]:
-    """Parse a rule such as ``/old:=/new``."""
+    """Parse a remapping rule such as ``/old:=/new``, and return both full names."""
     from turtleact.names import resolve_name
 
     old, sign, new = rule.partition(":=")
@@ -617,10 +617,10 @@ def _renamed(rule: str) -> tuple[str, str]:
 
 
 def _work(module: str) -> Any:  # noqa: ANN401  # a module
-    """Import a module that needs the extra ``bag``.
+    """Import a module of `turtleact.commands` that needs the packages of the extra ``bag``.
 
     Raises:
-        TurtleactError: if a package is missing. The text names it.
+        TurtleactError: if one of these packages is missing. The error text says how to install it.
     """
     from importlib import import_module
 
@@ -634,7 +634,7 @@ def _work(module: str) -> Any:  # noqa: ANN401  # a module
 
 
 def _selection(**given: Any) -> Selection:  # noqa: ANN401  # as Selection
-    """Make a selection. Lists become sets, and names become absolute."""
+    """Make a `Selection` from options. Lists become sets, and relative names become absolute."""
     from turtleact.names import resolve_name
     from turtleact.recording import Selection
 

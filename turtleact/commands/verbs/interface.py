@@ -165,7 +165,7 @@ def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
 
 
 def _when_known(interfaces: Path | None, act: Callable[[Interrupts], None]) -> Job:
-    """Make a job that prints something after the interfaces are known."""
+    """Make a job that loads the interfaces, then calls ``act``."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known

@@ -32,7 +32,7 @@ app = new_group("journal", VERBS["journal"])
 
 @app.command(cls=Verb)
 def prune(file: File, *, keep: Keep) -> Job:
-    """Delete goals that ended long ago, even while a server writes the journal."""
+    """Delete goals that ended long ago. A server may be writing the journal meanwhile."""
 
     def job(_: Interrupts) -> int:
         from turtleact.commands.journaled_goals import prune_goals

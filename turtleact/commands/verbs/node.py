@@ -183,7 +183,7 @@ def list_parameters(
     domain: Domain = 0,
     config: Config = None,
 ) -> Job:
-    """List the parameters of one node or all."""
+    """List the parameters of one node or of all nodes."""
     from turtleact.commands import node_parameters
 
     try:

@@ -1,4 +1,4 @@
-"""The options that several verbs share, as Typer declarations, and how their values are parsed."""
+"""Declares the options that several verbs share for Typer, and parses the values of options."""
 
 from __future__ import annotations
 
@@ -84,12 +84,12 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
 class MessageVerb(Verb):
     """A verb that takes a message as its last argument.
 
-    A shell splits a message without quotes into words. If the words look like a message, the error
-    shows the command line that was probably meant.
+    A shell splits a message without quotes into several arguments. If the arguments look like a
+    message that was split, the error shows the command line with quotes around the message.
     """
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as in `Verb`
-        """Read the arguments, as `Verb` does."""
+        """Parse the arguments as `Verb` does, and fail if there are too many."""
         ctx.allow_extra_args = True
         typed = list(args)
         left = super().parse_args(ctx, args)
@@ -116,7 +116,7 @@ def _is_option(word: str) -> bool:
 
 
 def _quoted_in(args: list[str], words: list[str]) -> str:
-    """The arguments as text, with ``words`` as a single argument in quotes."""
+    """The arguments as the text of a command line, with ``words`` as one argument in quotes."""
     text, count = " ".join(words), len(words)
     starts = [i for i in range(len(args)) if args[i : i + count] == words]
     if starts:
@@ -131,11 +131,11 @@ def _quoted_in(args: list[str], words: list[str]) -> str:
 def ros_domain(given: str | int) -> int:
     """Parse a ROS domain.
 
-    Like `seconds`, `hertz`, `speed` and `whole` below, this is for ``typer.Option(parser=...)``.
-    Typer also passes the default of an option to the option's parser.
+    This is a parser for ``typer.Option(parser=...)``, like `seconds`, `hertz`, `speed` and `whole`.
+    Typer also passes the default of an option to its parser, and a default may be a number.
 
     Raises:
-        typer.BadParameter: if the text is something else.
+        typer.BadParameter: if the text is not a whole number from 0 to `MOST_DOMAIN`.
     """
     text = str(given)
     if not (text.isascii() and text.isdigit() and len(text) <= 3 and int(text) <= MOST_DOMAIN):
@@ -217,22 +217,22 @@ NoStrings: TypeAlias = Annotated[
 
 
 def reach(connect: str | None = None, domain: int = 0, config: Path | None = None) -> Reach:
-    """Return the graph that these options select. The errors are those of `Reach.of`."""
+    """Return the graph that these options select. Raises the errors of `Reach.of`."""
     return Reach.of(connect, domain, None if config is None else str(config))
 
 
 def folder(interfaces: Path | None) -> str | None:
-    """The folder that ``--interfaces`` names."""
+    """The value of ``--interfaces`` as text; None if the option is not given."""
     return None if interfaces is None else str(interfaces)
 
 
 def journal_in(panel: str | None, text: str) -> Any:  # noqa: ANN401  # as typer.Option
-    """Declare the option ``--journal`` with a heading and a help text."""
+    """Declare the option ``--journal``, with its help text and its heading in the help."""
     return typer.Option("--journal", metavar="FILE", help=text, rich_help_panel=panel)
 
 
 def on_graph(where: Reach, look: Look) -> Job:
-    """Make a job that looks at a graph."""
+    """Make a job that opens a graph and calls ``look`` on it."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph
@@ -243,7 +243,7 @@ def on_graph(where: Reach, look: Look) -> Job:
 
 
 def on_known_graph(where: Reach, interfaces: Path | None, plan: Plan) -> Job:
-    """Make a job that makes the interfaces known, carries out ``plan``, then looks at a graph."""
+    """Make a job that loads the interfaces, then calls the `Look` from ``plan`` on a graph."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph
@@ -256,7 +256,7 @@ def on_known_graph(where: Reach, interfaces: Path | None, plan: Plan) -> Job:
 
 
 def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401  # as typer.Argument
-    """Declare the argument TYPE. If it is optional, the graph is asked for a missing type."""
+    """Declare the argument TYPE. If ``is_asked``, a missing type is looked up on the graph."""
     name = f"pkg/{completion.SUFFIXES[kind]}/Name"
     return typer.Argument(
         metavar="TYPE",
@@ -267,10 +267,10 @@ def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401  # as
 
 
 def style(*, csv: bool, flow: bool, longest: int | None, no_arr: bool, no_str: bool) -> Style:
-    """Return how messages are printed.
+    """Return the format in which messages are printed.
 
     Raises:
-        UsageError: if options ask for two ways at once.
+        UsageError: if both ``csv`` and ``flow`` are set.
     """
     from turtleact.commands.message_text import Style
 
@@ -296,12 +296,12 @@ def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # li
 
 
 def stdin_of(what: str) -> Any:  # noqa: ANN401  # as typer.Option
-    """Declare the switch that reads a message from stdin."""
+    """Declare the switch that makes a verb read a message from stdin."""
     return typer.Option("--stdin", help=f"Read the {what} from stdin.")
 
 
 def count_of(name: str) -> Any:  # noqa: ANN401  # likewise
-    """Declare the switch that prints only a count."""
+    """Declare the switch that makes a verb print only a count."""
     return typer.Option(name, "-c", help="Print only how many there are.")
 
 
@@ -310,9 +310,10 @@ def in_seconds(*names: str, text: str, panel: str | None = None, is_of_bag: bool
 
     Args:
         *names: The names of the option.
-        text: Its help.
-        panel: Its place in the help.
-        is_of_bag: Whether it is a time in a bag, which has a limit.
+        text: The help text of the option.
+        panel: The heading of the help under which the option is listed.
+        is_of_bag: Whether the value is a time in a bag, which has an upper limit; see
+            `bag_seconds`.
     """
     parser = bag_seconds if is_of_bag else seconds
     return typer.Option(*names, metavar="SECONDS", parser=parser, help=text, rich_help_panel=panel)
@@ -321,15 +322,17 @@ def in_seconds(*names: str, text: str, panel: str | None = None, is_of_bag: bool
 def type_and_text(
     type_name: str | None, text: str | None, what: str
 ) -> tuple[str | None, str | None]:
-    """Tell a type from the text of a message. A single argument may be either.
+    """Return the type and the text of a message.
+
+    A single argument is the type if it has the form of a type, and the text otherwise.
 
     Args:
-        type_name: The argument in the place of the type.
-        text: The argument in the place of the message.
-        what: The word for the message, for errors.
+        type_name: The first argument; None if it is missing.
+        text: The second argument; None if it is missing.
+        what: What the error calls the message, such as "goal".
 
     Raises:
-        UsageError: if both are given, and the first is not a type.
+        UsageError: if both arguments are given, and the first is not a type.
     """
     if type_name is None or _TYPE_NAME.fullmatch(type_name):
         return type_name, text
@@ -342,10 +345,10 @@ def type_and_text(
 
 
 def only_one(what: str, **given: bool) -> None:
-    """Refuse options that exclude each other.
+    """Raise an error if more than one of several options is given.
 
     Args:
-        what: What each of these options gives, as the error names it.
+        what: What the options specify, in the words of the error text.
         **given: Whether each option was given, by its name: ``goal_file`` is ``--goal-file``.
 
     Raises:
@@ -366,7 +369,7 @@ def seconds(given: str | float) -> float:
 
 
 def bag_seconds(given: str | float) -> float:
-    """Parse a time in a bag: a number of seconds, at most that of `recording.storage.LONGEST`."""
+    """Parse a time in a bag: a number of seconds from 0 to `recording.storage.LONGEST`."""
     from turtleact.recording.storage import LONGEST
 
     value = seconds(given)
@@ -379,7 +382,7 @@ def span(given: str | float) -> float:
     """Parse a length of time such as ``90s``, ``30min``, ``1.5h`` or ``7d``, in seconds.
 
     Raises:
-        typer.BadParameter: if the text is something else.
+        typer.BadParameter: if the text is not a length of time.
     """
     found = _SPAN.fullmatch(str(given))
     if found is None:
@@ -397,7 +400,7 @@ def hertz(given: str | float) -> float:
 
 
 def speed(given: str | float) -> float:
-    """Parse the speed of time: a factor above zero."""
+    """Parse how fast a clock runs, as a factor: above 0, at most `clock.FASTEST`."""
     from turtleact.clock import FASTEST
 
     value = _finite(given)
@@ -408,10 +411,10 @@ def speed(given: str | float) -> float:
 
 
 def speed_or_max(text: str) -> float | str:
-    """Parse the speed of time: a factor, or ``max`` for as fast as the machine computes.
+    """Parse how fast a clock runs: a factor as for `speed`, or ``max`` for no limit.
 
     Raises:
-        UsageError: if it is neither.
+        UsageError: if the text is neither a factor nor ``max``.
     """
     if text == "max":
         return text
@@ -422,7 +425,7 @@ def speed_or_max(text: str) -> float | str:
 
 
 def whole(given: str | int) -> int:
-    """Parse a whole number, 0 or more, that fits 64 bits."""
+    """Parse a whole number, 0 or more, of at most `MOST_DIGITS` digits."""
     text = str(given)
     if not (text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS):
         problem = f"is not a whole number, 0 or more, of {MOST_DIGITS} digits at most"
@@ -431,7 +434,7 @@ def whole(given: str | int) -> int:
 
 
 def _finite(given: str | float) -> float:
-    """Return the number, or NaN if it is infinite or no number at all."""
+    """Parse a number. Return NaN if the text is not a number, or if the number is infinite."""
     try:
         value = float(given)
     except ValueError:

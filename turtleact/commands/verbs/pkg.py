@@ -82,7 +82,10 @@ class Create(Verb):
     """The command ``create``. As in ``ros2``, ``--dependencies`` takes several values."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as in `Verb`
-        """Repeat ``--dependencies`` before each value, because click's options take one value."""
+        """Parse the arguments, after repeating ``--dependencies`` before each of its values.
+
+        This is needed because an option of click takes one value at a time.
+        """
         return super().parse_args(ctx, spread(args, "--dependencies"))
 
 
@@ -119,7 +122,7 @@ def create(
     maintainer_name: Maintainer = None,
     maintainer_email: Email = None,
 ) -> Job:
-    """Create a package with an action, a server and a test. It needs no build."""
+    """Create a package with an action, a server and a test. The package needs no build."""
     from turtleact.commands.new_package import NewPackage, check
     from turtleact.commands.new_package import create as write
 
@@ -148,7 +151,7 @@ def create(
 
 @app.command("list", cls=Verb)
 def list_() -> Job:
-    """List the packages here, those of a sourced workspace, and those that are built in."""
+    """List all packages: in the working directory, in a sourced workspace, and built in."""
 
     def job(_: Interrupts) -> int:
         from turtleact.commands.output import say_names

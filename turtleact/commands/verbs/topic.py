@@ -201,7 +201,7 @@ def info(
     domain: Domain = 0,
     config: Config = None,
 ) -> Job:
-    """Print the type of a topic, and who publishes and subscribes."""
+    """Print the type of a topic, its publishers and its subscribers."""
     from turtleact.commands import listing
 
     return on_known_graph(
@@ -341,7 +341,7 @@ def delay(
     domain: Domain = 0,
     config: Config = None,
 ) -> Job:
-    """Print how old messages with a header are when they arrive."""
+    """Print the age of messages at their arrival, by the stamp in their header."""
     from turtleact.commands import topic_reading
 
     return on_known_graph(
@@ -405,7 +405,7 @@ def policies(
     durability: Durability | None,
     depth: int | None,
 ) -> Policies:
-    """Return the requested policies. Options for single policies override the profile."""
+    """Return the requested quality of service. An option for one policy overrides the profile."""
     known = Policies() if profile is None else PROFILES[profile]
     return Policies(
         reliability or known.reliability, durability or known.durability, depth or known.depth
@@ -413,7 +413,7 @@ def policies(
 
 
 def _compiled(expression: str) -> CodeType:
-    """Compile a Python expression."""
+    """Compile the Python expression of ``--filter``."""
     try:
         return compile(expression.strip(), "--filter", "eval")
     except (SyntaxError, ValueError) as error:

@@ -83,11 +83,12 @@ def turtle_teleop_key(arguments: Sequence[str], where: Reach) -> Job:
     """Make the job of ``run turtlesim turtle_teleop_key``.
 
     Args:
-        arguments: The arguments that ROS 2 takes after ``--ros-args``.
-        where: The graph.
+        arguments: The arguments of the program: none, or ``--ros-args`` and what follows it.
+        where: The graph of the turtle.
 
     Raises:
-        UsageError: if the arguments are malformed, or name something that this program lacks.
+        UsageError: if the arguments are malformed, or name a topic or parameter that the program
+            does not have.
     """
     remaps, parameters = ros_arguments(arguments)
     for kind, given, known in (("topic", remaps, REMAPS), ("parameter", parameters, SCALES)):
@@ -111,10 +112,10 @@ def snapshot(
 
 
 def ros_arguments(arguments: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
-    """The remappings and the parameters that ``--ros-args`` gives.
+    """Parse the remappings and the parameters that follow ``--ros-args``.
 
     Raises:
-        UsageError: if there are other arguments.
+        UsageError: if there is an argument of another kind.
     """
     remaps: dict[str, str] = {}
     parameters: dict[str, str] = {}
@@ -143,10 +144,13 @@ def _driving(
     """Make the job that drives a turtle.
 
     Args:
-        turtle: The turtle's name; None for the turtle that ``remaps`` names, or turtle1.
+        turtle: The turtle's name. If it is None, the name is taken from ``remaps``. If ``remaps``
+            contains no turtle's name, the job drives turtle1, or the only turtle if there is no
+            turtle1.
         remaps: Other names for the turtle's topic and action.
-        speeds: The linear and the angular speed, by the names of their options.
-        where: The graph; None for an embedded world.
+        speeds: The linear speed (m/s) and the angular speed (rad/s), in this order. Each key is the
+            name of the speed in error texts.
+        where: The graph of the turtle; None to start an embedded world.
         is_plain: Whether to leave out the live map.
     """
     for name, value in speeds.items():

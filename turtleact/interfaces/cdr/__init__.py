@@ -3,8 +3,8 @@
 The form is plain CDR, version 1: a header of four bytes, then each value at a multiple of its own
 size, counted from the end of the header. Data is written in little endian with zeros for padding,
 and read in either byte order. Each class gets one encoder and one decoder, compiled on first use.
-Encoders and decoders report no paths. If a decoder refuses data, ``locate`` reads the data again to
-find the path. This package knows no endpoint.
+An encoder or decoder does not say which value is wrong. If a decoder refuses data, ``locate`` reads
+the data again to find the wrong value. This package knows nothing about topics and services.
 
 Source: OMG, Data-Distribution Service Interoperability 2.2 (RTPS), chapter 10; ROS 2 implements it
 in ``rosidl_typesupport_fastrtps``.
@@ -72,8 +72,8 @@ def decode(
     that decoding takes, even if the data claims other lengths.
 
     Args:
-        cls: The class.
-        data: The bytes, header included.
+        cls: The class of the message.
+        data: The message in CDR, header included.
         arrays: The type for sequences of numbers: ``"list"``, ``"array"`` for ``array.array``
             (bools stay a list), or ``"numpy"``. A field declared as ``bytes`` is ``bytes`` in any
             case.
@@ -81,7 +81,7 @@ def decode(
     Raises:
         InvalidMessage: with the path and place of the first value that is cut off, has an
             impossible length or breaks its bound.
-        InvalidOption: if ``arrays`` is none of these three words.
+        InvalidOption: if ``arrays`` is neither ``"list"`` nor ``"array"`` nor ``"numpy"``.
 
     >>> from turtleact.interfaces.standard import Time
     >>> decode(Time, bytes.fromhex("00010000 01000000 02000000"))
@@ -106,23 +106,24 @@ def decode(
 def writer_behind(
     cls: type[M], place: int, *, is_strict: bool = False
 ) -> Callable[[object, bytes], bytes]:
-    """Return a function that writes a message of this class after other bytes.
+    """Return a function that encodes a message of this class and appends it to other bytes.
 
-    The function takes a message and the bytes before it. It raises one of `UNFIT` for a message
-    that it cannot write unchanged.
+    The function takes the message and the other bytes, which begin with the header. It returns the
+    other bytes with the encoded message behind them, or raises one of `UNFIT` if it cannot write
+    the message unchanged.
 
     Args:
-        cls: The class.
+        cls: The class of the message.
         place: Where the message begins, in bytes from the start of the header.
-        is_strict: Whether to accept only what ``snapshot`` would copy unchanged.
+        is_strict: Whether to accept only values that ``snapshot`` would copy unchanged.
     """
     return encoder(cls, place, is_strict=is_strict)
 
 
 def reader_behind(cls: type[M], place: int) -> Callable[[bytes], M]:
-    """Return a function that reads what `writer_behind` writes.
+    """Return a function that decodes the message from bytes that `writer_behind` has returned.
 
-    The function raises one of `MISREAD` for bytes that it cannot read. The function takes all data
-    as little endian.
+    The function raises one of `MISREAD` for bytes that it cannot read. It reads the bytes as little
+    endian, whatever the header says.
     """
     return decoder(cls, BYTE_ORDERS[HEADER[:2]], "list", place)

@@ -1,9 +1,9 @@
 """Generates the decoder of a message class as source code.
 
-A decoder raises ``struct.error`` or ``ValueError`` for data it cannot read, without a path.
-``locate`` then walks the data again, slowly, and names the place. A decoder never creates anything
-longer than the data. It compares each length with the rest of the data, or relies on each element
-taking at least a byte.
+For data that it cannot read, a decoder raises ``struct.error`` or ``ValueError`` without saying
+where the error is. ``locate`` then reads the data again, value by value, and finds the error. A
+decoder never creates more elements than the data has bytes, whatever length the data claims: each
+element takes at least one byte, and the decoder stops at the end of the data.
 """
 
 from __future__ import annotations
@@ -64,10 +64,10 @@ def decoder(
     """Return a function that decodes messages of this class.
 
     Args:
-        cls: The class.
+        cls: The class of the messages.
         order: The byte order, ``<`` or ``>``.
         arrays: The type for sequences of numbers: ``list``, ``array`` or ``numpy``.
-        place: Where the message begins.
+        place: Where the message begins, in bytes from the start of the data.
     """
     reader = Reader("data", order, arrays, place=place)
     value = reader.message(cls)
@@ -78,7 +78,7 @@ def decoder(
 
 @functools.cache
 def part_decoder(cls: type[Message], order: str, arrays: str) -> Part:
-    """Return a function that decodes a nested message, wherever it begins."""
+    """Return a function that decodes the nested message at a given place in the data."""
     reader = Reader("data, p", order, arrays, place=None)
     value = reader.message(cls)
     reader.flush()
@@ -88,7 +88,7 @@ def part_decoder(cls: type[Message], order: str, arrays: str) -> Part:
 
 @functools.cache
 def text_decoder(field_type: FieldType, order: str) -> Part:
-    """Return a function that decodes a text in a sequence."""
+    """Return a function that decodes the text at a given place in the data."""
     reader = Reader("data, p", order, "list", place=None)
     reader.source.add(f"return {reader.text(field_type.element)}, p")
     return reader.source.function()  # type: ignore[return-value]  # generated so
@@ -97,15 +97,17 @@ def text_decoder(field_type: FieldType, order: str) -> Part:
 class Reader:
     """Writes the source code of a decoder.
 
-    Each method adds code that reads a value, and returns an expression for it. The expression is
-    valid only after the code that `flush` adds. That code reads the pending run: values that are
-    read in one call.
+    The methods for fields add code that reads a value, and return an expression for the value. The
+    expression is valid only after the code that `flush` adds. That code reads the pending run:
+    consecutive values that ``struct`` reads in one call.
 
     Attributes:
         source: The code so far.
-        pending: The run that is not read yet.
-        place: Where the run starts; None if only the variable ``p`` knows that.
-        places: Where the run may start in that case.
+        pending: The pending run: the values for which no code has been added yet.
+        place: Where the pending run starts; None if this is known only at run time. The generated
+            code then has it in the variable ``p``.
+        places: The places, modulo 8, where the pending run may start; used only if ``place`` is
+            None.
     """
 
     def __init__(self, signature: str, order: str, arrays: str, *, place: int | None) -> None:
@@ -166,7 +168,10 @@ class Reader:
         return f"{make}({value})"
 
     def text(self, field_type: FieldType) -> str:
-        """Add code that reads a text; ROS 2 writes no NUL at the end of a wstring."""
+        """Add code that reads a text.
+
+        The code expects no NUL at the end of a wstring, because ROS 2 writes none there.
+        """
         count, value = self.source.fresh(), self.source.fresh()
         self.pending.append(Item(COUNT, count))
         self.flush()
@@ -201,7 +206,7 @@ class Reader:
         return value
 
     def rows(self, cls: type[Message], value: str, count: str, size: int) -> None:
-        """Add code that reads a sequence of messages, each a single run, at equal distances."""
+        """Add code that reads a sequence of messages, each a single run of the same size."""
         self.align(size, count)
         expression = self.message(cls)
         items, self.pending = self.pending, []
@@ -211,7 +216,10 @@ class Reader:
         self.source.add(f"{value} = [{expression} {each}]")
 
     def count(self, field_type: FieldType) -> str:
-        """Add code that reads the length of a sequence, unless fixed, and moves ``p`` past it."""
+        """Add code that reads a sequence's length, and sets ``p`` to the place after the length.
+
+        A fixed length is not in the data, so the code for it only sets ``p``.
+        """
         if field_type.form is ArrayForm.FIXED:
             self.flush()
             self.settle()
@@ -225,7 +233,7 @@ class Reader:
         return count
 
     def slice(self, value: str, size: str) -> None:
-        """Add code that takes some bytes."""
+        """Add code that puts the next ``size`` bytes into the variable ``value``."""
         self.settle()
         self.source.add(f"q = p; p += {size}")
         self.guard("p > len(data)")
@@ -233,18 +241,18 @@ class Reader:
         self.places = ANYWHERE
 
     def align(self, size: int, count: str) -> None:
-        """Add code that skips the padding before elements, if there are any."""
+        """Add code that skips the padding before the elements of a sequence that is not empty."""
         if any(padding(place, size) for place in self.places):
             pads = [padding(place, size) for place in range(WIDEST)]
             self.source.add(f"if {count}: p += {self.source.hold(pads)}[p & 7]")
             self.places = places_aligned(size, self.places)
 
     def guard(self, condition: str) -> None:
-        """Add code that refuses impossible data."""
+        """Add code that refuses the data if this condition is true."""
         self.source.add(f"if {condition}: raise short")
 
     def settle(self) -> None:
-        """Add code that stores the known place in ``p``."""
+        """Add code that sets the variable ``p`` to ``place``, if ``place`` is known."""
         if self.place is not None:
             self.source.add(f"p = {self.place}")
             self.places = frozenset({self.place % WIDEST})
@@ -273,15 +281,15 @@ class Reader:
 
 
 def targets(items: list[Item]) -> str:
-    """Return the targets for the values of a run."""
+    """Return the assignment target for the values of a run, such as ``[v1, v2]``."""
     return f"[{', '.join(item.text for item in items if item.text)}]"
 
 
 def narrow(content: bytes, order: str) -> str:
-    """Decode the text of a wstring. A unit of four bytes may hold half a character or a whole one.
+    """Decode the text of a wstring. Each four bytes hold a character, or half of a surrogate pair.
 
     Raises:
-        ValueError: if a unit is not a character.
+        ValueError: if four bytes hold neither of these.
     """
     codec = "utf-32-le" if order == "<" else "utf-32-be"
     units = content.decode(codec, "surrogatepass")
@@ -315,7 +323,7 @@ def as_array(
 
 
 def numpy_maker(order: str, code: str) -> Make:
-    """Return a function that makes a numpy array with its own memory."""
+    """Return a function that copies the numbers in some bytes into a new numpy array."""
     import numpy as np  # slower to import than the rest of the package
 
     stored, native = np.dtype("B" if code == "?" else order + code), np.dtype(code)
@@ -323,15 +331,15 @@ def numpy_maker(order: str, code: str) -> Make:
 
 
 def locate(cls: type[Message], data: bytes, order: str) -> None:
-    """Raise an exception for the first error in data that a decoder of this class has refused.
+    """Raise an exception that names the first error in data that a decoder has refused.
 
     Args:
-        cls: The class.
-        data: The bytes, header included.
-        order: Their byte order, ``<`` or ``>``.
+        cls: The class of the message in the data.
+        data: The data, header included.
+        order: The byte order of the data, ``<`` or ``>``.
 
     Raises:
-        InvalidMessage: with the path of the first value that cannot be read, and its place.
+        InvalidMessage: with the path and the place of the first value that cannot be read.
     """
     try:
         Walk(data, order).message(cls)
@@ -340,10 +348,11 @@ def locate(cls: type[Message], data: bytes, order: str) -> None:
 
 
 class Walk:
-    """A slow walk over data that a decoder has refused. The path grows from the inside out.
+    """Reads data value by value, to find the error for which a decoder has refused the data.
 
     Attributes:
-        place: The current place.
+        place: Where the next value begins, or the padding before it, in bytes from the start of the
+            data.
     """
 
     def __init__(self, data: bytes, order: str) -> None:
@@ -352,7 +361,7 @@ class Walk:
         self.place = HEADER_SIZE
 
     def message(self, cls: type[Message]) -> None:
-        """Skip a message."""
+        """Read a message."""
         for field, nested in members(cls):
             try:
                 self.field(field.type, nested)
@@ -362,7 +371,7 @@ class Walk:
             self.take(EMPTY)
 
     def field(self, field_type: FieldType, nested: type[Message] | None) -> None:
-        """Skip a field."""
+        """Read a field."""
         if not field_type.is_sequence:
             self.single(field_type, nested)
             return
@@ -379,7 +388,7 @@ class Walk:
                 raise InvalidMessage(f"[{index}]{inner.path}", inner.problem) from None
 
     def single(self, field_type: FieldType, nested: type[Message] | None) -> None:
-        """Skip a number, a text or a message."""
+        """Read a number, a text or a message."""
         if nested is not None:
             self.message(nested)
         elif field_type.is_string:
@@ -388,7 +397,7 @@ class Walk:
             self.take(FORMATS[field_type.name])
 
     def text(self, field_type: FieldType) -> None:
-        """Skip a text."""
+        """Read a text."""
         count = self.count(None)
         if field_type.name == "string":
             text = self.take("B", count).decode("utf-8", "replace").removesuffix("\0")
@@ -399,7 +408,7 @@ class Walk:
             raise InvalidMessage("", f"at most {bound} characters, got {len(text)}")
 
     def units(self, count: int) -> str:
-        """Skip the content of a wstring, and return it."""
+        """Read the content of a wstring of ``count`` units, and return it as text."""
         content = self.take("I", count)
         try:
             return narrow(content, self.order)
@@ -408,14 +417,14 @@ class Walk:
             raise InvalidMessage("", f"no characters in the text at byte {place}") from error
 
     def count(self, bound: int | None) -> int:
-        """Skip a length, and return it."""
+        """Read the length of a text or sequence."""
         (count,) = struct.unpack(f"{self.order}{COUNT}", self.take(COUNT))
         if bound is not None and count > bound:
             raise InvalidMessage("", f"at most {bound} elements, got {count}")
         return int(count)
 
     def take(self, code: str, count: int = 1) -> bytes:
-        """Skip some values of fixed size, and return their bytes."""
+        """Read ``count`` values of fixed size, and return their bytes."""
         if count:
             self.place += padding(self.place, size_of(code))
         begin, size = self.place, size_of(code) * count

@@ -1,9 +1,9 @@
 """Generates the encoder of a message class as source code.
 
-An encoder accepts values of the expected Python type, and values that ``struct`` accepts in their
-place. For other values it raises some exception without a path. ``encode`` then uses
-``conversion``, which converts the message or reports the error. Values that ``struct`` wrongly
-accepts are checked here.
+An encoder accepts values of the expected Python type, and other values that ``struct`` can pack,
+such as an int for a float. For any other value, the encoder raises an exception that does not say
+which value is wrong. ``encode`` then calls ``snapshot``, which converts the message or reports the
+wrong value. ``struct`` packs any object as a bool, so the generated code checks bools itself.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ def encoder(
 ) -> Callable[..., bytes]:
     """Return a function that encodes messages of this class.
 
-    If more than the header comes before the message, the function takes all the bytes before the
-    message as its second argument.
+    If more than the header comes before the message, the function has a second argument: all the
+    bytes before the message, header included.
 
     Args:
-        cls: The class.
-        size: How many bytes come before the message.
-        is_strict: Whether to accept only what ``snapshot`` would copy unchanged.
+        cls: The class of the messages.
+        size: How many bytes come before the message, header included.
+        is_strict: Whether to accept only values that ``snapshot`` would copy unchanged.
     """
     writer = Writer("m, front=header", frozenset({0}), is_strict=is_strict)
     writer.source.names["header"] = HEADER
@@ -81,7 +81,7 @@ def encoder(
 def part_encoder(
     cls: type[Message], *, is_strict: bool = False
 ) -> Callable[[Message, bytearray], None]:
-    """Return a function that appends a nested message, wherever it begins."""
+    """Return a function that encodes a nested message and appends it to a bytearray."""
     writer = Writer("m, out", ANYWHERE, is_strict=is_strict)
     writer.guard(f"type(m) is not {writer.source.hold(cls)}")
     writer.message(cls, "m")
@@ -94,10 +94,11 @@ class Writer:
 
     Attributes:
         source: The code so far.
-        pending: The run that is not written yet.
-        places: Where the run may start.
-        pieces: The expressions for the bytes so far, until the code has made ``out``.
-        is_begun: Whether the code has made ``out``, which holds the bytes so far.
+        pending: The pending run: the values for which no code has been added yet.
+        places: Where the pending run may start, modulo 8.
+        pieces: The expressions that evaluate to the bytes so far. After the code has created
+            ``out``, no expressions are added.
+        is_begun: Whether the code has created ``out``, which holds the bytes so far.
         is_strict: Whether to accept only values of exactly the expected Python type.
     """
 
@@ -111,11 +112,11 @@ class Writer:
         self.is_strict = is_strict
 
     def guard(self, condition: str) -> None:
-        """Add code that refuses a value that must not be written."""
+        """Add code that refuses the message if this condition is true."""
         self.source.add(f"if {condition}: raise unfit")
 
     def message(self, cls: type[Message], value: str) -> None:
-        """Add code that writes a message's fields; ``value`` is the message's expression."""
+        """Add code that writes the fields of the message that the expression ``value`` names."""
         for field, nested in members(cls):
             variable = self.source.fresh()
             self.source.add(f"{variable} = {value}.{field.attribute}")
@@ -162,7 +163,10 @@ class Writer:
             self.content(content, 4)
 
     def sequence(self, field_type: FieldType, nested: type[Message] | None, value: str) -> None:
-        """Add code that writes a sequence: its length, unless fixed, then its elements."""
+        """Add code that writes a sequence.
+
+        The code writes the length, unless the length is fixed, and then the elements.
+        """
         if field_type.form is ArrayForm.FIXED:
             self.guard(f"len({value}) != {field_type.size}")
         else:
@@ -212,9 +216,10 @@ class Writer:
         self.content(content, size_of(code))
 
     def elements(self, field_type: FieldType, value: str) -> None:
-        """Add code that refuses all but a list whose elements have the field's type.
+        """Add code that refuses a value, unless it is a list whose elements have the field's type.
 
-        ``bytes`` are accepted, too, if the elements are bytes.
+        For the types in `BYTE_TYPES`, ``bytes`` are accepted, too. This code does not check the
+        elements of a list of bools, because the code that writes bools checks them.
         """
         if field_type.name in BYTE_TYPES:
             self.source.add(f"if type({value}) is not bytes:")
@@ -243,14 +248,17 @@ class Writer:
         self.places = places_in_steps(size_of(code), first) | places_after(items, self.places)
 
     def is_common(self, items: list[Item]) -> bool:
-        """Whether a run has the same padding wherever it starts.
+        """Whether the padding in a run is the same at each place where the run may start.
 
-        The same must hold for the run without its last item.
+        The same must be true of the run without its last item.
         """
         return all(common_run("<", each, self.places) for each in (items, items[:-1]))
 
     def rows(self, cls: type[Message], value: str, size: int) -> None:
-        """Add code that writes a sequence of messages, each a single run, at equal distances."""
+        """Add code that writes a sequence of messages, if one struct fits all of them.
+
+        ``size`` is the alignment of the messages; see `common_alignment`.
+        """
         self.align(size, value)
         self.source.add(f"for x in {value}:")
         self.source.depth += 1
@@ -261,7 +269,7 @@ class Writer:
         self.source.depth -= 1
 
     def align(self, size: int, value: str) -> None:
-        """Add code that writes the padding before elements, if there are any."""
+        """Add code that writes the padding before the elements of a sequence that is not empty."""
         self.flush()
         if any(padding(place, size) for place in self.places):
             self.begin()
@@ -270,12 +278,12 @@ class Writer:
             self.places = places_aligned(size, self.places)
 
     def bound(self, size: int | None, value: str) -> None:
-        """Add code that refuses a value that is longer than its bound."""
+        """Add code that refuses a value that is longer than ``size``; add nothing for None."""
         if size is not None:
             self.guard(f"len({value}) > {size}")
 
     def content(self, value: str, size: int) -> None:
-        """Add code that writes any number of values of this size, given as bytes."""
+        """Add code that writes the bytes of any number of values, each ``size`` bytes long."""
         self.flush()
         self.add(value)
         self.places = places_in_steps(size, self.places)
@@ -297,7 +305,7 @@ class Writer:
         self.places = places_after(items, self.places)
 
     def add(self, piece: str) -> None:
-        """Add code that writes the bytes of an expression."""
+        """Add code that writes the bytes to which the expression ``piece`` evaluates."""
         if self.is_begun:
             self.source.add(f"out += {piece}")
         else:
@@ -320,7 +328,7 @@ class Writer:
         return self.pieces[0] if len(self.pieces) == 1 else f"join(({', '.join(self.pieces)}))"
 
     def call(self, function: object, items: list[Item], index: str = "") -> str:
-        """Return the call that packs these values."""
+        """Return code that calls a ``pack`` function with the values of these items."""
         values = ", ".join(item.text for item in items if item.text)
         return f"{self.source.hold(function)}{index}({values})"
 
@@ -329,7 +337,7 @@ class Writer:
 def text_encoder(
     field_type: FieldType, *, is_strict: bool = False
 ) -> Callable[[str, bytearray], None]:
-    """Return a function that appends a text in a sequence."""
+    """Return a function that encodes one text of a sequence and appends it to a bytearray."""
     writer = Writer("m, out", ANYWHERE, is_strict=is_strict)
     writer.text(field_type.element, "m")
     writer.flush()
@@ -337,10 +345,10 @@ def text_encoder(
 
 
 def is_other(field_type: FieldType, value: str) -> str:
-    """Return the condition that a value is not of the expected Python type.
+    """Return an expression that is true if a value is not of the expected Python type.
 
-    ``struct`` checks the range. Text that is not ASCII is refused here, since it may contain half a
-    surrogate pair.
+    The expression does not check ranges, because ``struct`` does. It is also true for text that is
+    not ASCII, because such text may contain half a surrogate pair.
     """
     if field_type.is_string:
         return f"type({value}) is not str or not {value}.isascii()"
@@ -349,19 +357,22 @@ def is_other(field_type: FieldType, value: str) -> str:
 
 
 def wide(text: str) -> bytes:
-    """Encode the content of a wstring: each UTF-16 unit in four bytes, as in ROS 2."""
+    """Encode the characters of a wstring: each UTF-16 unit takes four bytes, as in ROS 2."""
     units = str.encode(text, "utf-16-le")
     count = len(units) // 2
     return struct.pack(f"<{count}I", *struct.unpack(f"<{count}H", units))
 
 
 def octets(value: object) -> bytes:
-    """Encode the content of a sequence of bytes."""
+    """Encode the elements of a sequence of bytes, without its length."""
     return bytes(value) if type(value) is list else copied("B", value)
 
 
 def truths(value: object) -> bytes:
-    """Encode the content of a sequence of bools. ``struct`` would accept any object as a bool."""
+    """Encode the elements of a sequence of bools, without its length.
+
+    The elements are checked here, because ``struct`` would accept any object as a bool.
+    """
     if type(value) is not list:
         return copied("?", value)
     if any(item is not True and item is not False for item in value):
@@ -379,7 +390,7 @@ KINDS = {
 
 
 def behind(runs: Runs, *values: object) -> bytes:
-    """Pack a run, then the content of an array, which is the last of ``values``."""
+    """Pack a run, then append the bytes of an array, which is the last of ``values``."""
     *others, value = values
     content = copied(runs.code, value)
     first: bytes = runs[0](*others)
@@ -388,7 +399,7 @@ def behind(runs: Runs, *values: object) -> bytes:
 
 
 def copied(code: str, value: object) -> bytes:
-    """Return the content of an array if its elements are as in CDR; otherwise raise TypeError."""
+    """Return the bytes of an array. Raise TypeError if CDR would store its elements differently."""
     view = memoryview(value)  # type: ignore[arg-type]  # raises TypeError if it is not an array
     wanted = (KINDS[code], size_of(code), 1, "little")
     if (KINDS.get(view.format), view.itemsize, view.ndim, sys.byteorder) != wanted:

@@ -1,4 +1,4 @@
-"""Computes where values are in CDR, and holds the source code of functions that access them.
+"""Computes where values are in CDR data.
 
 Consecutive values of fixed size form a *run*, which ``struct`` reads or writes in one call. The
 padding in a run depends on where the run starts. If that place is known in advance, the run has one
@@ -97,7 +97,7 @@ class Item(NamedTuple):
     """One value of a run.
 
     Attributes:
-        code: The format character of ``struct``.
+        code: The value's format in ``struct``.
         text: The variable or expression of the value in the generated code; empty for padding.
     """
 
@@ -106,7 +106,7 @@ class Item(NamedTuple):
 
 
 class Source:
-    """The growing source code of a function, and the objects that it uses."""
+    """The source code of a function, built line by line, and the objects that the function uses."""
 
     def __init__(self, signature: str) -> None:
         self.lines = [f"def function({signature}):"]
@@ -119,34 +119,37 @@ class Source:
         self.lines.append(" " * self.depth + line)
 
     def fresh(self, prefix: str = "v") -> str:
-        """Return a name that is not used yet."""
+        """Return a variable name that is not used yet."""
         self.count += 1
         return f"{prefix}{self.count}"
 
     def hold(self, value: object) -> str:
-        """Return a name for an object."""
+        """Make an object available to the function, and return the object's name there."""
         name = self.fresh("k")
         self.names[name] = value
         return name
 
     def function(self) -> Callable[..., object]:
-        """Compile the function. The code contains only identifiers and numbers."""
+        """Compile the function.
+
+        Running the code is safe: interfaces contribute only identifiers and numbers to the code.
+        """
         exec("\n".join(self.lines), self.names)  # noqa: S102
         return self.names["function"]  # type: ignore[return-value]  # the text defines it
 
 
 def size_of(code: str) -> int:
-    """Return the size of a value in bytes."""
+    """Return the size of a value with this format of ``struct``, in bytes."""
     return struct.calcsize(f"<{code}")
 
 
 def alignment(code: str) -> int:
-    """Return the alignment of a value. Strings of bytes may begin anywhere."""
+    """Return the alignment of a value in bytes. It is 1 for a string of bytes."""
     return 1 if code[-1] == "s" else size_of(code)
 
 
 def padding(place: int, size: int) -> int:
-    """Return how many bytes of padding come before a value of this size at this place."""
+    """Return how many bytes of padding come at this place before a value of this size."""
     return (HEADER_SIZE - place) % size
 
 
@@ -161,12 +164,12 @@ def run(order: str, items: Iterable[Item], place: int) -> struct.Struct:
 
 
 def phases(order: str, items: Sequence[Item]) -> list[struct.Struct]:
-    """Return the struct for each place modulo 8."""
+    """Return eight structs for a run: one for each place, modulo 8, where the run may start."""
     return [run(order, items, place) for place in range(WIDEST)]
 
 
 def common_run(order: str, items: Sequence[Item], places: Places) -> struct.Struct | None:
-    """Return the struct that fits all these places, or None if the padding differs between them."""
+    """Return the struct that fits a run at each of the places; None if the padding differs."""
     runs = [run(order, items, place) for place in places]
     return runs[0] if len({each.format for each in runs}) == 1 else None
 
@@ -177,29 +180,29 @@ def places_after(items: Sequence[Item], places: Places) -> Places:
 
 
 def places_aligned(size: int, places: Places) -> Places:
-    """Return these places, and for each the next place where a value of this size may begin."""
+    """Return ``places``, and the places to which padding for a value of this size may lead."""
     return places | {(place + padding(place, size)) % WIDEST for place in places}
 
 
 def places_in_steps(size: int, places: Places) -> Places:
-    """Return where any number of values of a size may end if they start at one of these places."""
+    """Return where a sequence of values of this size may end if it starts at one of the places."""
     steps = range(0, WIDEST, min(size, WIDEST))
     return frozenset((place + step) % WIDEST for place in places for step in steps)
 
 
 class Runs(dict[int, "Callable[..., Any]"]):
-    """Maps a number N to the method that reads or writes a run followed by N equal values.
+    """Maps a number N to the method that reads or writes a run followed by N values of one type.
 
     Args:
-        method: The method of ``struct.Struct`` to use.
+        method: The name of a method of ``struct.Struct``: ``pack`` or ``unpack_from``.
         order: The byte order, ``<`` or ``>``.
-        items: The run.
-        place: Where the run starts.
-        code: The format character of the equal values.
+        items: The values of the run.
+        place: Where the run starts, modulo 8.
+        code: The format character of the N values.
 
     Attributes:
-        place: Where the run starts.
-        code: The format character of the equal values.
+        place: Where the run starts, modulo 8.
+        code: The format character of the N values.
     """
 
     def __init__(
@@ -213,7 +216,10 @@ class Runs(dict[int, "Callable[..., Any]"]):
         self.code = code
 
     def __missing__(self, count: int) -> Callable[..., Any]:
-        """Make the method for this count. The first `MOST_RUNS` methods are kept."""
+        """Make the method for a run followed by ``count`` values.
+
+        Only the first `MOST_RUNS` methods are stored.
+        """
         items = [*self._items, Item(self.code)] if count else self._items
         text = run(self._order, items, self.place).format
         made = struct.Struct(f"{text}{count - 1}{self.code}" if count > 1 else text)
@@ -224,19 +230,19 @@ class Runs(dict[int, "Callable[..., Any]"]):
 
 
 def members(cls: type[Message]) -> Iterator[tuple[Field, type[Message] | None]]:
-    """Return the fields of a message class, each with the class of its messages or None."""
+    """Return each field of a message class with the class of its messages; None for primitives."""
     return zip(fields(cls), nested_classes(cls), strict=True)
 
 
 def is_in_run(field_type: FieldType) -> bool:
-    """Whether a field of this type is part of a run, as numbers and fixed arrays of bytes are."""
+    """Whether a field of this type can be in a run: a number, a bool or a fixed array of bytes."""
     if field_type.form is ArrayForm.FIXED:
         return field_type.name in BYTE_TYPES
     return not field_type.is_sequence and field_type.name in FORMATS
 
 
 def code_in_run(field_type: FieldType) -> str:
-    """Return the format of a field that is part of a run."""
+    """Return the ``struct`` format of a field that is part of a run."""
     if field_type.is_sequence:
         return f"{field_type.size}s"
     return FORMATS[field_type.name]
@@ -244,7 +250,10 @@ def code_in_run(field_type: FieldType) -> str:
 
 @functools.cache
 def weight(cls: type[Message]) -> int:
-    """Return how many fields a message has, including those of nested single messages."""
+    """Return how many fields a message has, plus one. The fields of nested messages count, too.
+
+    A sequence of messages counts as one field.
+    """
     return 1 + sum(
         1 if nested is None or field.type.is_sequence else weight(nested)
         for field, nested in members(cls)
@@ -252,12 +261,12 @@ def weight(cls: type[Message]) -> int:
 
 
 def is_inlined(cls: type[Message]) -> bool:
-    """Whether the code for such a message is part of the code for the message around it."""
+    """Whether the code for a message of this class is part of the code for its outer message."""
     return weight(cls) <= MOST_INLINED
 
 
 def row(cls: type[Message]) -> list[Item] | None:
-    """Return the values of a message that is a single run, or None."""
+    """Return the items of the run that a message consists of; None if it is not a single run."""
     if not is_inlined(cls):
         return None
     items: list[Item] = []
@@ -273,12 +282,12 @@ def row(cls: type[Message]) -> list[Item] | None:
 
 
 def common_alignment(cls: type[Message], *, counted: bool) -> int:
-    """Return the alignment of a sequence's messages if they are runs at equal distances, else 0.
+    """Return the alignment of the messages in a sequence; 0 if one struct does not fit them all.
 
     Args:
         cls: The class of the messages.
-        counted: Whether a count comes before the messages. The count aligns the first message to
-            the count's own size.
+        counted: Whether the length of the sequence comes before the messages. The length
+            ends at a multiple of 4 bytes, so the first message starts at a multiple of 4 bytes.
     """
     items = row(cls)
     if items is None:

@@ -1,10 +1,11 @@
-"""The built-in interfaces: as .msg, .srv and .action files, and as classes generated from them.
+"""Contains the built-in interfaces, as .msg, .srv and .action files and as Python classes.
 
 As in ROS 2, each ROS package is a Python package with one module per kind:
 ``turtleact.interfaces.standard.geometry_msgs.msg``. The modules are generated from the files beside
-them, and ``scripts/check`` compares the two. The names below are shortcuts to the most used
-classes, imported on first use. Four shortcuts differ from the names in ROS, which are ambiguous:
-``TurtlePose``, ``GoalStatusMessage``, ``ExampleFibonacci`` and ``SimulationResult``.
+them, and ``scripts/check`` compares modules and files. This module has shortcuts to the most used
+classes, each imported on first use. Four shortcuts have other names than in ROS, because the ROS
+names are ambiguous: ``TurtlePose``, ``GoalStatusMessage``, ``ExampleFibonacci`` and
+``SimulationResult``.
 
 Source: ROS 2 Jazzy; see the README in this folder.
 """
@@ -211,5 +212,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """List the module's names and all shortcuts, imported or not."""
+    """List the module's names and all shortcuts, including those that are not imported yet."""
     return sorted([*globals(), *__all__])

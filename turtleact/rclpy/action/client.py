@@ -1,9 +1,9 @@
 """Action clients.
 
-The server's answers, feedback and states wait in one queue in the order of their arrival. An
-executor handles them in the callback group of the client. No answer or feedback is dropped; of the
-states that wait, only the newest count. Feedback that overtakes the answer to its goal request
-waits for that answer.
+The server's answers, feedback and goal states wait in one queue in the order of their arrival. An
+executor handles them in the callback group of the client. No answer and no feedback is dropped. If
+several messages with goal states wait, only the newest is handled. If feedback arrives before the
+answer to its goal request, the feedback waits for that answer.
 
 Source: rcl_action ``action_client.c``; rclpy ``action/client.py`` for names and texts.
 """
@@ -49,12 +49,12 @@ FEEDBACK_QOS = QoSProfile(depth=10)
 
 
 class ClientGoalHandle(Subscriptable):
-    """The goal handle of the client that sent the goal.
+    """A client's handle of a goal that it has sent.
 
     Args:
         action_client: The client.
         goal_id: The goal's id.
-        goal_response: The server's answer.
+        goal_response: The server's answer to the goal request.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class ClientGoalHandle(Subscriptable):
 
     @property
     def stamp(self) -> Anything:
-        """When the goal was accepted."""
+        """The time when the goal was accepted, a ``builtin_interfaces.msg.Time``."""
         return self._goal_response.stamp
 
     @property
@@ -95,16 +95,19 @@ class ClientGoalHandle(Subscriptable):
 
     @property
     def status(self) -> int:
-        """The goal's state as far as it is known: a number of ``action_msgs.msg.GoalStatus``."""
+        """The last known state of the goal: a number of ``action_msgs.msg.GoalStatus``."""
         return self._status
 
     def update_status(self, status: int) -> None:
-        """Remember the goal's state. The state of a goal that has ended does not change."""
+        """Remember the goal's state. After the goal's end, ignore states of a running goal."""
         if self._status < 4 or status >= 4:
             self._status = status
 
     def cancel_goal(self) -> Anything:
-        """Ask the server to cancel the goal, and wait for the answer. Another thread must spin."""
+        """Ask the server to cancel the goal, and wait for the answer.
+
+        Another thread must spin the node meanwhile.
+        """
         return self._action_client.wait_for_future(self.cancel_goal_async(), "cancel_goal()")
 
     def cancel_goal_async(self) -> Future:
@@ -112,7 +115,7 @@ class ClientGoalHandle(Subscriptable):
         return self._action_client.cancel_goal_async(self)
 
     def get_result(self) -> Anything:
-        """Wait for the result. Another thread must spin."""
+        """Wait for the result. Another thread must spin the node meanwhile."""
         return self._action_client.wait_for_future(self.get_result_async(), "get_result()")
 
     def get_result_async(self) -> Future:
@@ -126,7 +129,7 @@ class ActionClient(Introspected, Waitable):
     Args:
         node: The node.
         action_type: The class of the action.
-        action_name: Its name.
+        action_name: The name of the action.
         callback_group: Decides when answers may be handled. None means the node's default group.
         goal_service_qos_profile: Ignored.
         result_service_qos_profile: Ignored.
@@ -248,12 +251,12 @@ class ActionClient(Introspected, Waitable):
         return future.result()
 
     def server_is_ready(self) -> bool:
-        """Whether a goal would reach a server now."""
+        """Whether the action has a server that a goal would reach now."""
         with self.handle:
             return all(end.is_served for end in self._ends.values())
 
     def wait_for_server(self, timeout_sec: float | None = None) -> bool:
-        """Wait until the action has a server, without spinning. Return whether it has one."""
+        """Wait until the action has a server, without spinning. Return whether it has a server."""
         return wait_until(self.server_is_ready, timeout_sec, self._node.context.ok)
 
     # what comes; any thread
@@ -267,7 +270,7 @@ class ActionClient(Introspected, Waitable):
     ) -> Future:
         """Send a request, and return the future of what ``handle(response)`` returns.
 
-        ``lost()`` is called if there is no response.
+        If there is no response, ``lost()`` is called and the future is never done.
         """
         future = Future()
         response_class = self._kind.service(service).Response
@@ -311,25 +314,25 @@ class ActionClient(Introspected, Waitable):
     # as a waitable
 
     def is_ready(self, wait_set: object) -> bool:  # noqa: ARG002  # there is none
-        """Whether something has arrived."""
+        """Whether an item waits in the queue."""
         return bool(self._events)
 
     def get_num_entities(self) -> NumberOfEntities:
-        """Return how many entities of each kind this one counts as."""
+        """Return how many entities of each kind an action client consists of."""
         return NumberOfEntities(num_subs=2, num_clients=3)
 
     def take_data(self) -> Anything:
-        """Take the oldest item that has arrived."""
+        """Remove the oldest item from the queue and return it; None if the queue is empty."""
         with self._lock:
             return self._events.popleft() if self._events else None
 
     async def execute(self, taken_data: Event) -> None:
-        """Handle an item that has arrived."""
+        """Handle an item that `take_data` has returned."""
         handle, arguments = taken_data
         await await_or_execute(handle, *arguments)
 
     def describe(self) -> str:
-        """Return a description of this entity for a diagnostic message."""
+        """Return a description of this client for a diagnostic message."""
         return f"the action client of {self._kind.names.name}"
 
     def destroy(self) -> None:
@@ -380,7 +383,7 @@ class ActionClient(Introspected, Waitable):
         return handle
 
     def _forget(self, key: bytes) -> None:
-        """Expect no feedback of a goal, because it will never have a handle."""
+        """Remove the feedback callback of a goal whose request gets no answer."""
         with self._lock:
             self._early.pop(key, None)
             self._feedback_callbacks.pop(key, None)

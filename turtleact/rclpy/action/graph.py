@@ -1,4 +1,4 @@
-"""Lists the actions that exist, and the nodes that serve or use them."""
+"""Lists the actions that a node serves, the actions for which it has clients, or all actions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = [
 def get_action_client_names_and_types_by_node(
     node: Node, remote_node_name: str, remote_node_namespace: str
 ) -> list[tuple[str, list[str]]]:
-    """Return the actions that a node uses, and their types.
+    """Return the names and types of the actions for which a node has clients.
 
     Raises:
         RuntimeError: if there is no such node.
@@ -33,7 +33,7 @@ def get_action_client_names_and_types_by_node(
 def get_action_server_names_and_types_by_node(
     node: Node, remote_node_name: str, remote_node_namespace: str
 ) -> list[tuple[str, list[str]]]:
-    """Return the actions that a node serves, and their types.
+    """Return the names and types of the actions that a node serves.
 
     Raises:
         RuntimeError: if there is no such node.
@@ -43,7 +43,7 @@ def get_action_server_names_and_types_by_node(
 
 
 def get_action_names_and_types(node: Node) -> list[tuple[str, list[str]]]:
-    """Return all actions that are served or used, and their types."""
+    """Return the names and types of all actions that have a server or a client."""
     return _listed(node.connection.endpoints(), "service", "client")
 
 

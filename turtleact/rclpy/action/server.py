@@ -1,8 +1,9 @@
 """Action servers.
 
 Requests wait in one queue. An executor answers them in the callback group of the server. An execute
-callback is a task of the executor, outside every callback group. With a `MultiThreadedExecutor` it
-may therefore call ``time.sleep``. The states of a goal are those of `turtleact.goal`.
+callback runs as a task of the executor, outside every callback group. So with a
+`MultiThreadedExecutor`, the callback may block, for example in ``time.sleep``. `turtleact.goal`
+defines the states of a goal and how they change.
 
 Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions"; rclpy
 ``action/server.py`` for names and texts.
@@ -72,7 +73,7 @@ class CancelResponse(Enum):
 
 
 def default_handle_accepted_callback(goal_handle: ServerGoalHandle) -> None:
-    """Execute the goal."""
+    """Execute an accepted goal at once."""
     goal_handle.execute()
 
 
@@ -87,7 +88,7 @@ def default_cancel_callback(cancel_request: Anything) -> CancelResponse:  # noqa
 
 
 class ServerGoalHandle(Subscriptable):
-    """The goal handle of the server. Any thread may use it.
+    """A server's handle of a goal. Any thread may use it.
 
     Args:
         action_server: The server.
@@ -125,12 +126,12 @@ class ServerGoalHandle(Subscriptable):
 
     @property
     def goal_info(self) -> Anything:
-        """The goal's id, and the time of its acceptance."""
+        """An ``action_msgs.msg.GoalInfo``: the goal's id, and the time of its acceptance."""
         return self._goal_info
 
     @property
     def is_active(self) -> bool:
-        """Whether the goal has not ended."""
+        """Whether the goal has not ended yet."""
         return not self._is_destroyed and self.goal.status.is_active
 
     @property
@@ -144,10 +145,10 @@ class ServerGoalHandle(Subscriptable):
         return int(GoalStatus.UNKNOWN if self._is_destroyed else self.goal.status)
 
     def update(self, event: GoalEvent) -> None:
-        """Change the goal's state.
+        """Apply an event to the goal's state.
 
         Raises:
-            RCLError: if the state does not allow the event.
+            RCLError: if the goal's present state does not allow the event.
         """
         with self._lock:
             if self._is_destroyed:
@@ -163,19 +164,20 @@ class ServerGoalHandle(Subscriptable):
         self._action_server.goal_changed(self)
 
     def execute(self, execute_callback: Anything = None) -> None:
-        """Make the executor run the execute callback, or another function.
+        """Let the executor run ``execute_callback``; None means the server's callback.
 
-        A goal that is already being canceled keeps that state.
+        The goal becomes EXECUTING, unless it is already CANCELING.
         """
         if not self.is_cancel_requested:
             self.update(GoalEvent.EXECUTE)
         self._action_server.notify_execute(self, execute_callback)
 
     def publish_feedback(self, feedback: Anything) -> None:
-        """Publish feedback.
+        """Publish feedback of the goal.
 
         Raises:
-            TypeError: if the message is of another class, or a value does not fit its type.
+            TypeError: if the feedback is not of the action's class, or a value does not fit its
+                type.
         """
         if not isinstance(feedback, self._action_server.action_type.Feedback):
             raise TypeError(f"expected feedback of the action, not {type(feedback)}")
@@ -185,19 +187,28 @@ class ServerGoalHandle(Subscriptable):
             self._action_server.publish_feedback(self.goal.id or b"", feedback)
 
     def succeed(self, response: Anything = None) -> None:
-        """End the goal as SUCCEEDED, with the result if one is given."""
+        """End the goal as SUCCEEDED.
+
+        ``response`` is the result, unless the execute callback returns one.
+        """
         self._end(GoalEvent.SUCCEED, response)
 
     def abort(self, response: Anything = None) -> None:
-        """End the goal as ABORTED, with the result if one is given."""
+        """End the goal as ABORTED.
+
+        ``response`` is the result, unless the execute callback returns one.
+        """
         self._end(GoalEvent.ABORT, response)
 
     def canceled(self, response: Anything = None) -> None:
-        """End the goal as CANCELED, with the result if one is given."""
+        """End the goal as CANCELED.
+
+        ``response`` is the result, unless the execute callback returns one.
+        """
         self._end(GoalEvent.CANCELED, response)
 
     def destroy(self) -> None:
-        """Forget the goal. From now on its state is UNKNOWN."""
+        """Forget the goal. From now on, its state is UNKNOWN."""
         self._is_destroyed = True
 
     def _end(self, event: GoalEvent, response: Anything) -> None:
@@ -212,20 +223,23 @@ class ActionServer(Introspected, Waitable):
     Args:
         node: The node.
         action_type: The class of the action.
-        action_name: Its name.
+        action_name: The name of the action.
         execute_callback: Takes a `ServerGoalHandle` and returns the result. It may be a coroutine
             function.
         callback_group: Decides when requests may be answered. None means the node's default group.
-        goal_callback: Takes a goal message and returns a `GoalResponse`.
-        handle_accepted_callback: Takes a `ServerGoalHandle`. If left out, the goal is executed at
-            once.
-        cancel_callback: Takes a `ServerGoalHandle` and returns a `CancelResponse`.
+        goal_callback: Takes a goal message and returns a `GoalResponse`. By default, every goal is
+            accepted.
+        handle_accepted_callback: Takes the `ServerGoalHandle` of an accepted goal. By default, the
+            goal is executed at once.
+        cancel_callback: Takes a `ServerGoalHandle` and returns a `CancelResponse`. By default,
+            every request is rejected.
         goal_service_qos_profile: Ignored.
         result_service_qos_profile: Ignored.
         cancel_service_qos_profile: Ignored.
         feedback_pub_qos_profile: The quality of service of the feedback topic.
         status_pub_qos_profile: The quality of service of the status topic.
-        result_timeout: How long a result is kept (s). A negative number means for ever.
+        result_timeout: How long a result is kept after the goal's end (s). With a negative number,
+            results are kept for ever.
     """
 
     def __init__(
@@ -314,7 +328,7 @@ class ActionServer(Introspected, Waitable):
     # as a waitable
 
     def _receive(self, service: str, request: bytes, respond: Respond) -> None:
-        """Receive a request. The transport may call this in any thread."""
+        """Put a request into the queue. The transport may call this in any thread."""
         try:
             message = decode(request, self._kind.service(service).Request)
         except InvalidMessage as error:
@@ -325,21 +339,24 @@ class ActionServer(Introspected, Waitable):
         self.wake()
 
     def is_ready(self, wait_set: object) -> bool:  # noqa: ARG002  # there is none
-        """Whether a request waits, or a goal has expired."""
+        """Whether a request waits for its answer, or a goal's ``result_timeout`` has passed."""
         return bool(self._requests) or self._first_expiry() <= time.monotonic_ns()
 
     def due_in(self) -> float | None:
-        """How long until the first goal expires (s)."""
+        """The time until the next goal is forgotten (s); None if no goal will be forgotten."""
         if not self._expiries or self._handle.is_destroyed:
             return None
         return max(0.0, (self._first_expiry() - time.monotonic_ns()) / 1e9)
 
     def get_num_entities(self) -> NumberOfEntities:
-        """Return how many entities of each kind this one counts as."""
+        """Return how many entities of each kind an action server consists of."""
         return NumberOfEntities(num_timers=1, num_services=3)
 
     def take_data(self) -> Anything:
-        """Take the oldest request, and forget the goals that have expired."""
+        """Remove the oldest request from the queue and return it; None if the queue is empty.
+
+        This also forgets goals whose ``result_timeout`` has passed.
+        """
         self._expire()
         try:
             return self._requests.popleft()
@@ -347,7 +364,7 @@ class ActionServer(Introspected, Waitable):
             return None
 
     async def execute(self, taken_data: Request) -> None:
-        """Answer a request."""
+        """Answer a request that `take_data` has returned."""
         service, message, respond = taken_data
         if service == "send_goal":
             await self._execute_goal_request(message, respond)
@@ -357,7 +374,7 @@ class ActionServer(Introspected, Waitable):
             self._execute_get_result_request(message, respond)
 
     def describe(self) -> str:
-        """Return a description of this entity for a diagnostic message."""
+        """Return a description of this server for a diagnostic message."""
         return f"the action server of {self._kind.names.name}"
 
     def destroy(self) -> None:
@@ -394,9 +411,9 @@ class ActionServer(Introspected, Waitable):
         await await_or_execute(self._handle_accepted_callback, handle)
 
     def _expect_readers(self) -> None:
-        """Publish feedback from now on, because a client in another process has sent a goal.
+        """Once another process has sent a goal, publish feedback even if no reader is known.
 
-        The client's subscription may not have been discovered yet.
+        The goal's client reads feedback, but its subscription may not have been discovered yet.
         """
         if self._handlers["send_goal"].has_far_callers and not self._expects_readers:
             self._expects_readers = True
@@ -412,7 +429,7 @@ class ActionServer(Introspected, Waitable):
         return response is GoalResponse.ACCEPT
 
     def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Anything) -> None:
-        """Make the executor run an execute callback. None means the server's callback.
+        """Let the executor run ``execute_callback``; None means the server's callback.
 
         Raises:
             TypeError: if the callback is not callable.
@@ -447,9 +464,9 @@ class ActionServer(Introspected, Waitable):
         self._end_goal(goal_handle, result)
 
     def _checked_result(self, result: Anything, goal_handle: ServerGoalHandle) -> Anything:
-        """Return the goal's result, or an empty one if the callback has given none that fits.
+        """Return the goal's result. If it is not of the action's class, return an empty result.
 
-        rclpy's server would crash then.
+        With a result of another class, rclpy's server would crash.
         """
         if result is None:
             result = goal_handle.response
@@ -476,7 +493,7 @@ class ActionServer(Introspected, Waitable):
             future.set_result((response, goal_handle.goal.published))
 
     def goal_changed(self, goal_handle: ServerGoalHandle) -> None:
-        """Publish a goal's new state. The goal's handle calls this."""
+        """Publish a goal's new state. The goal's handle calls this after each change."""
         if not goal_handle.is_active and self._timeout_ns >= 0:
             due = time.monotonic_ns() + self._timeout_ns
             self._expiries.append((due, goal_handle.goal.id or b""))
@@ -513,7 +530,10 @@ class ActionServer(Introspected, Waitable):
         respond(encode(response, type(response)), NOTE)
 
     async def _may_cancel(self, goal_handle: ServerGoalHandle) -> bool:
-        """Ask the callback. If it agrees and the goal has not ended meanwhile, cancel the goal."""
+        """Ask the cancel callback. If it accepts and the goal has not ended, cancel the goal.
+
+        Return whether the goal is being canceled.
+        """
         answer = await await_or_execute(self._cancel_callback, goal_handle)
         if answer is not CancelResponse.ACCEPT:
             return False
@@ -548,14 +568,17 @@ class ActionServer(Introspected, Waitable):
         future.add_done_callback(answer)
 
     def _first_expiry(self) -> int:
-        """When the first goal expires (ns, monotonic). If none expires, the time is far off."""
+        """Return the time at which the next goal is forgotten (ns, monotonic clock).
+
+        If no goal will be forgotten, return `NEVER`, a time in the far future.
+        """
         try:
             return self._expiries[0][0]
         except IndexError:
             return NEVER
 
     def _expire(self) -> None:
-        """Forget the goals whose results were kept long enough."""
+        """Forget the goals whose ``result_timeout`` has passed."""
         now, before = time.monotonic_ns(), len(self._goal_handles)
         while self._expiries:
             try:
@@ -573,7 +596,7 @@ class ActionServer(Introspected, Waitable):
             self._status.publish()
 
     def _held(self) -> list[Goal]:
-        """All goals that are not forgotten."""
+        """Return all goals that the server has not forgotten."""
         return [each.goal for each in list(self._goal_handles.values())]
 
 

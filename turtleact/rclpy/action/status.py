@@ -1,7 +1,7 @@
 """The status topic of an action: the states of all goals that its server holds.
 
-The message grows with the number of goals. The message is therefore made only while somebody reads
-the topic, and several changes in quick succession become one message.
+One message contains the states of all goals, so it may be long. It is therefore made only while
+somebody reads the topic, and several changes in quick succession become one message.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class StatusTopic(Source):
     Args:
         node: The node.
         kind: The action.
-        qos: The quality of service.
-        held: A function that returns the goals.
+        qos: The quality of service of the topic.
+        held: A function that returns the goals that the server holds.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class StatusTopic(Source):
         self._sender = node.connection.advertise(end, hash_of(TYPE), self)
 
     def publish(self) -> None:
-        """Publish the states soon. Any thread may call this."""
+        """Publish the goals' states after a short delay. Any thread may call this."""
         with self._lock:
             if self._is_due:
                 return
@@ -60,7 +60,7 @@ class StatusTopic(Source):
             self._is_due = False
 
     def current(self) -> Sequence[object]:
-        """Return the message, encoded."""
+        """Return the encoded message with the goals' states."""
         packed = [
             pack_state(goal.id or bytes(16), (*divmod(goal.stamp, 1_000_000_000), goal.status))
             for goal in self._held()
@@ -68,11 +68,11 @@ class StatusTopic(Source):
         return (write_states(packed),)
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
-        """Return the same message for readers in other processes."""
+        """Return the message of `current`, for readers in other processes."""
         return [encode(message) for message in self.current()]
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Do nothing. `publish` makes no message that nobody reads."""
+        """Do nothing, because messages are made only while the topic has readers."""
 
     def close(self) -> None:
         """Close the topic."""

@@ -1,5 +1,5 @@
-"""The code that the modules of rclpy share: the event loop, the graph, and the base of entities.
+"""The code that the modules of rclpy share: event loop, graph, and the base class of entities.
 
-Programs do not import from here, except `rclpy.impl.implementation_singleton` and its siblings,
-which some programs know from rclpy.
+Programs import a module of this package only if the genuine rclpy has the module, too. An example
+is `rclpy.impl.implementation_singleton`.
 """

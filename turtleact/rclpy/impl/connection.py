@@ -1,11 +1,12 @@
-"""The connection of the process to a ROS graph, for the threads of the program.
+"""Connects the threads of a program to a ROS graph.
 
-Everything that travels is bytes: a publisher encodes in the thread that publishes, and a
-subscription decodes in the thread that runs its callback. Endpoints are opened and closed in the
-event loop; messages bypass it, except those of latched topics.
+Only encoded messages pass through a connection: they are encoded in the thread that publishes, and
+decoded in the thread that runs the callback. Endpoints are opened and closed in the event loop.
+Messages do not pass through the event loop, except those of latched topics.
 
-A background task asks what exists on the graph, because the answer takes a tenth of a second, and
-most nodes do not need it. Functions that need the answer wait for it.
+A background task asks which nodes and endpoints exist on the graph. The task runs in the background
+because the answer takes a tenth of a second, and most nodes do not need it. Functions that need the
+answer wait for it.
 """
 
 from __future__ import annotations
@@ -55,30 +56,30 @@ ENDING = 0.02
 
 
 class Encoded(msgspec.Struct, frozen=True):
-    """The format of an endpoint with messages that are bytes already.
+    """The format of an endpoint that sends or receives encoded messages.
 
     Attributes:
-        type_hash: The hash of the interface.
+        type_hash: The type hash of the interface.
     """
 
     type_hash: str
 
     def encode(self, message: object) -> bytes:
-        """Return the bytes."""
+        """Return the message, which is encoded already."""
         return cast("bytes", message)
 
     def decode(self, data: bytes) -> object:
-        """Return the bytes."""
+        """Return the data, which stays encoded."""
         return data
 
 
 class Sender:
-    """The sending end of a topic, for any thread.
+    """Publishes encoded messages on a topic, from any thread.
 
     Args:
-        connection: The graph.
-        publication: The transport's end of the topic.
-        is_latched: Whether late subscriptions get the last messages.
+        connection: The connection to the graph.
+        publication: The transport's publisher of the topic.
+        is_latched: Whether subscriptions that are opened later get the last messages.
     """
 
     def __init__(
@@ -90,10 +91,10 @@ class Sender:
         self._lock = threading.Lock()
 
     def publish(self, data: bytes) -> None:
-        """Send an encoded message to every subscription, in the order of the calls.
+        """Send an encoded message to every subscription. Messages arrive in the order of the calls.
 
-        The messages of a latched topic pass through the event loop, where subscriptions are opened.
-        A new subscription therefore gets each message once.
+        The messages of a latched topic pass through the event loop, because subscriptions are
+        opened there. A new subscription therefore gets each message exactly once.
         """
         if self._is_latched:
             self._connection.loop.post(partial(self._publication.publish, data))
@@ -103,15 +104,15 @@ class Sender:
 
     @property
     def has_readers(self) -> bool:
-        """Whether somebody reads the topic."""
+        """Whether a message published now would reach a subscription."""
         return self._publication.has_readers
 
     def expect_readers(self) -> None:
-        """Send from now on, because a reader exists, even if it has not been discovered yet."""
+        """Send all later messages, even if no subscription has been discovered yet."""
         self._connection.loop.call(self._publication.expect_readers)
 
     def refresh_soon(self, delay: float, begin: Callable[[], object]) -> None:
-        """Publish the state of the topic's source after some seconds.
+        """Publish the current state of the topic's source after ``delay`` seconds.
 
         Args:
             delay: How many seconds to wait.
@@ -130,11 +131,11 @@ class Sender:
 
 
 class CallEvents(CallObserver, Protocol):
-    """Watches the calls of a service while `is_on`. Requests and responses are bytes."""
+    """Watches the calls of a service while `is_on`; gets requests and responses as CDR bytes."""
 
     @property
     def is_on(self) -> bool:
-        """Whether the observer wants to hear of calls."""
+        """Whether to tell the observer about calls."""
 
 
 class RequestHandler:
@@ -142,7 +143,7 @@ class RequestHandler:
 
     Args:
         take: Called in any thread, with a request and the function that answers it.
-        observer: Watches the calls.
+        observer: Gets the requests and the responses while its `is_on` is true.
 
     Attributes:
         take: The argument ``take``.
@@ -166,7 +167,7 @@ class RequestHandler:
         caller: bytes,  # noqa: ARG002  # a request outlives its client
         respond: Callable[[Reply | TurtleactError], object],
     ) -> bool:
-        """Take a request from another process."""
+        """Pass a request from another process to ``take``, and return True."""
         self.has_far_callers = True
 
         def answer(response: bytes | TurtleactError, note: str) -> None:
@@ -176,7 +177,10 @@ class RequestHandler:
         return True
 
     async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a request in the event loop. Transports prefer `reply_nowait`."""
+        """Answer a request in the event loop.
+
+        Transports call `reply_nowait` instead if they can.
+        """
         loop = asyncio.get_running_loop()
         answered: asyncio.Future[Reply | TurtleactError] = loop.create_future()
 
@@ -195,11 +199,13 @@ class RequestHandler:
 
 
 class Connection:
-    """A graph that this process has joined. It is closed when its last user has left.
+    """The connection to a graph that this process has joined.
+
+    The connection is closed when the last context that uses it is shut down.
 
     Args:
         loop: The event loop.
-        open_transport: Opens the graph.
+        open_transport: A function that opens the graph of a ROS domain.
         domain: The ROS domain.
 
     Attributes:
@@ -225,13 +231,17 @@ class Connection:
                 await self._transport.explore()
 
     def wait_until_explored(self) -> None:
-        """Wait until everything that existed when the graph was joined is known."""
+        """Wait until all nodes and endpoints that existed when the graph was joined are known."""
         # The loop itself must not wait for its own task: it sees what is known so far.
         if not self._exploring.done() and not self.loop.is_here:
             wait([self._exploring])
 
     def once_explored(self, function: Callable[[], object]) -> None:
-        """Call a function when `wait_until_explored` need not wait: now, or later in the loop."""
+        """Call a function as soon as `wait_until_explored` no longer has to wait.
+
+        If there is nothing to wait for, this method itself calls the function at once. Otherwise,
+        the event loop calls the function later.
+        """
         self._exploring.add_done_callback(lambda _: function())
 
     async def _close(self) -> None:
@@ -241,13 +251,16 @@ class Connection:
         await self._opened.__aexit__(None, None, None)
 
     def close(self) -> None:
-        """Leave the graph. Endpoints that do not close in time are left behind."""
+        """Leave the graph.
+
+        Return after at most `CLOSING` seconds, even if some endpoints are not closed yet.
+        """
         with contextlib.suppress(TimeoutError):
             self.loop.run(self._close, CLOSING)
 
     @property
     def changes(self) -> int:
-        """How often a node or endpoint has come or gone."""
+        """How many times a node or endpoint has come or gone."""
         return self._transport.changes
 
     def watch(self, changed: Callable[[], object]) -> None:
@@ -270,13 +283,13 @@ class Connection:
                 changed()
 
     def enter(self, node: str) -> Closeable:
-        """Show a node on the graph."""
+        """Show a node on the graph. Closing the returned object removes the node again."""
         return self._posted(self.loop.call(partial(self._transport.enter, node)))
 
     def advertise(self, endpoint: Endpoint, type_hash: str, source: Source | None = None) -> Sender:
-        """Open the sending end of a topic.
+        """Open a publisher of a topic.
 
-        If a subscription is known, even the first message is sent to it.
+        A subscription that this process has already discovered gets even the first message.
         """
         transport = self._transport
 
@@ -292,7 +305,10 @@ class Connection:
     def subscribe(
         self, endpoint: Endpoint, type_hash: str, deliver: Callable[[bytes], None]
     ) -> Closeable:
-        """Open the receiving end of a topic. ``deliver`` may be called in any thread."""
+        """Open a subscription to a topic.
+
+        Any thread may call ``deliver`` with an encoded message.
+        """
         opening = partial(
             self._transport.subscribe,
             endpoint,
@@ -303,28 +319,32 @@ class Connection:
         return self._posted(self.loop.call(opening))
 
     def serve(self, endpoint: Endpoint, type_hash: str, handler: RequestHandler) -> Closeable:
-        """Offer a service."""
+        """Open a server of a service."""
         opening = partial(self._transport.serve, endpoint, Encoded(type_hash), handler)
         return self._posted(self.loop.call(opening))
 
     def join(self, endpoint: Endpoint, type_hash: str, target: Target = EVERY_SERVER) -> Caller:
-        """Open the client end of a service. The object belongs to the event loop."""
+        """Open a client of a service.
+
+        Call the client's methods in the event loop, unless a method may be called in any thread.
+        """
         return self.loop.call(partial(self._transport.join, endpoint, Encoded(type_hash), target))
 
     def local(self, name: str, type_name: str) -> RequestHandler | None:
-        """The handler of a service in this process, if there is one."""
+        """Return the handler of a service in this process, if there is one."""
         found = self._transport.local(name, type_name)
         return found if isinstance(found, RequestHandler) else None
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints on the graph, or only those with this name."""
+        """Return all endpoints on the graph, or only those of the topic or service ``name``."""
         self.wait_until_explored()
         return self.loop.call(partial(self._transport.endpoints, name))
 
     def count_servers(self, name: str) -> int:
         """Count the servers of a service.
 
-        A node of this process that serves it twice counts twice, although it has one endpoint.
+        A node of this process that has two servers of the service counts twice, although both
+        servers share one endpoint.
         """
         self.wait_until_explored()
         return self.loop.call(partial(self._count_servers, name))
@@ -337,7 +357,7 @@ class Connection:
         return here + len(ends) - len(near)
 
     def nodes(self) -> tuple[str, ...]:
-        """The names of all nodes."""
+        """Return the full names of all nodes on the graph."""
         self.wait_until_explored()
         return self.loop.call(self._transport.nodes)
 

@@ -1,8 +1,8 @@
 """Explains why a program hangs: which callback keeps another one from running.
 
-rclpy lets a callback wait for something that only another callback of the same group can do. Such a
-wait never ends. turtleact does not interrupt it, but logs the names of both callbacks after two
-seconds.
+In rclpy, a callback can wait for something that only another callback of the same group can do.
+Such a wait never ends. turtleact does not interrupt it, but logs the names of both callbacks after
+two seconds.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["BLOCKED_AFTER", "note_blocked", "warn_if_blocked"]
 logger = RcutilsLogger("rclpy")
 
 BLOCKED_AFTER = 2.0
-"""A callback that has waited for its group for this long is reported (s)."""
+"""How long a callback waits for its callback group before it is reported (s)."""
 
 REPORTED = -1.0
 """The value of `Entity.blocked_since` for an entity that was reported."""
@@ -27,7 +27,7 @@ HINT = "give one of them a ReentrantCallbackGroup or a MutuallyExclusiveCallback
 
 
 def note_blocked(entity: Entity) -> None:
-    """Note that an entity waits for its group. Warn once if the wait has lasted too long."""
+    """Record that an entity waits for its callback group. Warn once if the wait lasts too long."""
     if entity.blocked_since == REPORTED:
         return
     now = time.monotonic()
@@ -44,12 +44,13 @@ def note_blocked(entity: Entity) -> None:
 
 
 def warn_if_blocked(entity: Entity, what: str, *, is_answered: bool) -> None:
-    """Warn that a thread waits for a callback that cannot run.
+    """Warn that a function waits for a callback that cannot run.
 
     Args:
-        entity: The entity with the callback.
+        entity: The entity that has the callback.
         what: The name of the waiting function.
-        is_answered: Whether the callback has something to do.
+        is_answered: Whether the response for the callback has arrived. If it has not arrived, there
+            is no warning.
     """
     if not is_answered:
         return

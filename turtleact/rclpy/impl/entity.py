@@ -1,4 +1,4 @@
-"""The base of everything that an executor serves: a handle, readiness, and a callback."""
+"""The base class of entities, which have the callbacks that an executor runs."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ NOTHING = object()
 class Handle:
     """Shows whether an object may still be used.
 
-    As a context manager, it raises `InvalidHandle` if the object was destroyed. If the object is
-    destroyed while threads are in such blocks, it is closed when the last block is left.
+    At the start of a ``with`` block, the handle raises `InvalidHandle` if the object was destroyed.
+    If the object is destroyed while such blocks run, it is closed when the last block ends.
 
     Args:
         close: Closes the object; called once.
@@ -50,7 +50,10 @@ class Handle:
             raise InvalidHandle("cannot use Destroyable because destruction was requested")
 
     def destroy_when_not_in_use(self) -> None:
-        """Destroy the object. A second call does nothing."""
+        """Destroy the object, and close it as soon as no ``with`` block uses it.
+
+        A second call does nothing.
+        """
         with self._lock:
             is_first = not self._is_destroyed
             self._is_destroyed = True
@@ -93,12 +96,15 @@ class Block:
         self._leave()
 
     def _leave(self) -> None:
-        """Do what is due at the end of the block."""
+        """Clean up at the end of the block."""
         raise NotImplementedError
 
 
 class Destroyable(Block):
-    """An object that can be destroyed. As a context manager, it destroys itself at the end."""
+    """An object that can be destroyed.
+
+    As a context manager, it destroys itself at the end of the block.
+    """
 
     def destroy(self) -> None:
         """Destroy the object. A second call does nothing."""
@@ -112,14 +118,14 @@ class Entity(Destroyable):
     """A source of callbacks: a timer, subscription, guard condition, client, service or waitable.
 
     Args:
-        callback_group: Decides when its callback may run.
-        close: Called once, when it is destroyed.
+        callback_group: Decides when the callback of the entity may run.
+        close: Called once, when the entity is destroyed.
         wake: Called in any thread when the entity may have become ready.
 
     Attributes:
         callback_group: The argument ``callback_group``.
-        blocked_since: When the entity began to wait for its group (s, `time.monotonic`); 0 if it
-            does not wait.
+        blocked_since: When the entity began to wait for its callback group (s, `time.monotonic`); 0
+            if it does not wait, and -1 after a warning about the wait.
     """
 
     def __init__(
@@ -138,24 +144,24 @@ class Entity(Destroyable):
 
     @property
     def handle(self) -> Handle:
-        """Whether the entity may be used."""
+        """The handle, which shows whether the entity may still be used."""
         return self._handle
 
     def wake(self) -> None:
-        """Make the executor look at the entity."""
+        """Make the executor check whether the entity is ready."""
         if self._wake is not None:
             self._wake()
 
     def is_ready_now(self) -> bool:
-        """Whether a callback could run now. This never blocks."""
+        """Whether there is something for the callback to handle now. This never blocks."""
         raise NotImplementedError
 
     def due_in(self) -> float | None:
-        """How long until the entity is ready by itself (s); None if something must happen first."""
+        """How long until the entity is ready (s); None if this depends on more than the time."""
         return None
 
     def take(self) -> Anything:
-        """Take the callback's argument; `NOTHING` if another thread has taken it."""
+        """Return the next argument for the callback; `NOTHING` if another thread has taken it."""
         raise NotImplementedError
 
     async def run(self, taken: Anything) -> None:

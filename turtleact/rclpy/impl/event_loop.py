@@ -23,7 +23,7 @@ SHORTEST = 0.001
 
 
 class EventLoop:
-    """An event loop in a daemon thread. It starts with its first use and never ends."""
+    """An event loop in a daemon thread. The loop starts when it is first used, and never ends."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -33,11 +33,11 @@ class EventLoop:
 
     @property
     def is_here(self) -> bool:
-        """Whether the calling thread is the loop's."""
+        """Whether the calling thread is the thread that runs the loop."""
         return threading.current_thread() is self._thread
 
     def call(self, function: Callable[[], T]) -> T:
-        """Call a function in the loop. Return its result, or raise its exception."""
+        """Call a function in the loop, and wait. Return its result, or raise its exception."""
         if self.is_here:
             return function()
         called: Future[T] = Future()
@@ -52,11 +52,11 @@ class EventLoop:
         return called.result()
 
     def post(self, function: Callable[[], object]) -> None:
-        """Call a function in the loop, after all functions posted before. Do not wait for it."""
+        """Call a function in the loop, after all functions posted earlier. Return at once."""
         self._running().call_soon_threadsafe(function)
 
     def post_later(self, delay: float, function: Callable[[], object]) -> None:
-        """Call a function in the loop after some seconds. Do not wait for it."""
+        """Call a function in the loop after ``delay`` seconds. Return at once."""
         loop = self._running()
         if delay < SHORTEST:
             loop.call_soon_threadsafe(function)
@@ -64,7 +64,7 @@ class EventLoop:
             loop.call_soon_threadsafe(loop.call_later, delay, function)
 
     def run(self, begin: BeginCoroutine[T], timeout: float | None = None) -> T:
-        """Run the coroutine that ``begin()`` returns in the loop, and wait for its end.
+        """Run the coroutine of ``begin()`` in the loop, wait for its end, and return its result.
 
         Raises:
             TimeoutError: if the coroutine has not ended in time. The coroutine is then cancelled.
@@ -77,7 +77,7 @@ class EventLoop:
             raise
 
     def start(self, begin: BeginCoroutine[T]) -> Future[T]:
-        """Run the coroutine that ``begin()`` returns in the loop, and return its future."""
+        """Run the coroutine of ``begin()`` in the loop. Return a future of its result at once."""
         loop = self._running()  # first: a KeyboardInterrupt in it would leave a coroutine unused
         return asyncio.run_coroutine_threadsafe(begin(), loop)
 

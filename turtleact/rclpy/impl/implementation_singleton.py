@@ -17,7 +17,7 @@ __all__ = ["rclpy_implementation"]
 
 
 class rmw_qos_profile_t:
-    """Stands in for the profiles of the extension module."""
+    """Replaces rclpy's class of the same name, which has the predefined QoS profiles."""
 
     @staticmethod
     def predefined(name: str) -> QoSProfile:
@@ -27,7 +27,7 @@ class rmw_qos_profile_t:
 
 
 class rclpy_implementation:  # rclpy's name
-    """Stands in for the extension module."""
+    """Replaces the extension module of rclpy."""
 
     InvalidHandle = InvalidHandle
     NodeNameNonExistentError = NodeNameNonExistentError

@@ -8,7 +8,7 @@ __all__ = ["LoggingSeverity"]
 
 
 class LoggingSeverity(IntEnum):
-    """The severities, the same numbers as in Python's logging."""
+    """The severities of log messages, with the same numbers as in Python's `logging`."""
 
     UNSET = 0
     DEBUG = 10

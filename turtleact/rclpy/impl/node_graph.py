@@ -21,11 +21,11 @@ class NodeNameNonExistentError(RuntimeError):
 
 
 class Named(Protocol):
-    """The part of a node that these functions use."""
+    """The part of a node that `NodeGraph` uses."""
 
     @property
     def connection(self) -> Connection:
-        """The graph."""
+        """The connection to the graph."""
 
     def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
         """Return the full name of a topic."""
@@ -35,7 +35,7 @@ class Named(Protocol):
 
 
 class NodeGraph:
-    """The part of a node that looks at the graph."""
+    """The methods of a node that look at the graph."""
 
     def get_node_names(self: Named) -> list[str]:
         """Return the names of all nodes, without their namespaces."""
@@ -57,11 +57,11 @@ class NodeGraph:
         self: Named,
         no_demangle: bool = False,  # noqa: ARG002  # rclpy's signature
     ) -> list[tuple[str, list[str]]]:
-        """Return all topics and their types."""
+        """Return the names of all topics, each with its types."""
         return _listed(self, "topic", *TOPIC_ENDS)
 
     def get_service_names_and_types(self: Named) -> list[tuple[str, list[str]]]:
-        """Return all services and their types."""
+        """Return the names of all services, each with its types."""
         return _listed(self, "service", "service")
 
     def get_publisher_names_and_types_by_node(
@@ -70,7 +70,7 @@ class NodeGraph:
         node_namespace: str,
         no_demangle: bool = False,  # noqa: ARG002  # rclpy's signature
     ) -> list[tuple[str, list[str]]]:
-        """Return the topics that a node publishes, and their types.
+        """Return the topics that a node publishes, each with its types.
 
         Raises:
             NodeNameNonExistentError: if there is no such node.
@@ -83,7 +83,7 @@ class NodeGraph:
         node_namespace: str,
         no_demangle: bool = False,  # noqa: ARG002  # rclpy's signature
     ) -> list[tuple[str, list[str]]]:
-        """Return the topics that a node reads, and their types.
+        """Return the topics that a node subscribes to, each with its types.
 
         Raises:
             NodeNameNonExistentError: if there is no such node.
@@ -93,7 +93,7 @@ class NodeGraph:
     def get_service_names_and_types_by_node(
         self: Named, node_name: str, node_namespace: str
     ) -> list[tuple[str, list[str]]]:
-        """Return the services of a node, and their types.
+        """Return the services that a node offers, each with its types.
 
         Raises:
             NodeNameNonExistentError: if there is no such node.
@@ -103,7 +103,7 @@ class NodeGraph:
     def get_client_names_and_types_by_node(
         self: Named, node_name: str, node_namespace: str
     ) -> list[tuple[str, list[str]]]:
-        """Return the services that a node calls, and their types.
+        """Return the services that a node has clients for, each with its types.
 
         Raises:
             NodeNameNonExistentError: if there is no such node.

@@ -1,8 +1,9 @@
 """The parameters of a node: their declarations, values, descriptors and callbacks.
 
-A set of parameters is applied as a whole or not at all. First, the "pre" callbacks may change the
-list. Then descriptors and the "on" callbacks decide. If they agree, the values change, the "post"
-callbacks are called, and the change is published.
+`set_parameters` sets each parameter on its own. `set_parameters_atomically` sets all parameters or
+none. In both cases, the "pre" callbacks may first change the list of parameters. Then, the
+descriptors and the "on" callbacks may refuse the values. If nothing refuses them, the values
+change, the change is published, and the "post" callbacks are called.
 
 Source: the ROS 2 design article "ROS 2 Parameters"; rclpy ``node.py`` for names and texts.
 """
@@ -85,17 +86,17 @@ class NodeParameters:
         """Declare a parameter, and return it.
 
         Args:
-            name: Its name.
+            name: The name of the parameter.
             value: The parameter's value, unless an override replaces it. Give a `Parameter.Type` to
                 declare a parameter without a value.
             descriptor: A ``rcl_interfaces.msg.ParameterDescriptor``.
-            ignore_override: Whether to ignore an override.
+            ignore_override: Whether to use ``value`` even if there is an override.
 
         Raises:
             ParameterAlreadyDeclaredException: if the parameter was declared before.
             InvalidParameterException: if the name is empty.
-            InvalidParameterValueException: if a callback refuses the value.
-            InvalidParameterTypeException: if an override is of another type.
+            InvalidParameterValueException: if the descriptor or a callback refuses the value.
+            InvalidParameterTypeException: if an override does not have the type of ``value``.
         """
         declaration: tuple[Anything, ...] = (name, value, descriptor)
         if descriptor is None:
@@ -113,7 +114,7 @@ class NodeParameters:
         Args:
             namespace: The prefix of each name.
             parameters: Tuples of a name and, optionally, a value and a descriptor.
-            ignore_override: Whether to ignore overrides.
+            ignore_override: Whether to use the given values even if there are overrides.
         """
         declared: list[Parameter] = []
         descriptors: dict[str, Anything] = {}
@@ -130,7 +131,7 @@ class NodeParameters:
         return self.get_parameters_or_unset([each.name for each in declared])
 
     def get_parameters_or_unset(self, names: Iterable[str]) -> list[Parameter]:
-        """Return declared parameters, including those without a value."""
+        """Return the parameters in ``names`` that are declared, including those without a value."""
         return [self._parameters[name] for name in names if name in self._parameters]
 
     def _declaration(
@@ -257,7 +258,7 @@ class NodeParameters:
         return alternative_value if found.type_ is Parameter.Type.NOT_SET else found
 
     def get_parameters_by_prefix(self, prefix: str) -> dict[str, Parameter]:
-        """Return the parameters below a prefix, by the rest of their names."""
+        """Return the parameters below a prefix, by the part of their names after the prefix."""
         start = f"{prefix}{PARAMETER_SEPARATOR_STRING}" if prefix else ""
         return {
             name.removeprefix(start): self.get_parameter_or(name)
@@ -285,11 +286,12 @@ class NodeParameters:
         return [self.get_parameter_type(name) for name in names]
 
     def list_parameters(self, prefixes: list[str], depth: int) -> Anything:
-        """Return the names below some prefixes as a ``rcl_interfaces.msg.ListParametersResult``.
+        """Return a ``ListParametersResult`` with the names of the parameters below some prefixes.
 
         Args:
-            prefixes: The prefixes. An empty list means all names.
-            depth: How many parts a name may have after the prefix; 0 for any number.
+            prefixes: The prefixes. An empty list means all parameters.
+            depth: How many parts, separated by dots, a name may have after the prefix; 0 for any
+                number.
 
         Raises:
             TypeError: if a prefix is not a string, or the depth is not a number.
@@ -318,7 +320,7 @@ class NodeParameters:
 
         Raises:
             ParameterNotDeclaredException: if a parameter is not declared, and undeclared parameters
-                are not allowed. The parameters before it stay set.
+                are not allowed. The parameters that precede it in the list stay set.
         """
         results: list[Anything] = []
         for parameter in parameter_list:
@@ -331,7 +333,7 @@ class NodeParameters:
 
         Raises:
             ParameterNotDeclaredException: if a parameter is not declared, and undeclared parameters
-                are not allowed. No parameter is set then.
+                are not allowed. In this case, no parameter is set.
         """
         self._check_declared(parameter_list)
         return self._set_atomically(parameter_list)
@@ -367,7 +369,7 @@ class NodeParameters:
         allow_not_set: bool,
         may_be_read_only: bool,
     ) -> Anything:
-        """Set parameters if their descriptors and the "on" callbacks agree."""
+        """Set parameters if their descriptors and the "on" callbacks allow the values."""
         for parameter in parameters:
             descriptor = descriptors[parameter.name]
             if descriptor.read_only and not may_be_read_only:
@@ -417,13 +419,16 @@ class NodeParameters:
     # callbacks
 
     def add_pre_set_parameters_callback(self, callback: PreCallback) -> None:
-        """Call ``callback(parameters)`` before anything is checked. It returns the list to set."""
+        """Call ``callback(parameters)`` before parameters are checked.
+
+        The callback returns the list of parameters to set.
+        """
         self._pre_set_parameters_callbacks.insert(0, callback)
 
     def add_on_set_parameters_callback(self, callback: OnCallback) -> None:
         """Call ``callback(parameters)`` before parameters are set.
 
-        The callback's result may refuse them.
+        The callback returns a ``SetParametersResult``, which may refuse the parameters.
         """
         self._on_set_parameters_callbacks.insert(0, callback)
 
@@ -465,12 +470,13 @@ class NodeParameters:
     def set_descriptor(
         self, name: str, descriptor: Anything, alternative_value: Anything = None
     ) -> Anything:
-        """Give a parameter a descriptor and, optionally, another value; return the value.
+        """Set the descriptor of a parameter and, if given, its value. Return the parameter's value.
 
         Raises:
-            ParameterNotDeclaredException: if the parameter is not declared.
+            ParameterNotDeclaredException: if the parameter is not declared, and undeclared
+                parameters are not allowed.
             ParameterImmutableException: if the parameter is read-only.
-            InvalidParameterValueException: if the value does not fit.
+            InvalidParameterValueException: if the descriptor or a callback refuses the value.
         """
         if not self.has_parameter(name):
             if self._allow_undeclared_parameters:
@@ -504,7 +510,7 @@ def _is_below(name: str, prefix: str, depth: int) -> bool:
 
 
 def _misfit(parameter: Parameter, descriptor: Anything) -> str:
-    """Return why a descriptor forbids a value; empty if it allows the value."""
+    """Return why a descriptor forbids a value; an empty string if the descriptor allows it."""
     if not descriptor.dynamic_typing and descriptor.type != parameter.type_.value:
         if parameter.type_ is Parameter.Type.NOT_SET:
             return "Static parameter cannot be undeclared"

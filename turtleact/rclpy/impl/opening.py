@@ -1,7 +1,8 @@
 """Opens the graph that a program joins: the existing graph, or a new one.
 
-A program looks for a router on its machine, such as ``turtleact serve``. If there is none, the
-program becomes the router itself, so that programs find each other wherever they are started.
+A program looks for a router on its machine, such as ``turtleact serve``. If there is no router, the
+program becomes the router itself. Programs on one machine thus find each other, whichever of them
+starts first.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from turtleact.transports import MemoryTransport, Transport, open_zenoh
 __all__ = ["open_chosen"]
 
 ATTEMPTS = 20
-"""How many attempts to make if another program becomes the router at the same moment."""
+"""How many attempts to make. An attempt fails if another program becomes the router meanwhile."""
 
 PAUSE = 0.05
 """How long to wait between two attempts (s)."""
@@ -33,8 +34,8 @@ LISTEN = ("tcp/127.0.0.1:7447",)
 async def open_chosen(domain: int) -> AsyncIterator[Transport]:
     """Open the graph that was chosen for this process.
 
-    Like ``turtleact serve``, an embedded world has a connection of its own, so that other programs
-    and commands see the world, too.
+    An embedded world has its own connection to the graph, as in ``turtleact serve``, so that other
+    programs and commands also see the world.
 
     Raises:
         TurtleactError: if the graph cannot be opened.
@@ -67,7 +68,10 @@ async def _first(
     stack: AsyncExitStack,
     opening: Sequence[Callable[[], AbstractAsyncContextManager[Transport]]],
 ) -> Transport:
-    """Enter the first of these graphs that can be opened. Try several times."""
+    """Try to open several graphs in order, and return the first one that opens.
+
+    If none of them opens, try all of them again, up to `ATTEMPTS` times in total.
+    """
     for attempt in range(ATTEMPTS):
         for open_it in opening:
             try:

@@ -1,7 +1,7 @@
-"""The objects that a process has once: the event loop, the joined graphs, and the contexts.
+"""The objects that exist once in a process: the event loop, the joined graphs, and the contexts.
 
 A graph is joined when the first node needs it, and left when the last context that uses it is shut
-down. The event loop stays for the next ``init``.
+down. The event loop keeps running for the next ``init``.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from turtleact.rclpy.impl.opening import open_chosen
 __all__ = ["PROCESS", "Process"]
 
 PATIENCE = 2.5
-"""How long the end of the process waits for contexts that other threads shut down (s)."""
+"""How long to wait for contexts that other threads shut down before the process ends (s)."""
 
 
 class Closable(Protocol):
     """The part of a context that this module uses."""
 
     def try_shutdown(self) -> None:
-        """Shut down the context, unless that has been done."""
+        """Shut down the context if it is initialised and not shut down yet."""
 
 
 class Process:
-    """The state of this process.
+    """Holds the event loop, the joined graphs and the contexts of this process.
 
     Attributes:
         loop: The event loop.
-        contexts: All contexts that are initialised.
-        open_transport: Opens a graph that is not joined yet.
+        contexts: All contexts that are initialised and not shut down.
+        open_transport: A function that opens the graph of a ROS domain.
     """
 
     def __init__(self) -> None:
@@ -50,10 +50,10 @@ class Process:
         self._connections: dict[int, tuple[Connection, set[int]]] = {}
 
     def join(self, domain: int, user: object) -> Connection:
-        """Join a graph for a user, or return the existing connection.
+        """Return the connection to the graph of a domain; open the connection on the first call.
 
         Raises:
-            TurtleactError: if there is no graph in reach.
+            TurtleactError: if the graph cannot be opened.
         """
         with self._lock:
             if not self._is_registered:
@@ -71,7 +71,7 @@ class Process:
         """Shut all contexts down, and wait for those that other threads are shutting down.
 
         After a signal, a thread shuts the contexts down while the main thread ends the program. If
-        the interpreter ended before the process has left the graph, a thread of Zenoh could call
+        the interpreter ended before the process left the graph, a thread of Zenoh could call
         into the interpreter, and the C library would abort the process.
         """
         for context in list(self.contexts):
@@ -93,7 +93,7 @@ class Process:
                 self._ended.notify_all()
 
     def leave(self, user: object) -> None:
-        """Leave all graphs that nobody else uses."""
+        """Leave the graphs that ``user`` has joined and that nobody else uses."""
         closing: list[Connection] = []
         with self._lock:
             for domain, (connection, users) in list(self._connections.items()):

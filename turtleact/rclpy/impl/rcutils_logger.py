@@ -1,7 +1,8 @@
 """Loggers: their severities, their filters, and their output.
 
-A call site is a place in the source code. A call site may log only once, skip its first message, or
-stay silent for some seconds. A call site must use the same options in each call.
+A call site is a place in the source code that logs a message. Filters make a call site log only
+once, skip its first message, or stay silent for some seconds after a message. A call site must use
+the same options in each call.
 """
 
 from __future__ import annotations
@@ -43,10 +44,10 @@ class Record(msgspec.Struct, frozen=True):
     """One message of a log.
 
     Attributes:
-        severity: How severe it is.
+        severity: The severity of the message.
         name: The name of the logger.
         text: The message.
-        stamp: When it was logged (ns since 1970).
+        stamp: When the message was logged (ns since 1970).
         file: The file of the call site.
         function: The function of the call site.
         line: The line of the call site.
@@ -87,10 +88,10 @@ def rosout_of(sender: Sender) -> Rosout:
 
 
 class _Log:
-    """The levels of all loggers, and the output.
+    """Holds the levels of all loggers, and writes their messages.
 
     Attributes:
-        rosouts: Publishers of records, by the names of the nodes' loggers.
+        rosouts: Functions that publish records, by the names of the nodes' loggers.
     """
 
     def __init__(self) -> None:
@@ -103,20 +104,21 @@ class _Log:
         self._colours = os.environ.get("RCUTILS_COLORIZED_OUTPUT", "")
 
     def set_level(self, name: str, level: int) -> None:
-        """Set the level of a logger and of all loggers below it.
+        """Set the level of a logger.
 
-        With UNSET, the level is inherited again.
+        Loggers below it inherit the level, unless they have a level of their own. With UNSET, the
+        logger inherits its level again.
         """
         with self._lock:
             self._levels[name] = level
             self._effective = {}
 
     def level(self, name: str) -> int:
-        """The level of a logger itself; UNSET if it inherits one."""
+        """Return the level that was set for a logger, or UNSET if the logger inherits its level."""
         return self._levels.get(name, 0)
 
     def effective_level(self, name: str) -> int:
-        """The effective level: that of the logger, or else of the nearest logger above it."""
+        """Return the level that was set for the logger, or else for the nearest logger above it."""
         level = self._effective.get(name)
         if level is None:
             level = next((each for each in map(self.level, _above(name)) if each), 0)
@@ -174,7 +176,7 @@ LOG = _Log()
 
 
 class _Site:
-    """The memory of a call site: how it was first called, and the state of its filters."""
+    """Remembers the options of a call site's first message, and the state of its filters."""
 
     __slots__ = ("filters", "has_logged", "has_skipped", "last", "name", "severity")
 
@@ -187,7 +189,7 @@ class _Site:
         self.last = 0
 
     def check(self, severity: LoggingSeverity, name: str, filters: dict[str, Anything]) -> None:
-        """Check that the call site is called in the same way as before."""
+        """Raise ValueError if these are not the options of the call site's first message."""
         if severity != self.severity:
             raise ValueError("Logger severity cannot be changed between calls.")
         if name != self.name:
@@ -220,10 +222,10 @@ class _Site:
 
 
 class RcutilsLogger:
-    """A logger, by name. Dots in the name make a tree.
+    """A logger. Dots in the names of loggers form a tree: ``a`` is above ``a.b``.
 
     Args:
-        name: The name; empty for the root.
+        name: The name of the logger; empty for the root logger.
     """
 
     def __init__(self, name: str = "") -> None:
@@ -231,7 +233,7 @@ class RcutilsLogger:
         self._sites: dict[tuple[Anything, int], _Site] = {}
 
     def get_child(self, name: str) -> RcutilsLogger:
-        """Return the logger of that name below this one.
+        """Return the logger ``name`` below this logger.
 
         Raises:
             ValueError: if the name is empty.
@@ -246,7 +248,7 @@ class RcutilsLogger:
         LOG.set_level(self.name, LoggingSeverity(level))
 
     def get_effective_level(self) -> LoggingSeverity:
-        """Return the effective level: the logger's own, or that of the nearest logger above it."""
+        """Return the level that was set for this logger, or for the nearest logger above it."""
         return LoggingSeverity(LOG.effective_level(self.name))
 
     def is_enabled_for(self, severity: LoggingSeverity | int) -> bool:
@@ -264,18 +266,19 @@ class RcutilsLogger:
 
         Args:
             message: The text, or an object that is converted to text.
-            severity: How severe it is.
+            severity: The severity of the message.
             name: The name of another logger to use instead of this one.
-            **kwargs: ``once``, ``skip_first``, ``throttle_duration_sec``, and
-                ``throttle_time_source_type``, a clock.
+            **kwargs: The filters: ``once`` (bool), ``skip_first`` (bool), ``throttle_duration_sec``
+                (s), and ``throttle_time_source_type`` (a clock).
 
         Returns:
-            Whether it was logged.
+            Whether the message was logged.
 
         Raises:
-            RuntimeError: if there is no such severity.
-            TypeError: if a filter does not exist.
-            ValueError: if the same call site was called with other options before.
+            RuntimeError: if ``severity`` is not in `LoggingSeverity`.
+            TypeError: if a filter is unknown, or if there is a clock without
+                ``throttle_duration_sec``.
+            ValueError: if the same call site used other options before.
         """
         try:
             severity = LoggingSeverity(severity)
@@ -318,7 +321,7 @@ class RcutilsLogger:
         return self.log(message, LoggingSeverity.WARN, **kwargs)
 
     def warn(self, message: object, **kwargs: Anything) -> bool:
-        """Log as `warning` does."""
+        """Log that something is not as it should be. This is the same as `warning`."""
         return self.log(message, LoggingSeverity.WARN, **kwargs)
 
     def error(self, message: object, **kwargs: Anything) -> bool:
@@ -345,7 +348,7 @@ def _filters(given: dict[str, Anything]) -> dict[str, Anything]:
 
 
 def _above(name: str) -> Iterator[str]:
-    """The name of a logger, and those above it, up to the root."""
+    """Yield the name of a logger, then the names of the loggers above it, up to the root."""
     while name:
         yield name
         name = name.rpartition(".")[0]
@@ -353,7 +356,7 @@ def _above(name: str) -> Iterator[str]:
 
 
 def _caller() -> FrameType:
-    """Return the frame that called a logger."""
+    """Return the frame of the code that called a logger."""
     frame = sys._getframe(2)
     while frame.f_globals.get("__name__") == __name__ and frame.f_back is not None:
         frame = frame.f_back

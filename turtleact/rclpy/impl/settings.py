@@ -1,4 +1,4 @@
-"""The choice of the graph that a program joins. It is made before rclpy is imported."""
+"""Stores which graph a program joins. The graph is chosen before rclpy is imported."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ __all__ = ["SETTINGS", "Place", "Settings"]
 
 
 class Place(msgspec.Struct, frozen=True):
-    """Where a graph is.
+    """Describes the graph to join.
 
     Attributes:
-        connect: The endpoints of the graph. An empty list means the graph of this machine.
-        config: Paths and values of a configuration of Zenoh.
-        is_embedded: Whether this process has a world of turtles, too.
+        connect: The Zenoh endpoints to connect to. If there are none, the graph is that of this
+            machine.
+        config: Additional configuration of Zenoh: values by their paths in the configuration.
+        is_embedded: Whether this process also runs a world of turtles, an "embedded world".
         is_alone: Whether the graph is inside this process, so that no other process sees it.
     """
 
@@ -29,7 +30,7 @@ class Settings:
     """The settings of this process.
 
     Attributes:
-        place: Where its graph is.
+        place: The graph to join.
     """
 
     def __init__(self) -> None:

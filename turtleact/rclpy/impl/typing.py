@@ -15,7 +15,7 @@ callback with as many arguments as it takes.
 
 
 class Subscriptable:
-    """A class that programs may subscript in annotations, with any arguments.
+    """A class that annotations may subscript with any arguments, as in ``Publisher[String]``.
 
     The number of type parameters of rclpy's classes differs between the distributions of ROS 2.
     """
@@ -26,7 +26,7 @@ class Subscriptable:
 
 
 class ServiceHost(Protocol):
-    """The part of a node that its services use."""
+    """The part of a node that standard services use, such as the services for parameters."""
 
     def get_name(self) -> str:
         """Return the node's name."""
@@ -34,4 +34,4 @@ class ServiceHost(Protocol):
     def create_service(
         self, srv_type: Anything, srv_name: str, callback: Anything, *, qos_profile: Anything = ...
     ) -> object:
-        """Open a service."""
+        """Open a server of a service."""

@@ -1,4 +1,4 @@
-"""Waits that block a thread of the program while another one spins."""
+"""Functions that block a thread until something has happened, while another thread spins."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ POLL = 0.02
 """The interval at which a wait checks its condition (s)."""
 
 PATIENCE = 0.5
-"""How long to wait at most before looking again (s). A signal may not interrupt a lock."""
+"""How long to wait before checking again (s), because a signal may not interrupt the wait."""
 
 
 def wait_until(
@@ -25,8 +25,8 @@ def wait_until(
 
     Args:
         is_there: The condition.
-        timeout: How long to check (s); None for ever.
-        is_ok: Whether to go on.
+        timeout: How long to check (s). None means for ever.
+        is_ok: Returns whether to continue the wait.
     """
     end = None if timeout is None else time.monotonic() + timeout
     while is_ok() and not is_there():
@@ -44,15 +44,16 @@ def wait_for_answer(
     is_ok: Callable[[], bool],
     timeout: float | None = None,
 ) -> bool:
-    """Wait until an answer was handled; return whether it was.
+    """Wait until an answer has been handled. Return False if the wait ended before that.
 
-    If the wait takes long, a warning names the callback that blocks the answer.
+    If the wait takes long, a warning names the callback that prevents the answer from being
+    handled.
 
     Args:
-        entity: Handles the answer.
+        entity: The entity that handles the answer.
         what: The name of the waiting function, for the warning.
-        answered: Set when the answer was handled.
-        is_ok: Whether to go on.
+        answered: An event that is set when the answer has been handled.
+        is_ok: Returns whether to continue the wait.
         timeout: How long to wait (s). None or a negative number means for ever.
     """
     began = time.monotonic()

@@ -1,5 +1,6 @@
-"""Makes the interface classes that rclpy programs use: `geometry_msgs.msg` and the like.
+"""Makes the interface classes that rclpy programs use, such as those of `geometry_msgs.msg`.
 
 These classes differ from turtleact's own, but are made from the same definitions. Their fields are
-properties, sequences of numbers are arrays, and nothing is checked before a message is sent.
+properties, and their sequences of numbers are arrays. Values are not checked until a message is
+sent, unless ``check_fields`` is true.
 """

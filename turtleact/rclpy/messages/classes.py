@@ -1,10 +1,10 @@
 """Message, service and action classes as rclpy programs use them.
 
-A class is made on first use from the definition of turtleact's class of the same name. Its source
-code is generated, as for the codecs, because messages are made and filled thousands of times a
-second.
+A class is made on first use, from the definition of turtleact's class of the same name. Its
+``__init__`` and its properties are compiled from generated source code. Such code is fast, and a
+program may make thousands of messages a second.
 
-Source: ``rosidl_generator_py``, as measured from messages of ROS 2 Kilted.
+Source: ``rosidl_generator_py``, whose behaviour was observed in ROS 2 Kilted.
 """
 
 from __future__ import annotations
@@ -49,17 +49,17 @@ CHECKS_BY_DEFAULT = os.environ.get("ROS_PYTHON_CHECK_FIELDS") == "1"
 
 
 class Metaclass(type):
-    """The metaclass of message classes: constants and defaults cannot be changed."""
+    """The metaclass of message classes. Constants and fields' default values are read-only."""
 
     def __setattr__(cls, name: str, value: object) -> None:
-        """Set an attribute that is neither a constant nor a default."""
+        """Set an attribute. Raise AttributeError if it is a constant or a field's default value."""
         if name in cls.__dict__.get("_fixed", ()):
             raise AttributeError(f"can't set attribute '{name}'")
         super().__setattr__(name, value)
 
 
 class MessageBase:
-    """The base of all message classes."""
+    """The base class of all message classes."""
 
     __slots__ = ()
 
@@ -92,23 +92,24 @@ class ServiceMeta(type):
     type_name: str
 
     def __call__(cls, *_: object, **__: object) -> Anything:
-        """Refuse to make an instance, as rclpy does."""
+        """Raise NotImplementedError, as rclpy does."""
         kind = "Action" if hasattr(cls, "Goal") else "Service"
         raise NotImplementedError(f"{kind} classes can not be instantiated")
 
 
 def is_interface(candidate: object) -> bool:
-    """Whether an object is a class that was made here."""
+    """Whether an object is an interface class that was made by this module."""
     return isinstance(candidate, Metaclass | ServiceMeta)
 
 
 @functools.cache
 def interface_class(type_name: str) -> InterfaceClass:
-    """Return the class of an interface by its full name. Each name has one class.
+    """Return the class of an interface by its full name. A second call returns the same class.
 
     Raises:
-        UnknownInterface: if there is no such interface. The error suggests the nearest name.
-        InvalidInterface: if its file is malformed.
+        UnknownInterface: if there is no such interface. The error suggests the most similar
+            name.
+        InvalidInterface: if the file that defines the interface is malformed.
     """
     found = get_interface(type_name)
     if issubclass(found, Message):
@@ -141,7 +142,7 @@ def _whole_class(found: type[Service | Action], members: dict[str, object]) -> I
 
 
 def type_name_of(interface: Anything) -> str:
-    """Return the full name of the interface of a class."""
+    """Return the full name of a class's interface, such as ``std_msgs/msg/String``."""
     if isinstance(interface, ServiceMeta):
         return interface.type_name
     return shape_of(interface).type_name
@@ -157,8 +158,9 @@ def shape_of(message_class: Anything) -> Shape:
 def maker(message_class: Anything) -> Callable[..., object]:
     """Return a function that makes a message from decoded values in the order of the fields.
 
-    turtleact's decoder uses this function like a message class. The function therefore has a shape,
-    too, which holds such functions for nested messages.
+    turtleact's decoder calls this function in place of a message class. The function therefore has
+    an attribute ``_shape``, as a message class has. In ``_shape``, functions like this one
+    replace the classes of nested messages.
     """
     shape = shape_of(message_class)
     names: dict[str, object] = {"new": message_class.__new__, "cls": message_class}
@@ -179,7 +181,7 @@ def maker(message_class: Anything) -> Callable[..., object]:
 
 
 def _decoded(field: Field) -> Callable[[Anything], object] | None:
-    """Return the function that converts a decoded value for a field; None if none is needed."""
+    """Return a function that converts a field's decoded values; None if no conversion is needed."""
     if is_numeric_array(field.type):
         import numpy as np
 
@@ -261,7 +263,7 @@ def _refuse_unknown(unknown: dict[str, object]) -> None:
 
 
 def _property(field: Field, nested: type | None) -> property:
-    """Return the property of a field, which converts sequences of numbers."""
+    """Return the property of a field. Setting it converts sequences of numbers to arrays."""
     slot = f"_{field.attribute}"
     names: dict[str, object] = {"check": checker(field, nested)}
     value = "value"

@@ -1,8 +1,8 @@
 """Encodes and decodes messages of the classes of `turtleact.rclpy.messages.classes` as CDR.
 
-turtleact's own codecs read the declaration of a class, so they serve these classes too. If a codec
-refuses a value that rclpy would accept, the value is converted here. Any other refused value raises
-a TypeError.
+turtleact's own codecs need only the declaration of a class, so they work for these classes, too. If
+a codec rejects a value that rclpy would accept, this module converts the value. If rclpy would also
+reject the value, this module raises a TypeError.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def encode(message: Anything, message_class: Anything) -> bytes:
     """Encode a message.
 
     Raises:
-        TypeError: if the message is of another class, or a value does not fit its type.
+        TypeError: if the message is of another class, or a value does not fit its field.
     """
     if type(message) is not message_class:
         raise TypeError(
@@ -45,7 +45,7 @@ def decode(data: bytes, message_class: Anything) -> Anything:
     """Decode a message.
 
     Raises:
-        InvalidMessage: if the bytes are not such a message.
+        InvalidMessage: if the bytes are not a message of ``message_class``.
     """
     order = BYTE_ORDERS.get(data[:2])
     if order is None or len(data) < len(HEADER):
@@ -67,12 +67,12 @@ def _encoder(message_class: Anything) -> Callable[..., bytes]:
 
 
 def _wire_class(message_class: Anything) -> Anything:
-    """Return turtleact's class of the same interface."""
+    """Return turtleact's own class for the interface of ``message_class``."""
     return get_interface(shape_of(message_class).type_name)
 
 
 def _fitted(message: Anything, message_class: Anything, path: str) -> Anything:
-    """Return a message of turtleact's class with the same values."""
+    """Return a message of turtleact's own class with the converted values of ``message``."""
     shape = shape_of(message_class)
     if not isinstance(message, message_class):
         expected = f"{message_class.__module__}.{message_class.__name__}"

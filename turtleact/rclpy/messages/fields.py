@@ -1,6 +1,6 @@
 """Handles the fields of a message class: names of types, initial values, conversions and checks.
 
-Source: ``rosidl_generator_py``, as measured from messages of ROS 2 Kilted.
+Source: ``rosidl_generator_py``, whose behaviour was observed in ROS 2 Kilted.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ LARGEST_FLOAT32 = 3.402823466e38
 
 
 def type_text(field_type: FieldType) -> str:
-    """Return a type as `get_fields_and_field_types` names it.
+    """Return the IDL name of a type, for `get_fields_and_field_types`.
 
     >>> type_text(FieldType("float64", form=ArrayForm.UNBOUNDED))
     'sequence<double>'
@@ -67,18 +67,18 @@ def type_text(field_type: FieldType) -> str:
 
 
 def is_numeric_sequence(field_type: FieldType) -> bool:
-    """Whether a field is an `array.array`."""
+    """Whether a field of this type has an `array.array` as its value."""
     is_dynamic = field_type.form in (ArrayForm.BOUNDED, ArrayForm.UNBOUNDED)
     return is_dynamic and field_type.name in TYPECODES
 
 
 def is_numeric_array(field_type: FieldType) -> bool:
-    """Whether a field is a numpy array."""
+    """Whether a field of this type has a numpy array as its value."""
     return field_type.form is ArrayForm.FIXED and field_type.name in TYPECODES
 
 
 def sequence_of(field_type: FieldType) -> Callable[[Anything], object]:
-    """Return the function that converts values assigned to a field with several numbers."""
+    """Return a function that converts a sequence of numbers to the array that a field needs."""
     code = TYPECODES[field_type.name]
     if is_numeric_array(field_type):
 
@@ -101,7 +101,7 @@ def sequence_of(field_type: FieldType) -> Callable[[Anything], object]:
 
 
 def initial(field: Field, nested: type | None) -> Callable[[], object]:
-    """Return the function that makes the initial value of a field."""
+    """Return a function that makes the initial value of a field."""
     field_type = field.type
     if nested is not None:
         if not field_type.is_sequence:
@@ -131,9 +131,9 @@ def _listed(field: Field) -> list[object]:
 
 
 def checker(field: Field, nested: type | None) -> Callable[[object], None]:
-    """Return the function that checks a value of a field, for messages with ``check_fields``.
+    """Return a function that checks a value for a field. Messages with ``check_fields`` call it.
 
-    The function raises AssertionError, as in rclpy.
+    The function raises AssertionError if the value does not fit, as in rclpy.
     """
     check = partial(_check_one, field.name, field.type.element, nested)
     if not field.type.is_sequence:

@@ -1,4 +1,4 @@
-"""ROS 2 over Zenoh: a graph that includes other processes and ROS 2 nodes with ``rmw_zenoh``."""
+"""ROS 2 over Zenoh: a graph of several processes, including ROS 2 nodes with ``rmw_zenoh``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["ZenohTransport", "open_zenoh"]
 
 
 def __getattr__(name: str) -> object:
-    """Import the transport on first use. `census` does not need it."""
+    """Import the transport on first use, because code that only uses `census` does not need it."""
     if name in __all__:
         from turtleact.transports.rmw_zenoh import transport
 

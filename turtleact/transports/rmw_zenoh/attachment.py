@@ -1,17 +1,17 @@
-"""Encodes and decodes the attachment of a message: its sender, time and sequence number.
+"""Encodes and decodes attachments, which hold a message's sender, time and sequence number.
 
 ==  ====  =============================================================================
 at  size
 ==  ====  =============================================================================
 0   8     sequence number, a little-endian int64 from 1, counted by publisher or client
 8   8     time of sending, a little-endian int64: ns since the Unix epoch
-16  1     16, the length of what comes next
+16  1     16, the size of the gid
 17  16    gid of the publisher; in requests and replies, of the client
 33  …     a note: text in UTF-8, written and read only by turtleact
 ==  ====  =============================================================================
 
-A reply carries the sequence number and gid of its request. rmw_zenoh reads the first 33 bytes field
-by field and never checks for more, so the note does no harm.
+A reply carries the sequence number and gid of its request. rmw_zenoh reads only the first 33 bytes
+of an attachment, so it ignores the note that turtleact appends.
 
 Source: rmw_zenoh_cpp ``detail/attachment_helpers.cpp``, Jazzy from 0.2.4 to Rolling.
 """
@@ -55,10 +55,10 @@ class Attachment(msgspec.Struct, frozen=True):
     """The data attached to a message.
 
     Attributes:
-        sequence: The sequence number, from 0.
-        stamp: When it was sent (ns since the Unix epoch).
+        sequence: The sequence number, at least 0.
+        stamp: When the message was sent (ns since the Unix epoch).
         gid: The 16 bytes that identify the publisher or client.
-        note: A text for other programs of turtleact.
+        note: A text that only turtleact writes and reads; empty if there is none.
     """
 
     sequence: int
@@ -68,13 +68,13 @@ class Attachment(msgspec.Struct, frozen=True):
 
 
 def write_attachment(sequence: int, stamp: int, gid: bytes, note: str = "") -> bytes:
-    """Encode an attachment. A note of more than 4,096 bytes is cut."""
+    """Encode an attachment. A note longer than 4,096 bytes is cut to that size."""
     return LAYOUT.pack(sequence, stamp, GID_SIZE, gid) + note_tail(note)
 
 
 @lru_cache(maxsize=4)  # almost all replies of a server have the same note
 def note_tail(note: str) -> bytes:
-    """Encode a note, which the caller puts behind an attachment without a note."""
+    """Encode a note. The caller appends the bytes to an attachment without a note."""
     if not note:
         return b""
     tail = note.encode(errors="backslashreplace")  # a note must never make its message fail
@@ -84,7 +84,9 @@ def note_tail(note: str) -> bytes:
 
 
 def read_attachment(data: bytes) -> Attachment:
-    """Decode an attachment. A long note is cut, and bytes that are not UTF-8 are replaced.
+    """Decode an attachment.
+
+    A note longer than 4,096 bytes is cut. Bytes of a note that are not UTF-8 are replaced.
 
     Raises:
         InvalidMessage: if the bytes are not an attachment.
@@ -101,12 +103,12 @@ def read_attachment(data: bytes) -> Attachment:
 
 
 def note_in(data: bytes) -> str:
-    """Return only the note; the bytes may be anything."""
+    """Return the note in an attachment. Unlike `read_attachment`, this accepts any bytes."""
     return data[NOTE].decode(errors="replace")
 
 
 def gid_in(data: bytes) -> bytes:
-    """Return only the gid; the bytes may be anything."""
+    """Return the gid in an attachment. Unlike `read_attachment`, this accepts any bytes."""
     return data[SIZE - GID_SIZE : SIZE]
 
 

@@ -1,9 +1,9 @@
 """Names on Zenoh: data keys, liveliness tokens and gids, and the graph that tokens describe.
 
-A topic or service has a *key expression*. Endpoints with the same key talk to each other, so the
-key includes the type and its hash. A node or endpoint is on the graph while its *liveliness token*
-exists. The token is a key that describes the node or endpoint, chunk by chunk. An endpoint's gid is
-a hash of its token.
+A topic or service has a *key expression*. Endpoints with the same key communicate with each other,
+so the key includes the type and its hash. A node or endpoint is on the graph while its *liveliness
+token* exists. The token is a key expression. Its chunks, the parts between the slashes, describe
+the node or endpoint. An endpoint's gid is a hash of its token.
 
 ::
 
@@ -11,8 +11,8 @@ a hash of its token.
     @ros2_lv/DOMAIN/ZID/NODE_ID/NODE_ID/NN/ENCLAVE/NAMESPACE/NODE                  a node
     @ros2_lv/DOMAIN/ZID/NODE_ID/ID/KIND/ENCLAVE/NAMESPACE/NODE/NAME/TYPE/HASH/QOS  an endpoint
 
-Tokens are written in rmw_zenoh's form. Tokens that are read may have more chunks and unusual
-qualities of service, because newer and older peers send such tokens.
+This module writes tokens in rmw_zenoh's form. It also reads tokens with additional chunks or with
+an unknown quality of service, because newer and older peers send such tokens.
 
 Source: rmw_zenoh_cpp ``detail/liveliness_utils.cpp`` and ``docs/design.md``, Jazzy to Rolling.
 """
@@ -75,9 +75,9 @@ class Token(msgspec.Struct, frozen=True):
     """The meaning of a liveliness token.
 
     Attributes:
-        zid: The id of the session that declared it.
-        node: The fully qualified name of the node.
-        endpoint: The endpoint; None for a node.
+        zid: The id of the session that declared the token.
+        node: The fully qualified name of the node, or of the endpoint's node.
+        endpoint: The endpoint; None if the token is that of a node.
     """
 
     zid: str
@@ -89,10 +89,10 @@ class Graph:
     """The nodes and endpoints of all other sessions, in the order they appeared.
 
     Args:
-        zid: The id of our own session. Its tokens are ignored.
+        zid: The id of our own session, whose tokens are ignored.
 
     Attributes:
-        tokens: The meaning of each token, by its key.
+        tokens: The meaning of each token, by the token's text.
     """
 
     def __init__(self, zid: str) -> None:
@@ -101,7 +101,11 @@ class Graph:
         self._by_name: dict[str, dict[str, Endpoint]] = {}  # token to endpoint
 
     def add(self, key: str) -> Token | None:
-        """Add a token. Return its meaning if the token is new, otherwise None."""
+        """Add a token, and return its meaning.
+
+        Return None if the token is already known, belongs to our own session or cannot be
+        understood.
+        """
         token = None if key in self.tokens else parse_token(key)
         if token is None or token.zid == self._zid:
             return None
@@ -111,7 +115,7 @@ class Graph:
         return token
 
     def remove(self, key: str) -> Token | None:
-        """Remove a token. Return its meaning if the token was known, otherwise None."""
+        """Remove a token, and return its meaning. Return None if the token was not known."""
         token = self.tokens.pop(key, None)
         if token is not None and token.endpoint is not None:
             namesakes = self._by_name[token.endpoint.name]
@@ -121,7 +125,7 @@ class Graph:
         return token
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints, or only those called ``name``."""
+        """All endpoints, or only those of the topic or service ``name``."""
         if name:
             return tuple(self._by_name.get(name, {}).values())
         return tuple(token.endpoint for token in self.tokens.values() if token.endpoint is not None)
@@ -132,7 +136,7 @@ class Graph:
 
 
 def data_key(domain: int, endpoint: Endpoint) -> str:
-    """Return the key expression of a topic or service.
+    """Return the key expression of an endpoint's topic or service.
 
     >>> point = Endpoint("publisher", "/at", "geometry_msgs/msg/Point", "/n", type_hash="RIHS01_6")
     >>> data_key(0, point)
@@ -148,12 +152,12 @@ def all_tokens(domain: int) -> str:
 
 
 def all_nodes() -> str:
-    """Return a key expression that matches the tokens of all nodes, of all domains."""
+    """Return a key expression that matches the tokens of all nodes in all domains."""
     return f"{PREFIX}/*/*/*/*/{NODE}/**"
 
 
 def domain_of_node(token: str) -> int | None:
-    """Return the domain of a node; None if it is hidden, or the token cannot be understood.
+    """Return the domain in a node's token; None if the node is hidden or the token is malformed.
 
     >>> domain_of_node("@ros2_lv/3/a/0/0/NN/%/%/lab")
     3
@@ -168,9 +172,9 @@ def node_token(domain: int, zid: str, node_id: int, node: str) -> str:
 
     Args:
         domain: The ROS domain.
-        zid: The id of the session.
-        node_id: The node's number, unique in the session.
-        node: Its fully qualified name.
+        zid: The id of the node's session.
+        node_id: The node's number, unique in the session among nodes and endpoints.
+        node: The node's fully qualified name.
     """
     return f"{PREFIX}/{domain}/{zid}/{node_id}/{node_id}/{NODE}/{_node_chunks(node)}"
 
@@ -180,8 +184,8 @@ def endpoint_token(domain: int, zid: str, node_id: int, number: int, endpoint: E
 
     Args:
         domain: The ROS domain.
-        zid: The id of the session.
-        node_id: The number of its node.
+        zid: The id of the endpoint's session.
+        node_id: The number of the endpoint's node.
         number: The endpoint's own number, unique in the session among nodes and endpoints.
         endpoint: The endpoint, with its type hash.
     """
@@ -198,9 +202,9 @@ def endpoint_token(domain: int, zid: str, node_id: int, number: int, endpoint: E
 
 
 def parse_token(key: str) -> Token | None:
-    """Return the meaning of a token; None if it cannot be understood.
+    """Return the meaning of a token; None if the token cannot be understood.
 
-    If the token describes an endpoint, the endpoint gets the gid that its peers use.
+    The gid of an endpoint is computed from the token, in the same way as in other processes.
     """
     chunks = key.split("/", ENDPOINT_CHUNKS) if len(key) <= LONGEST else []
     if len(chunks) < NODE_CHUNKS or chunks[0] != PREFIX or not all(chunks[:NODE_CHUNKS]):
@@ -224,7 +228,7 @@ def parse_token(key: str) -> Token | None:
 
 
 def gid_of(token: str) -> bytes:
-    """Return the gid of an endpoint, 16 bytes: the XXH3-128 of its token, lower half first.
+    """Return the gid of an endpoint, 16 bytes: the XXH3-128 hash of its token, little-endian.
 
     >>> gid_of("@ros2_lv/0/a/0/0/NN/%/%/lab").hex()
     'a69d7ac3e2c03c91abab72e6833b800c'
@@ -233,7 +237,7 @@ def gid_of(token: str) -> bytes:
 
 
 def dds_type(type_name: str) -> str:
-    """Convert a type name to DDS's form; for a service, without ``_Request`` and ``_Response``.
+    """Convert a type name to DDS's form. Service types get no ending ``_Request`` or ``_Response``.
 
     >>> dds_type("turtlesim/srv/Spawn")
     'turtlesim::srv::dds_::Spawn_'
@@ -243,7 +247,7 @@ def dds_type(type_name: str) -> str:
 
 
 def ros_type(dds_name: str) -> str:
-    """Convert a type name from DDS's form to ROS 2's. Any other name is returned unchanged."""
+    """Convert a type name from DDS's form to ROS 2's. Other names are returned unchanged."""
     packages, separator, name = dds_name.rpartition("::dds_::")
     if not separator or not name.endswith("_"):
         return dds_name
@@ -271,7 +275,7 @@ def _qos_chunk(qos: QoS) -> str:
 
 
 def _parse_qos(chunk: str) -> QoS:
-    """Parse the parts of a quality of service that we use. Unknown values become the default."""
+    """Parse depth, durability and reliability. Unknown values are replaced by the defaults."""
     reliability, durability, history, *_ = (*chunk.split(":"), "", "", "")
     _, _, depth = history.partition(",")
     is_depth = _is_number(depth) and len(depth) < 10
@@ -283,7 +287,7 @@ def _parse_qos(chunk: str) -> QoS:
 
 
 def _parse_times(chunk: str) -> TimePolicies:
-    """Parse the time policies. Unknown or missing values are infinite, as in rmw_zenoh."""
+    """Parse the time policies. Unknown or missing durations are infinite, as in rmw_zenoh."""
     parts = chunk.split(":")
     deadline, lifespan, liveliness = (*parts[3:6], "", "", "")[:3]
     kind, _, lease = liveliness.partition(",")
@@ -296,7 +300,7 @@ def _parse_times(chunk: str) -> TimePolicies:
 
 
 def _duration(text: str) -> int | None:
-    """Convert ``SECONDS,NANOSECONDS`` to ns; None if it is infinite.
+    """Convert ``SECONDS,NANOSECONDS`` to ns; None if the duration is infinite.
 
     >>> _duration("10,0"), _duration("0,500000000"), _duration(","), _duration("9223372036,")
     (10000000000, 500000000, None, None)

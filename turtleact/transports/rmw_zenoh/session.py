@@ -1,9 +1,10 @@
-"""The only access to Zenoh: a session with plain bytes and callbacks.
+"""A Zenoh session whose methods take bytes and callbacks. Only this module calls Zenoh.
 
-Every method may block, so only an `Outbox` calls them. Zenoh calls back in its own threads.
-Undeclare everything explicitly, because the garbage collector would do it in any thread. Nothing
-that is declared here exchanges data with its own session, because messages inside a process travel
-as objects. Only this module turns Zenoh's exceptions into `TurtleactError`.
+Every method may block, so call it in an `Outbox` or another thread, never in the event loop. Zenoh
+runs callbacks in its own threads. Undeclare every declared object explicitly. Otherwise, the
+garbage collector would undeclare it in an arbitrary thread. Objects that one session declares
+exchange no data with each other, because messages inside a process travel as Python objects and not
+through Zenoh. Only this module turns Zenoh's exceptions into `TurtleactError`.
 
 Source: rmw_zenoh_cpp ``rmw_publisher_data.cpp``, ``rmw_subscription_data.cpp``,
 ``rmw_service_data.cpp`` and ``rmw_client_data.cpp``; eclipse-zenoh 1.10.
@@ -71,10 +72,10 @@ REMOTE = zenoh.Locality.REMOTE
 
 
 class Declared(Protocol):
-    """Something declared on a session."""
+    """An object of Zenoh that is declared on a session."""
 
     def undeclare(self) -> object:
-        """Undeclare this."""
+        """Undeclare the object."""
 
 
 class Session:
@@ -99,7 +100,7 @@ class Session:
 
         Raises:
             InvalidOption: if the configuration is not valid.
-            TurtleactError: if the session cannot connect to or listen on an endpoint.
+            TurtleactError: if the session cannot connect to an endpoint or cannot listen at one.
         """
         try:
             settings = zenoh.Config.from_json5(config.text) if config.text else zenoh.Config()
@@ -119,11 +120,12 @@ class Session:
         return cls(session, is_peer=is_peer, opening=monotonic() - began)
 
     def close(self) -> None:
-        """Close the session. Everything declared on it must be undeclared before.
+        """Close the session. Before you call this, undeclare everything that is declared on it.
 
-        This blocks for `CLOSING` seconds at most. Zenoh itself may take up to ten seconds, if it is
-        still greeting a peer that has stopped (SIGSTOP, a debugger). The closing thread is then
-        abandoned. Other processes have been told by that time, and this process can end.
+        This blocks for `CLOSING` seconds at most. Zenoh itself may need up to ten seconds if it is
+        still connecting to a peer that is suspended (by SIGSTOP or a debugger). In that case, the
+        thread that closes the session is left running. By then, other processes have been told that
+        the session closes, and the thread does not keep this process from ending.
         """
         session = self._session
         # The closing thread drops the session, where that may block. Without this line the garbage
@@ -142,7 +144,11 @@ class Session:
     def watch_tokens(
         self, key: str, appeared: Callable[[str], object], gone: Callable[[str], object]
     ) -> Declared:
-        """Receive all tokens, including those that already exist."""
+        """Call ``appeared`` with each token that appears, and ``gone`` with each that disappears.
+
+        Only tokens that match ``key`` count. ``appeared`` is also called with each token that
+        exists already.
+        """
 
         def take(sample: zenoh.Sample) -> None:
             is_put = sample.kind == zenoh.SampleKind.PUT
@@ -155,9 +161,11 @@ class Session:
             return watched
 
     def tokens(self, key: str) -> list[str]:
-        """Return all existing tokens. This blocks until every process that knows some has answered.
+        """Return all existing tokens that match ``key``.
 
-        A new peer first waits until it is connected to the other peers.
+        This blocks until every process that knows such tokens has answered, or `ANSWER` seconds
+        have passed. A peer that was opened a moment ago first waits until it is connected to the
+        other peers.
         """
         if not self._is_peer or monotonic() > self._opened_at + MEETING:
             return self._ask(key)
@@ -172,10 +180,10 @@ class Session:
         return list(dict.fromkeys([*asked, *tuple(found)]))
 
     def routers(self) -> dict[str, str]:
-        """Return the routers in reach: for each id, the router's description of itself as JSON.
+        """Return the ids of the connected routers, each with the router's own description as JSON.
 
-        A router sends no description if its admin space is off. This blocks for `ADMIN` seconds at
-        most.
+        The description is empty if the router's admin space is off. This blocks for `ADMIN` seconds
+        at most.
         """
         found = {str(zid): "" for zid in self._session.info.routers_zid()}
         ended = threading.Event()
@@ -213,13 +221,13 @@ class Session:
         return found
 
     def _meet_peers(self, round_trip: float, found: Sized) -> None:
-        """Wait until a new peer has connected to the peers announced by its router.
+        """Wait until this new peer has connected to the peers that its router announced.
 
         A router tells a peer where other peers are, but does not forward their tokens. The peer
-        connects to each of them in the background, and Zenoh does not report when it has finished.
-        So this waits until no connection and no token has been added for some time. That time grows
-        with the time that the router took to greet or to answer, so it suits a busy machine and a
-        slow network.
+        connects to each of them in the background, and Zenoh does not report when it has connected
+        to all. Therefore, this method waits until no connection and no token has been added for a
+        certain period. The period is longer if the router was slow to greet or to answer, so that
+        it is long enough on a busy machine and on a slow network.
         """
         quiet = SHORTEST_QUIET + QUIET_PER_TRIP * round_trip
         known, since = -1, monotonic()
@@ -234,7 +242,11 @@ class Session:
     def declare_publisher(
         self, key: str, *, is_reliable: bool, matching: Callable[[bool], object]
     ) -> Publisher:
-        """Declare a publisher. ``matching`` is told whether other processes read the topic."""
+        """Declare a publisher.
+
+        ``matching`` is called with True when other processes start to read the topic, and with
+        False when they have all stopped.
+        """
         with _mapped(f"declare {key}"):
             publisher = self._session.declare_publisher(
                 key, congestion_control=_congestion(is_reliable), allowed_destination=REMOTE
@@ -260,7 +272,7 @@ class Session:
             )
 
     def declare_subscriber(self, key: str, take: Callable[[bytes], object]) -> Declared:
-        """Subscribe to a topic. ``take`` gets the payload of each message."""
+        """Subscribe to a topic. ``take`` is called with the payload of each message."""
 
         def receive(sample: zenoh.Sample) -> None:  # like `_direct`, but without an extra call
             stay_attached()
@@ -273,7 +285,10 @@ class Session:
             return subscriber
 
     def declare_latched_subscriber(self, key: str, take: Take, *, depth: int) -> Declared:
-        """Subscribe to a latched topic. ``take`` gets payload and attachment, oldest first."""
+        """Subscribe to a latched topic.
+
+        ``take`` is called with the payload and attachment of each message, oldest first.
+        """
         with _mapped(f"declare {key}"):
             return _LatchedSubscriber(
                 ext.declare_advanced_subscriber(
@@ -289,7 +304,7 @@ class Session:
             )
 
     def declare_queryable(self, key: str, take: Callable[[Query], object]) -> Declared:
-        """Declare the server of a service."""
+        """Declare the server of a service. ``take`` is called with each request."""
         with _mapped(f"declare {key}"):
             checked = zenoh.KeyExpr(key)  # checked once, not for each reply
 
@@ -308,10 +323,11 @@ class Session:
     def declare_querier(
         self, key: str, matching: Callable[[bool], object], *, is_for_all: bool = True
     ) -> Querier:
-        """Declare a client. ``matching`` is told whether other processes serve the service.
+        """Declare a client.
 
-        If several processes serve it, each request goes to all of them, as in rmw_zenoh, or only to
-        the nearest.
+        ``matching`` is called with True when other processes start to serve the service, and with
+        False when they have all stopped. With ``is_for_all``, each request goes to all servers, as
+        in rmw_zenoh. Otherwise, it goes only to the nearest server.
         """
         target = zenoh.QueryTarget.ALL_COMPLETE if is_for_all else zenoh.QueryTarget.BEST_MATCHING
         with _mapped(f"declare {key}"):
@@ -333,7 +349,7 @@ class Publisher:
         self._publisher = publisher
 
     def put(self, payload: bytes, attachment: bytes) -> None:
-        """Send a message. This blocks while a reader of a reliable topic is not reading."""
+        """Send a message. On a reliable topic, this blocks while a reader does not read."""
         try:
             self._publisher.put(payload, attachment=attachment)
         except zenoh.ZError as error:
@@ -341,16 +357,17 @@ class Publisher:
 
     @property
     def is_matching(self) -> bool:
-        """Whether Zenoh knows of a reader elsewhere. Latched publishers cannot tell."""
+        """Whether Zenoh knows of a reader in another process. Always False on a latched topic."""
         publisher = self._publisher
         return isinstance(publisher, zenoh.Publisher) and _is_matching(publisher)
 
     def undeclare(self) -> None:
         """Undeclare the publisher, and drop the messages that it keeps. Call this once.
 
-        This drops the object, which releases the GIL. An advanced publisher's ``undeclare`` would
-        hold the GIL while it waits for a task in one of Zenoh's threads, which may itself be
-        waiting for the GIL. In that case, no Python code runs for ten seconds (eclipse-zenoh 1.10).
+        This method drops Zenoh's publisher, because dropping it releases the GIL. The method
+        ``undeclare`` of an advanced publisher would hold the GIL while it waits for a task in one
+        of Zenoh's threads. If that thread waits for the GIL itself, no Python code runs for ten
+        seconds (eclipse-zenoh 1.10).
         """
         del self._publisher
 
@@ -362,7 +379,7 @@ class _LatchedSubscriber:
         self._subscriber = subscriber
 
     def undeclare(self) -> None:
-        """Undeclare the subscriber by dropping it. Call this once; see `Publisher.undeclare`."""
+        """Undeclare by dropping Zenoh's object, as in `Publisher.undeclare`. Call this once."""
         del self._subscriber
 
 
@@ -382,18 +399,19 @@ class Querier:
         ended: Callable[[], object],
         is_cancelable: bool,
     ) -> Callable[[], None] | None:
-        """Send a request. A request that need not be cancelable costs a fifth less.
+        """Send a request. This takes a fifth less time if ``is_cancelable`` is False.
 
         Args:
             payload: The encoded request.
             attachment: The request's attachment.
-            replied: Called with payload and attachment of each reply.
+            replied: Called with the payload and attachment of each reply.
             failed: Called with the text and kind of each error.
-            ended: Called once at the end, after replies and errors if there were any.
-            is_cancelable: Whether the request can be cancelled before the querier is undeclared.
+            ended: Called once, after all replies and errors.
+            is_cancelable: Whether to return a function that cancels the request. If False, only
+                undeclaring the querier cancels the request.
 
         Returns:
-            A function that cancels the request, if it is cancelable.
+            A function that cancels the request; None if ``is_cancelable`` is False.
         """
 
         def take(reply: zenoh.Reply) -> None:  # like `_direct`, but without an extra call
@@ -420,7 +438,7 @@ class Querier:
 
     @property
     def is_matching(self) -> bool:
-        """Whether Zenoh knows of a server elsewhere."""
+        """Whether Zenoh knows of a server in another process."""
         return _is_matching(self._querier)
 
     def undeclare(self) -> None:
@@ -430,7 +448,7 @@ class Querier:
 
 
 class Query:
-    """A request that has arrived. Answer it once, then drop it.
+    """A request that has arrived. Call `reply`, `fail` or `drop` once.
 
     Attributes:
         payload: The encoded request.
@@ -445,7 +463,7 @@ class Query:
         self._key = key
 
     def reply(self, payload: bytes, attachment: bytes) -> None:
-        """Answer the query."""
+        """Answer the request."""
         try:
             with self._query:
                 self._query.reply(self._key, payload, attachment=attachment)
@@ -453,12 +471,12 @@ class Query:
             raise _error("reply", error) from error
 
     def fail(self, text: str, kind: str) -> None:
-        """Send an error: a text for people, and a kind for turtleact."""
+        """Answer the request with an error: a text for people, and a kind that turtleact reads."""
         with _mapped("reply"), self._query:
             self._query.reply_err(encodable(text).encode(), encoding=f"text/plain;{kind}")
 
     def drop(self) -> None:
-        """Drop the query, answered or not."""
+        """End the request without an answer."""
         self._query.drop()  # type: ignore[no-untyped-call]  # zenoh has no type here
 
 
@@ -468,15 +486,16 @@ def _is_matching(declared: zenoh.Publisher | zenoh.Querier) -> bool:
 
 
 def stay_attached() -> None:
-    """Keep the calling thread's Python thread state from now on.
+    """Keep the Python thread state of the calling thread from now on.
 
-    When one of Zenoh's threads calls Python, it gets a thread state for that call and gives it up
-    afterwards. Creating a new one costs 9 us or more per message. Without this function, a client
-    takes 28 us for a feedback message; with it, 9 us (CPython 3.11, two cores).
+    When one of Zenoh's threads calls Python, the thread gets a Python thread state and releases it
+    after the call. Creating a thread state for each message costs 9 us or more. Without this
+    function, a client needs 28 us to receive a feedback message. With this function, it needs 9 us
+    (CPython 3.11, two cores).
 
     The interpreter counts how often a thread state was requested. This function requests the state
-    once more than it is released, so the state lives until the thread or Python ends. Use it only
-    for threads that live long.
+    once more than it is released, so the state lives until the thread or Python ends. Use this
+    function only in threads that live long.
 
     Source: CPython ``Doc/c-api/init.rst``, "Non-Python created threads".
     """
@@ -501,15 +520,19 @@ def _close(session: zenoh.Session) -> None:
 
 
 def _parts(sample: zenoh.Sample) -> tuple[bytes, bytes]:
-    """Copy payload and attachment. Keeping the sample would keep the whole batch it came in."""
+    """Copy the payload and attachment of a sample.
+
+    If the sample itself were kept, the whole batch of messages that it came in would stay in
+    memory.
+    """
     attachment = sample.attachment
     return sample.payload.to_bytes(), b"" if attachment is None else attachment.to_bytes()
 
 
 def _direct(callback: Callable[[Any], object]) -> Any:  # noqa: ANN401  # of whatever is declared
-    """Make a handler that runs in the receiving thread and has no thread or queue of its own.
+    """Make a handler for Zenoh that runs ``callback`` in the thread that receives the data.
 
-    That thread keeps its Python thread state; see `stay_attached`.
+    The thread keeps its Python thread state; see `stay_attached`.
     """
 
     def take(value: object) -> None:
@@ -526,7 +549,10 @@ def _congestion(is_reliable: bool) -> zenoh.CongestionControl:
 
 @contextmanager
 def _mapped(what: str) -> Iterator[None]:
-    """Map Zenoh's errors to ours. This takes 1 to 4 us, so code that runs per message avoids it."""
+    """Turn Zenoh's errors in the ``with`` block into `TurtleactError`.
+
+    This takes 1 to 4 us, so code that runs for each message does not use it.
+    """
     try:
         yield
     except zenoh.ZError as error:
@@ -550,14 +576,14 @@ def census(
     config: Mapping[str, object] | None = None,
     mode: Mode = "peer",
 ) -> Graph:
-    """Ask a graph once which nodes and endpoints exist, without joining it.
+    """Ask once which nodes and endpoints are on a graph, without joining the graph.
 
     This blocks, usually for some hundredths of a second.
 
     Args:
-        connect: Endpoints of the graph; None for the router of this machine.
+        connect: The Zenoh endpoints to connect to; None for the router of this machine.
         domain: The ROS domain.
-        config: Paths and values of Zenoh's configuration.
+        config: More of Zenoh's configuration: a mapping from paths to values, as for `open_zenoh`.
         mode: See `open_zenoh`.
 
     Raises:
