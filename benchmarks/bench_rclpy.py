@@ -39,20 +39,24 @@ BARS = {
 Figures = dict[str, float]
 
 
+def installed() -> dict[str, str]:
+    """The environment of a program that runs as pip installs it, with its bytecode.
+
+    Compiling turtleact takes three times as long as importing it. Here the first round compiles,
+    and the median of the rounds leaves that one out.
+    """
+    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+
+
 def measure(*command: str) -> Figures:
     """Run the program once. The program measures its own log, so nobody reads the output."""
-    # Compiling turtleact takes three times as long as importing it, and pip compiles what it
-    # installs. Here the first round does, and the median of the rounds leaves that one out.
-    environment = {
-        name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"
-    }
     ran = subprocess.run(
         [*command, str(PROGRAM)],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
         timeout=PATIENCE,
-        env=environment,
+        env=installed(),
         check=True,
     )
     figures: Figures = json.loads(ran.stdout.splitlines()[-1])

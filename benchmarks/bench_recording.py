@@ -38,6 +38,7 @@ import zenoh
 from zenoh.handlers import RingChannel
 
 import turtleact
+from benchmarks.bench_rclpy import installed
 from turtleact import recording
 from turtleact.app import open_world
 from turtleact.interfaces import encode, get_message, type_hash
@@ -337,14 +338,10 @@ def look_at_a_large_file(folder: Path) -> None:
         writer.write(stamp % 10, stamp, stamp, data)
     writer.close({})
     command = [sys.executable, "-m", "turtleact", "bag", "info", str(path)]
-    # pip compiles what it installs; here the first call does, and the median leaves that one out.
-    environment = {
-        name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"
-    }
     took = []
     for _ in range(5):
         begun = time.perf_counter()
-        subprocess.run(command, check=True, capture_output=True, env=environment)
+        subprocess.run(command, check=True, capture_output=True, env=installed())
         took.append(time.perf_counter() - begun)
     inside = []
     for _ in range(5):

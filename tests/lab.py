@@ -170,12 +170,14 @@ class Gate:
     Attributes:
         started: Set when a body has begun.
         opened: Set it to let the bodies continue.
+        ended: Set when `wait` is about to return its result.
         log: What has happened, in order.
     """
 
     def __init__(self) -> None:
         self.started = anyio.Event()
         self.opened = anyio.Event()
+        self.ended = anyio.Event()
         self.log: list[str] = []
 
     async def wait(self, goal: Count.Goal) -> Count.Result:
@@ -189,6 +191,7 @@ class Gate:
             raise
         finally:
             self.log.append("over")
+        self.ended.set()
         return Count.Result(counted=[goal.upto])
 
     async def stream(self, goal: Count.Goal) -> AsyncIterator[Count.Feedback | Count.Result]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+import re
+from typing import Any
 
 import pytest
 
 import turtleact
 from turtleact.body import ActionDeclaration, Body, action, background
-from turtleact.errors import InvalidBody, InvalidOption
+from turtleact.errors import InvalidBody, InvalidName
 
 from .lab import Count, count, feedback, goal, lab, result
 from .tables import together
@@ -160,6 +162,49 @@ def test_what_cannot_be_a_body_is_refused_where_it_is_declared(execute, problem)
         action(Count, "count")(execute)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (
+            (plain,),
+            r"the type and the name of the action are missing: write @turtleact.action\(TYPE",
+        ),
+        ((Count,), r"name of the action is missing: write @turtleact.action\(Count, 'NAME'\)$"),
+        ((Count, 5), "the name of the action is 5, which is not a string"),
+        (("count", Count), r"first the type, then the name: write \(Count, 'count'\)"),
+        (
+            ("Count", "count"),
+            r"not 'Count': give the class, for example turtleact.get_action\(TYPE",
+        ),
+        ((Count.Goal, "count"), "not Count.Goal: give Count itself"),
+    ],
+)
+def test_wrong_arguments_of_a_declaration_are_refused_at_once(arguments, problem):
+    with pytest.raises(TypeError, match=problem):
+        action(*arguments)
+
+
+def test_arguments_of_a_declaration_may_be_given_by_name():
+    assert action(action_type=Count, name="count")(plain).name == "count"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ({"action_type": Count, "name": 5}, "the name of the action is 5, which is not a string"),
+        ({}, "missing 2 required positional arguments"),
+    ],
+)
+def test_wrong_arguments_by_name_are_refused(arguments, problem):
+    with pytest.raises(TypeError, match=problem):
+        action(**arguments)
+
+
+def test_a_wrong_name_in_a_declaration_is_refused_at_once():
+    with pytest.raises(InvalidName):
+        action(Count, "bad name")
+
+
 @pytest.mark.parametrize(("execute", "problem"), NO_BODIES)
 async def test_what_cannot_be_a_body_is_refused_by_a_node(execute, problem):
     async with turtleact.open_node("lab") as node:
@@ -252,10 +297,36 @@ def no_coroutine(node):
     """Something that cannot run in the background."""
 
 
-@pytest.mark.parametrize("function", [no_coroutine, with_handle, stream, lambda node: None])
-def test_what_cannot_run_in_the_background_is_refused(function):
-    with pytest.raises(InvalidOption, match="expected an 'async def' with one parameter, the node"):
+async def without_node():
+    """Something that cannot run in the background either."""
+
+
+async def with_keyword(node, *, rate):
+    """Something that needs more than the node."""
+
+
+@pytest.mark.parametrize(
+    ("function", "shown"),
+    [
+        (no_coroutine, "no_coroutine(node)"),
+        (without_node, "without_node()"),
+        (with_keyword, "with_keyword(node, *, rate)"),
+        (with_handle, "with_handle("),
+        (stream, "stream("),
+        (3, "3"),
+    ],
+)
+def test_what_cannot_run_in_the_background_is_refused(function, shown):
+    needs = "an 'async def' that can be called with one argument, the node"
+    said = f"@turtleact.background needs {needs}, not {shown}"
+    with pytest.raises(TypeError, match=f"^{re.escape(said)}"):
         background(function)
+
+
+def test_the_decorator_for_the_background_is_written_without_parentheses():
+    declare: Any = background
+    with pytest.raises(TypeError, match=r"^write @turtleact\.background without \(\)$"):
+        declare()
 
 
 async def test_a_background_function_can_be_called_like_the_function_itself():

@@ -30,8 +30,16 @@ SAID = [
         errors.UnknownInterface("pkg/msg/A", "pkg/msg/B"),
         "unknown interface 'pkg/msg/A', did you mean 'pkg/msg/B'?",
     ),
+    (
+        errors.UnknownInterface("pkg/msg/A", "other/msg/A", is_elsewhere=True),
+        "unknown interface 'pkg/msg/A', did you mean 'other/msg/A' of another package?",
+    ),
     (errors.InvalidMessage("pose.x", "expected a float"), "pose.x: expected a float"),
     (errors.InvalidGoal("goal.order", "expected an int"), "goal.order: expected an int"),
+    (
+        errors.InvalidGoalId("xy", "a goal id has 32 hexadecimal digits", 0),
+        "invalid name: a goal id has 32 hexadecimal digits\n  xy\n  ^",
+    ),
     (errors.InvalidBody("count", "is none"), "the body of action 'count' is none"),
     (
         errors.InvalidTransition(GoalStatus.SUCCEEDED, GoalEvent.ABORT),
@@ -46,9 +54,17 @@ SAID = [
     (errors.GoalRejected("too far"), "the goal was rejected: too far"),
     (errors.GoalAborted("no pen", 7), "the goal was aborted: no pen"),
     (errors.GoalCanceled("", 7), "the goal was canceled"),
+    (
+        errors.PauseRefused("it has ended"),
+        "the goal cannot be paused or resumed: it has ended",
+    ),
     (errors.UnknownGoal(), "the goal is not known to the server"),
     (errors.ServerUnavailable("/count"), "action '/count': no server answers"),
     (errors.ServerUnavailable("/count", "it is gone"), "action '/count': it is gone"),
+    (
+        errors.ServerUnavailable("/count", "it left", when="before it replied"),
+        "action '/count': it left before it replied",
+    ),
     (
         errors.ServerUnavailable("/count", "it is gone", otherwise="is deaf"),
         "action '/count': it is gone, or is deaf",
@@ -65,7 +81,11 @@ SAID = [
     (errors.Cancel(7), "7"),
     (errors.Reject("too far"), "too far"),
 ]
-KINDS = [getattr(errors, name) for name in errors.__all__ if name[0].isupper()]
+KINDS = [
+    each
+    for each in vars(errors).values()
+    if isinstance(each, type) and issubclass(each, Exception) and each.__module__ == errors.__name__
+]
 
 
 @together
@@ -76,8 +96,9 @@ def test_an_exception_builds_its_text_from_its_facts(error, text):
 
 @together
 @pytest.mark.parametrize("kind", KINDS)
-def test_each_exception_is_a_turtleact_error(kind):
+def test_each_exception_is_a_public_turtleact_error(kind):
     assert issubclass(kind, TurtleactError)
+    assert kind.__name__ in errors.__all__
 
 
 @together

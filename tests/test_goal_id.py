@@ -7,7 +7,7 @@ import uuid
 
 import pytest
 
-from turtleact.errors import InvalidName
+from turtleact.errors import InvalidGoalId
 from turtleact.goal_id import goal_id_bytes, new_goal_id
 
 SIXTEEN = bytes(range(16))
@@ -80,8 +80,9 @@ def test_an_id_is_read_in_any_of_its_spellings(spelling):
         (7, "a goal id has 16 bytes, or is a UUID"),
         (None, "a goal id has 16 bytes, or is a UUID"),
         ([1] * 16, "a goal id has 16 bytes, or is a UUID"),
+        (bytes(16), "a goal id must not be all zeros"),
     ],
 )
 def test_what_is_no_id_is_refused(wrong, problem):
-    with pytest.raises(InvalidName, match=problem):
+    with pytest.raises(InvalidGoalId, match=problem):
         goal_id_bytes(wrong)

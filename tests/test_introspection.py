@@ -13,14 +13,15 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact import GoalCanceled, GoalRejected, GoalResponse, GoalStatus
+from turtleact import CancelResponse, GoalCanceled, GoalRejected, GoalResponse, GoalStatus
 from turtleact.app import open_world
 from turtleact.errors import InvalidOption, ServiceError, TurtleactError
 from turtleact.interfaces import implied
 from turtleact.interfaces.classes import event_message
 from turtleact.interfaces.standard import CancelGoal, ServiceEventInfo, Time
 from turtleact.interfaces.standard.std_srvs.srv import SetBool
-from turtleact.introspection import EVENT_QOS, ServiceEvents, event_topic
+from turtleact.introspection import EVENT_QOS, ServiceEvents
+from turtleact.names import event_topic
 from turtleact.node import Node
 from turtleact.tasks import Background
 from turtleact.topics import Subscription
@@ -312,7 +313,18 @@ async def test_a_server_that_closes_sends_the_events_that_wait(address):
             pass
 
 
-async def test_a_call_under_way_when_its_client_closes_is_published_to_its_end(address):
+@asynccontextmanager
+async def together(_: str) -> AsyncIterator[tuple[Node, Node]]:
+    """The same node twice."""
+    async with turtleact.open_node("lab") as node:
+        yield node, node
+
+
+TOGETHER_AND_APART = pytest.mark.parametrize("nodes", [together, apart])
+
+
+@TOGETHER_AND_APART
+async def test_a_call_under_way_when_its_client_closes_is_published_to_its_end(address, nodes):
     started, gate = anyio.Event(), anyio.Event()
 
     async def wait(_: SetBool.Request) -> SetBool.Response:
@@ -320,7 +332,7 @@ async def test_a_call_under_way_when_its_client_closes_is_published_to_its_end(a
         await gate.wait()
         return SetBool.Response()
 
-    async with apart(address) as (far, near):
+    async with nodes(address) as (far, near):
         far.service(SetBool, "flip", wait)
         client = near.service_client(SetBool, "flip", introspection="contents")
         reader = near.subscription(event_message(SetBool), event_topic("/flip"))
@@ -331,6 +343,32 @@ async def test_a_call_under_way_when_its_client_closes_is_published_to_its_end(a
             gate.set()
         assert [kind_of(each) for each in reader.drain()] == ["REQUEST_SENT", "RESPONSE_RECEIVED"]
         assert not near.count_publishers(event_topic("/flip"))
+
+
+@TOGETHER_AND_APART
+async def test_a_cancel_under_way_when_its_client_closes_is_published_to_its_end(address, nodes):
+    started, gate = anyio.Event(), anyio.Event()
+
+    async def wait(_: object) -> CancelResponse:
+        started.set()
+        await gate.wait()
+        return CancelResponse.ACCEPT
+
+    async with nodes(address) as (far, near):
+        far.action_server(Count, "count", Gate().wait, cancel_callback=wait)
+        client = near.action_client(Count, "count", introspection="metadata")
+        log = Log(near)
+        await client.wait_for_server()
+        async with client.send_goal(goal(1)) as handle:
+            handle.detach()
+        async with running(client.cancel_all) as canceling:
+            await started.wait()
+            await client.aclose()
+            gate.set()
+        assert len(canceling.value.goals_canceling) == 1
+        assert log.kinds("cancel_goal") == ["REQUEST_SENT", "RESPONSE_RECEIVED"]
+        topics = [event_topic(f"/count/_action/{name}") for name in SERVICES]
+        assert [near.count_publishers(topic) for topic in topics] == [0, 0, 0]
 
 
 class Far:

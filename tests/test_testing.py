@@ -759,7 +759,7 @@ async def test_a_reader_that_fails_is_logged_and_harms_nobody(caplog, delay):
         await anyio.sleep(2)
     assert seen == [1, 2]
     logged = [record.getMessage() for record in caplog.records]
-    assert logged == ["a subscription of topic /twist failed on a message"] * 2
+    assert logged == ["a subscription of topic /twist failed to handle a message"] * 2
 
 
 def count_tasks() -> int:

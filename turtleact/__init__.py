@@ -15,8 +15,9 @@ The layers, each built on those below it::
     interfaces                  messages, services and actions as classes
     names, geometry, errors
 
-Each name is imported on first use, so that small programs start fast. Nothing else is imported
-here: until the command line has set its signal handlers, Ctrl-C would print a traceback.
+Each name is imported on first use, so that small programs start fast. This module imports nothing
+else, because the command line has not set its signal handlers yet. Ctrl-C during an import would
+therefore print a traceback.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
         GoalRejected,
         InvalidBody,
         InvalidGoal,
+        InvalidGoalId,
         InvalidInterface,
         InvalidMessage,
         InvalidName,
@@ -153,6 +155,7 @@ __all__ = [
     "ServiceTimeout",
     "InvalidBody",
     "InvalidGoal",
+    "InvalidGoalId",
     "InvalidInterface",
     "InvalidMessage",
     "InvalidName",
@@ -218,5 +221,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """List the names of the module and all public names, imported or not."""
+    """List the names in the module and all public names, even those not imported yet."""
     return sorted([*globals(), *__all__])

@@ -1,6 +1,6 @@
 """Puts everything together: transport, clock, world and built-in actions in one context manager.
 
-Only this module knows both the simulator and the actions.
+Only this module imports both the simulator and the actions.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from turtleact.actions import serve_built_ins
 from turtleact.clock import Clock, make_clock
 from turtleact.goal_journal import GoalJournal, OnRestart
 from turtleact.node import Node, Transition, close_withdrawn, open_node
+from turtleact.opening import opening
 from turtleact.sim.kinematics import SIDE
 from turtleact.sim.pictures import Snapshot
 from turtleact.sim.turtlesim import Turtlesim
@@ -30,12 +31,12 @@ OpenGraph: TypeAlias = Callable[[Clock], AbstractAsyncContextManager[Transport]]
 
 
 class WorldNode(Node):
-    """A node in the same process as a world. It can also pause and step that world.
+    """A node in the same process as a world. The node can also pause and step that world.
 
     `open_world` makes one.
 
     Attributes:
-        sim: The world.
+        sim: The simulator of the world.
     """
 
     def __init__(
@@ -46,10 +47,11 @@ class WorldNode(Node):
         self._built_ins = built_ins
 
     async def aclose(self) -> None:
-        """Close the node as `Node.aclose` does, just before the world ends.
+        """Close the node as `Node.aclose` does. `open_world` then closes the world.
 
-        A built-in action that has made way for an action of this node does not come back: it would
-        serve only for a moment, and the log would report that.
+        If a built-in action was withdrawn because this node serves the same action, the built-in
+        action is not served again. It would be served only for a moment, and the log would report
+        that.
         """
         if self._built_ins is not None:
             await close_withdrawn(self._built_ins)
@@ -57,23 +59,23 @@ class WorldNode(Node):
 
     @property
     def is_paused(self) -> bool:
-        """Whether the world is paused; `step` still runs single ticks."""
+        """Whether the world is paused. A paused world runs only the ticks of `step`."""
         return self.sim.is_paused
 
     def pause(self) -> None:
-        """Stop time for everything that waits on `clock`."""
+        """Stop the time of the world, for everything that waits on `clock`."""
         self.sim.pause()
 
     def resume(self) -> None:
-        """Let time continue from where it stopped."""
+        """Let the time of the world continue from where it stopped."""
         self.sim.resume()
 
     def snapshot(self) -> Snapshot:
-        """Take a picture of the world, for `to_png` and `to_svg` of `turtleact.sim.pictures`."""
+        """Return a picture of the world, for `to_png` and `to_svg` of `turtleact.sim.pictures`."""
         return self.sim.snapshot()
 
     async def step(self, ticks: int = 1) -> None:
-        """Run some ticks of 16 ms while the world is paused, and wait for the last.
+        """Run ``ticks`` ticks of 16 ms while the world is paused, and wait until they are done.
 
         Cancelling: stops after the current tick.
 
@@ -84,7 +86,7 @@ class WorldNode(Node):
         await self.sim.step(ticks)
 
 
-@asynccontextmanager
+@opening
 async def open_world(
     *,
     speed: float | str = 1.0,
@@ -102,7 +104,7 @@ async def open_world(
     introspection: Introspection = "off",
     on_node: Callable[[Node], object] | None = None,
 ) -> AsyncIterator[WorldNode]:
-    """Open a world of turtles with the built-in actions, and a node to use them from.
+    """Open a world of turtles with the built-in actions, and yield a node in the same process.
 
     Args:
         speed: Simulated seconds per wall-clock second, above 0 and at most 100, or ``"max"`` for
@@ -110,22 +112,25 @@ async def open_world(
             If the computer cannot keep up, time passes more slowly.
         seed: The seed of the random starting poses of all turtles except the first.
         turtles: How many turtles there are: ``turtle1``, ``turtle2``, …
-        placing: Where they start: ``"random"``, ``"grid"`` or ``"ring"``.
+        placing: Where the turtles start: ``"random"``, ``"grid"`` or ``"ring"``.
         collide: Whether turtles block each other.
         paused: Whether the world starts paused.
         turtlesim_only: Whether the world serves only what the real turtlesim serves, on the node
-            ``/turtlesim``. Otherwise it also serves the built-in actions (``/patrol``, ``/go_to``,
-            ``/command_turtle``, ``/fibonacci``). A second node, ``/world``, then has services for
-            time and pictures, and a topic with all poses in one message.
-        graph: Opens the graph that the world joins. If left out, the graph is within this process.
-        on_transition: Called with each change of one of the world's goals; see
+            ``/turtlesim``. If False, the node ``/turtle_actions`` also serves the built-in actions
+            (``/patrol``, ``/go_to``, ``/command_turtle``, ``/fibonacci``). Another node,
+            ``/world``, then has services for time and pictures, and a topic with all poses in one
+            message.
+        graph: A function that opens the graph for the world. If left out, the graph is within this
+            process.
+        on_transition: Called with each state change of the goals that the world serves; see
             `Node.on_transition`.
-        on_start: Called with the turtles before anybody can send them commands.
-        journal: Where the goals of the built-in actions are kept; see `turtleact.open_journal`. The
-            turtles themselves are not kept: they start afresh.
-        on_restart: As for `Node.action_server`.
+        on_start: Called with the simulator before anybody can send commands to the turtles.
+        journal: The journal in which the goals of the built-in actions are kept; see
+            `turtleact.open_journal`. The journal does not keep the turtles: after a restart, they
+            begin at their starting poses.
+        on_restart: The option ``on_restart`` of `Node.action_server`, for the built-in actions.
         introspection: The introspection of all nodes of the world; see `Node`.
-        on_node: Called with each node of the world as soon as it is open.
+        on_node: Called with each node of the world as soon as the node is open.
 
     Raises:
         SimError: if the speed or the number of turtles is out of range, or the placing is unknown.

@@ -8,7 +8,7 @@ coroutine function  ``handle.publish_feedback(...)``    ``return A.Result(...)``
 ==================  ==================================  =============================
 
 A body takes the goal message. If it has a second parameter, it also gets the server's goal handle.
-`ActionBody` describes these signatures to type checkers. Type checkers reject a body that uses
+`ActionBody` describes these signatures to type checkers, so that they reject a body that uses
 another action's messages.
 """
 
@@ -30,6 +30,7 @@ from typing import (
     Any,
     Generic,
     Literal,
+    Never,
     ParamSpec,
     Protocol,
     TypeAlias,
@@ -44,7 +45,8 @@ from typing import (
 from turtleact.errors import InvalidBody, InvalidOption
 from turtleact.goal import CancelResponse, GoalResponse
 from turtleact.goal_journal import GoalJournal, OnRestart
-from turtleact.interfaces import Message
+from turtleact.interfaces import Action, Message
+from turtleact.interfaces.types import expect_interface
 from turtleact.names import validate_name
 from turtleact.slot import Policy
 
@@ -94,17 +96,17 @@ MYPY = False
 if MYPY:
 
     class ActionType(Protocol[G_co, R_co, F_co]):
-        """A subclass of `turtleact.Action` as mypy sees it: methods that make its messages."""
+        """A subclass of `turtleact.Action` as mypy sees it: with methods that make messages."""
 
         @property
         def type_name(self) -> str:
             """The full name of the action type: ``pkg/action/Name``."""
 
         def Goal(self, *args: Any, **kwargs: Any) -> G_co:  # noqa: ANN401  # any arguments
-            """Make a goal."""
+            """Make a goal message."""
 
         def Result(self, *args: Any, **kwargs: Any) -> R_co:  # noqa: ANN401  # any arguments
-            """Make a result."""
+            """Make a result message."""
 
         def Feedback(self, *args: Any, **kwargs: Any) -> F_co:  # noqa: ANN401  # any arguments
             """Make a feedback message."""
@@ -112,7 +114,7 @@ if MYPY:
 else:
 
     class ActionType(Protocol[G, R, F]):
-        """A subclass of `turtleact.Action` as pyright sees it: the classes of its messages."""
+        """A subclass of `turtleact.Action` as pyright sees it: with the classes of its messages."""
 
         type_name: str
         Goal: type[G]
@@ -141,7 +143,7 @@ class ServerOptions(TypedDict, total=False):
 
 
 def check_option_names(options: Mapping[str, object]) -> None:
-    """Raise TypeError if an option does not exist; `check_options` checks their values."""
+    """Raise TypeError if one of these names is not an option of an action server."""
     for unknown in options.keys() - ServerOptions.__annotations__.keys():
         raise TypeError(f"an action server has no option '{unknown}'")
 
@@ -150,7 +152,7 @@ def check_options(options: ServerOptions) -> None:
     """Check the values of a server's options.
 
     Raises:
-        InvalidOption: if an option has a wrong value. The error is about the first such option.
+        InvalidOption: if an option has a wrong value. The error names the first such option.
     """
     lost, kept = options.get("on_client_lost", "keep"), options.get("result_timeout")
     if lost not in ("keep", "cancel"):
@@ -182,14 +184,14 @@ def check_options(options: ServerOptions) -> None:
 class ActionDeclaration(Generic[P, T]):
     """A body with its action and name. The decorator `turtleact.action` makes one.
 
-    The action is served only when a node serves this declaration. You can still call the
-    declaration like the plain function.
+    The action is not served until a node serves this declaration. You can still call the
+    declaration like the function itself.
 
     Attributes:
-        action_type: The action.
+        action_type: The action, a subclass of `turtleact.Action`.
         name: The name under which the action is served, unless the node gives it another name.
-        execute: The function.
-        options: Keyword arguments for the server.
+        execute: The function that was declared.
+        options: Options for `Node.action_server`.
     """
 
     def __init__(
@@ -199,8 +201,7 @@ class ActionDeclaration(Generic[P, T]):
         execute: Callable[P, T],
         options: ServerOptions,
     ) -> None:
-        validate_name(name)  # raises here, at the function, rather than when it is served
-        Body(name, execute)  # likewise
+        Body(name, execute)  # raises here, at the function, rather than when it is served
         functools.update_wrapper(self, execute)  # first, because it copies a callable's attributes
         self.action_type = action_type
         self.name = name
@@ -208,7 +209,7 @@ class ActionDeclaration(Generic[P, T]):
         self.options = options
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
-        """Call the function itself, without a server."""
+        """Call the function that was declared, without a server."""
         return self.execute(*args, **kwargs)
 
 
@@ -241,10 +242,29 @@ class Declare(Protocol[G, R, F]):
     ) -> ActionDeclaration[[G, H], Coroutine[Any, Any, R]]: ...
 
 
+def _checked(function: Callable[P, T]) -> Callable[P, T]:
+    """Check the arguments of `action` before it is called.
+
+    Python reports a missing name, too, but does not say what to write. A default for the name would
+    hide the mistake from type checkers.
+    """
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        positional = zip(("action_type", "name"), args, strict=False)
+        given: dict[str, object] = {"name": "", **kwargs, **dict(positional)}
+        if "action_type" in given:
+            _check_arguments(given["action_type"], given["name"])
+        return function(*args, **kwargs)
+
+    return call
+
+
+@_checked
 def action(
     action_type: ActionType[G, R, F], name: str, **options: Unpack[ServerOptions]
 ) -> Declare[G, R, F]:
-    """Declare the function below as the body of an action. This does not serve it yet.
+    """Declare the decorated function as the body of an action. A node must then serve the action.
 
     Args:
         action_type: The action, a subclass of `turtleact.Action`.
@@ -252,9 +272,10 @@ def action(
         **options: See `Node.action_server`.
 
     Raises:
+        TypeError: if ``action_type`` is not an action, or the name is missing or not a string.
         InvalidName: if the name breaks ROS 2's rules.
-        InvalidBody: if the function is neither a coroutine function nor an async generator, or
-            does not take one or two parameters.
+        InvalidBody: if the function is neither a coroutine function nor an async generator, or does
+            not take one or two parameters.
     """
 
     def declare(execute: Callable[P, T]) -> ActionDeclaration[P, T]:
@@ -263,47 +284,75 @@ def action(
     return cast("Declare[G, R, F]", declare)
 
 
-class BackgroundDeclaration(Generic[H]):
-    """A function that runs beside a module's actions. `turtleact.background` makes one.
+def _check_arguments(action_type: object, name: object) -> None:
+    """Check the arguments of `action`, so that a mistake is reported at the decorator's line."""
+    if inspect.isfunction(action_type):  # the decorator was written without arguments
+        call = f"@turtleact.action(TYPE, '{action_type.__name__}')"
+        raise TypeError(f"the type and the name of the action are missing: write {call}")
+    if isinstance(action_type, str) and isinstance(name, type):
+        raise TypeError(f"first the type, then the name: write ({name.__name__}, {action_type!r})")
+    expect_interface(Action, action_type)
+    if name == "":
+        call = f"@turtleact.action({getattr(action_type, '__name__', 'TYPE')}, 'NAME')"
+        raise TypeError(f"the name of the action is missing: write {call}")
+    if not isinstance(name, str):
+        raise TypeError(f"the name of the action is {name!r}, which is not a string")
+    validate_name(name)
 
-    The function runs once ``turtleact serve`` serves the module. You can still call it yourself.
+
+class BackgroundDeclaration(Generic[H]):
+    """A function that runs in the background while ``turtleact serve`` serves its module.
+
+    `turtleact.background` makes one. You can also call the declaration like the function itself.
 
     Attributes:
-        run: The function.
+        run: The function that was declared.
     """
 
     def __init__(self, run: Callable[[H], Coroutine[Any, Any, object]]) -> None:
-        name = getattr(run, "__name__", repr(run))
-        if not inspect.iscoroutinefunction(run) or _count_parameters(name, run) != 1:
-            raise InvalidOption(name, "expected an 'async def' with one parameter, the node")
+        if not inspect.iscoroutinefunction(run) or not _takes_one(run):
+            needs = "an 'async def' that can be called with one argument, the node"
+            raise TypeError(f"@turtleact.background needs {needs}, not {_shown(run)}")
         functools.update_wrapper(self, run)
         self.run = run
 
     def __call__(self, node: H) -> Coroutine[Any, Any, object]:
-        """Call the function itself."""
+        """Call the function that was declared."""
         return self.run(node)
 
 
-def background(run: Callable[[H], Coroutine[Any, Any, object]]) -> BackgroundDeclaration[H]:
-    """Run the ``async def`` below in the background while ``turtleact serve`` serves its module.
+# Type checkers see a function that must be given. At run time it may be missing, so that the error
+# can say what to write. An overloaded function needs two signatures; no call fits the first one.
+@overload
+def background(run: Never, /) -> Never: ...
+@overload
+def background(run: Callable[[H], Coroutine[Any, Any, object]]) -> BackgroundDeclaration[H]: ...
+def background(
+    run: Callable[[H], Coroutine[Any, Any, object]] | None = None,
+) -> BackgroundDeclaration[H]:
+    """Run an ``async def`` in the background while ``turtleact serve`` serves its module.
 
-    The function is called with the node once the module's actions are served. The function is
-    cancelled at a reload, and also when the server ends, before the goals end. If the function
-    raises an exception, that is logged, and the server goes on. Without ``turtleact serve``, start
-    such a task yourself.
+    Use this as a decorator. ``turtleact serve`` calls the function with the node as soon as the
+    module's actions are served. The function is cancelled when the module is reloaded. It is also
+    cancelled when the server ends, before the goals end. If the function raises an exception, the
+    exception is logged, and the server goes on. Without ``turtleact serve``, nothing calls the
+    function, so start it in a task yourself.
 
     Raises:
-        InvalidOption: if the function is no coroutine function with one parameter.
+        TypeError: if the function is not a coroutine function, or cannot be called with one
+            argument.
     """
+    if run is None:
+        raise TypeError("write @turtleact.background without ()")
     return BackgroundDeclaration(run)
 
 
 class Body:
-    """A function and its style.
+    """A function that can do the work of an action, and its style.
 
     Attributes:
-        is_generator: Whether it yields its feedback and result.
-        wants_handle: Whether it also takes the goal handle.
+        is_generator: Whether the function yields its feedback and result.
+        wants_handle: Whether the function also takes the goal handle.
 
     Raises:
         InvalidBody: if the function cannot be a body.
@@ -322,7 +371,7 @@ class Body:
 
 
 def check_declaration(given: object) -> None:
-    """Raise TypeError unless an object was made by `action`."""
+    """Raise TypeError unless an object was declared with `action`."""
     if not isinstance(given, ActionDeclaration):
         if inspect.iscoroutine(given) or inspect.isasyncgen(given):
             problem = "was called already: pass the function itself, without ()"
@@ -337,6 +386,22 @@ def _is_function(function: Callable[..., object]) -> bool:
 
 def _kind_of(function: object) -> str:
     return "a plain function" if inspect.isroutine(function) else f"a {type(function).__name__}"
+
+
+def _takes_one(function: Callable[..., object]) -> bool:
+    """Return whether a function can be called with one argument."""
+    try:
+        inspect.signature(function).bind(None)
+    except TypeError:
+        return False
+    return True
+
+
+def _shown(function: Callable[..., object]) -> str:
+    """Return the name and the parameters of a function, or another object's `repr`."""
+    if not inspect.isfunction(function):
+        return repr(function)
+    return f"{function.__name__}{inspect.signature(function)}"
 
 
 def _count_parameters(name: str, function: Callable[..., object]) -> int:

@@ -1,15 +1,15 @@
 """The entry point of the command line: arguments in, exit status out.
 
-`turtleact.commands.verbs` declares the verbs. This module runs them and turns every exception into
-a line on stderr and an exit status. Modules are imported only when needed, because users wait for
-every import: Typer alone takes five times as long as an empty Python program.
+`turtleact.commands.verbs` declares the verbs. This module runs the verbs and turns every exception
+into a line on stderr and an exit status. Modules are imported only when needed, because users wait
+for every import: importing Typer alone takes five times as long as running an empty Python program.
 
 ====== =================================================
 status meaning
 ====== =================================================
 0      SUCCEEDED, or nothing went wrong; also if a signal ended ``serve``
 1      an error, for example nobody serves the action
-2      usage, or a goal that does not fit its type
+2      wrong usage, or a goal that does not fit its type
 3      the goal was rejected
 4      ABORTED
 5      somebody else canceled the goal
@@ -70,19 +70,20 @@ def main() -> int:
 def serve(*targets: str, node: str) -> NoReturn:
     """Do what ``turtleact serve TARGET... --no-sim --node-name NODE`` does, then end the program.
 
-    Call this in the ``main`` of a package. The program's own arguments become options of ``serve``.
+    Call this in the ``main`` of a package. The arguments of the program are added to those of
+    ``turtleact serve``.
 
     Args:
-        *targets: The modules with the actions, such as ``lab.server``, or single actions, such as
-            ``lab.server:countdown``.
-        node: The name of the node that serves them.
+        *targets: The modules with the actions, such as ``lab.server``, or their files, such as
+            ``__file__``, or single actions, such as ``lab.server:countdown``.
+        node: The name of the node that serves the actions.
     """
     sys.argv[1:] = ["serve", *targets, "--no-sim", "--node-name", node, *sys.argv[1:]]
     sys.exit(main())
 
 
 def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
-    """Run one command line and return its exit status. An error becomes a message and a status."""
+    """Run one command line and return its exit status. An error is printed to stderr."""
     _make_printable()
     try:
         from turtleact.commands.verbs import parse
@@ -101,9 +102,9 @@ def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
 def _complete(interrupts: Interrupts) -> None:
     """Let Typer print completions for the shell, then end the process.
 
-    The shell waits, and shows whatever is printed. Completion therefore takes at most `PATIENCE`
-    seconds, and prints no error whatever goes wrong. The process ends at once, because Zenoh's
-    threads would take a while to stop.
+    The shell waits for the process, and shows whatever the process prints. Completion therefore
+    takes at most `PATIENCE` seconds, and prints no error, whatever goes wrong. The process ends at
+    once, because Zenoh's threads would take a while to stop.
     """
     import os
     import threading
@@ -123,7 +124,7 @@ def _complete(interrupts: Interrupts) -> None:
 
 
 def _report(error: BaseException) -> int:
-    """Print what went wrong on stderr and return the exit status for it."""
+    """Print to stderr what went wrong, and return the exit status for it."""
     from turtleact.errors import InvalidMessage, InvalidName, TurtleactError, UsageError
 
     if isinstance(error, TurtleactError):
@@ -137,13 +138,16 @@ def _report(error: BaseException) -> int:
         return tell_exit(error)
     if sys.flags.dev_mode or not isinstance(error, Exception):
         raise error
+    if hidden := _hidden_by_user(error):
+        _note(hidden)
+        return FAILED
     name = type(error).__name__
     _note(f"a bug in turtleact: {name}: {error}; 'PYTHONDEVMODE=1 turtleact …' shows where")
     return FAILED
 
 
 def _advice(error: BaseException) -> str:
-    """What to do about an unknown interface. For other errors, the text is empty."""
+    """Return advice on an unknown interface, or an empty text for any other error."""
     from pathlib import Path
 
     from turtleact.commands.output import ELSEWHERE
@@ -166,15 +170,43 @@ def _advice(error: BaseException) -> str:
     return ""
 
 
+def _hidden_by_user(error: BaseException) -> str:
+    """Explain an error that is due to a user's module with the name of an installed one.
+
+    ``turtleact serve`` puts the user's folders at the beginning of ``sys.path``. If one of them has
+    a ``click.py``, every later ``import click`` finds that file.
+
+    Returns:
+        The explanation; empty if the error has another cause.
+    """
+    from importlib.machinery import PathFinder
+    from pathlib import Path
+
+    if isinstance(error, AttributeError):
+        name = getattr(error.obj, "__name__", "")
+    else:
+        name = (error.name or "") if isinstance(error, ImportError) else ""
+    top = name.partition(".")[0] if isinstance(name, str) else ""
+    found = getattr(sys.modules.get(top), "__file__", None)
+    if found is None:
+        return ""
+    file = Path(found).parent if Path(found).stem == "__init__" else Path(found)
+    is_installed = {"site-packages", "dist-packages"} & {*file.parts}
+    others = [each for each in sys.path if Path(each).resolve() != file.parent.resolve()]
+    if is_installed or PathFinder.find_spec(top, others) is None:
+        return ""
+    return f"{file} hides the installed module '{top}', which turtleact needs: rename it"
+
+
 def _leaf(error: BaseException) -> BaseException:
-    """Return the error inside the exception groups of task groups."""
+    """Return the first error inside nested exception groups."""
     while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]
     return error
 
 
 def _report_broken_output(error: OSError) -> int:
-    """Report a full disk, but not a closed pipe or terminal, and return the exit status."""
+    """Report that output cannot be written, unless its reader has gone. Return the exit status."""
     import errno
 
     from turtleact.commands.output import abandon
@@ -189,7 +221,7 @@ def _report_broken_output(error: OSError) -> int:
 
 
 def _make_printable() -> None:
-    """Escape characters that the output cannot show, so that printing never raises."""
+    """Make stdout and stderr escape what they cannot show, so that printing never raises."""
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure is not None:

@@ -4,6 +4,7 @@
 
     TurtleactError
     ├── InvalidName            a graph name breaks the naming rules
+    │   └── InvalidGoalId      a goal id is malformed
     ├── InvalidInterface       the text of a .msg, .srv or .action, or a class, is malformed
     ├── UnknownInterface       no interface of that name is known
     ├── InvalidMessage         a value does not fit its field's type
@@ -16,6 +17,7 @@
     │   ├── GoalRejected       the server rejected the goal
     │   ├── GoalAborted        the server ended the goal without success
     │   ├── GoalCanceled       the goal was canceled
+    │   ├── PauseRefused       the goal could not be paused or resumed
     │   └── UnknownGoal        the server knows no goal with that id
     ├── ActionConflict         another node serves the action already
     ├── ServerUnavailable      nobody serves the action or service, or the server went away
@@ -50,12 +52,14 @@ __all__ = [
     "GoalRejected",
     "InvalidBody",
     "InvalidGoal",
+    "InvalidGoalId",
     "InvalidInterface",
     "InvalidMessage",
     "InvalidName",
     "InvalidOption",
     "InvalidParameter",
     "InvalidTransition",
+    "PauseRefused",
     "Reject",
     "ServerUnavailable",
     "ServiceError",
@@ -82,7 +86,7 @@ class InvalidName(TurtleactError):
     Attributes:
         name: The name as given.
         problem: What is wrong with it.
-        position: Index of the first wrong character.
+        position: Index of the first wrong character, counted from 0.
     """
 
     def __init__(self, name: str, problem: str, position: int) -> None:
@@ -95,15 +99,19 @@ class InvalidName(TurtleactError):
         return f"invalid name: {self.problem}\n  {self.name}\n  {' ' * self.position}^"
 
 
+class InvalidGoalId(InvalidName):
+    """A goal id is malformed: it is neither 16 bytes nor a UUID, or it is all zeros."""
+
+
 class InvalidInterface(TurtleactError):
     """The definition of an interface is malformed.
 
     Attributes:
         problem: What is wrong.
-        source: File or type name that holds the definition.
+        source: The file that holds the definition, or the name of the type.
         line: Line of the mistake, counted from 1; 0 if the definition is not text.
         column: Column of the mistake, counted from 1.
-        text: The line of the definition with the mistake.
+        text: The text of the line with the mistake.
     """
 
     def __init__(
@@ -129,15 +137,19 @@ class UnknownInterface(TurtleactError):
     Attributes:
         type_name: The name that was looked up.
         suggestion: The nearest known name, or an empty string.
+        is_elsewhere: Whether the suggestion is from another package than the one in ``type_name``.
+            False if the names of the two packages differ only by a typo.
     """
 
-    def __init__(self, type_name: str, suggestion: str = "") -> None:
+    def __init__(self, type_name: str, suggestion: str = "", *, is_elsewhere: bool = False) -> None:
         super().__init__(type_name, suggestion)
         self.type_name = type_name
         self.suggestion = suggestion
+        self.is_elsewhere = is_elsewhere
 
     def __str__(self) -> str:
-        hint = f", did you mean '{self.suggestion}'?" if self.suggestion else ""
+        whose = " of another package" if self.is_elsewhere else ""
+        hint = f", did you mean '{self.suggestion}'{whose}?" if self.suggestion else ""
         return f"unknown interface '{self.type_name}'{hint}"
 
 
@@ -183,7 +195,7 @@ class InvalidOption(TurtleactError):
     """An option has a value that is not allowed.
 
     Attributes:
-        name: The option.
+        name: The name of the option.
         problem: What was expected and what was found.
     """
 
@@ -197,10 +209,10 @@ class InvalidOption(TurtleactError):
 
 
 class InvalidParameter(TurtleactError):
-    """A parameter is not declared, is declared twice, or cannot have a value.
+    """A parameter is not declared, is declared twice, or cannot have the given value.
 
     Attributes:
-        name: The parameter.
+        name: The name of the parameter.
         problem: What was expected and what was found.
     """
 
@@ -214,11 +226,11 @@ class InvalidParameter(TurtleactError):
 
 
 class InvalidTransition(TurtleactError):
-    """The goal's state does not allow the event. Nothing changed.
+    """The event is not allowed in the goal's state. The state has not changed.
 
     Attributes:
         status: The state of the goal, a `GoalStatus`.
-        event: What was asked of the goal: a `GoalEvent`, or another step that its state forbids.
+        event: The event that is not allowed: a `GoalEvent`, or text that describes another step.
         goal_id: The goal's id in hexadecimal, or an empty string.
     """
 
@@ -239,7 +251,7 @@ class GoalError(TurtleactError):
 
     Attributes:
         reason: The server's explanation; empty if it gave none.
-        result: The result, if the server sent one even though the goal failed.
+        result: The result that the server sent although the goal failed; None if it sent none.
     """
 
     what = "the goal did not succeed"
@@ -278,13 +290,13 @@ class UnknownGoal(GoalError):
 
 
 class PauseRefused(GoalError):
-    """The goal could not be paused or resumed. Its state has not changed."""
+    """The goal could not be paused or resumed. The goal's state has not changed."""
 
     what = "the goal cannot be paused or resumed"
 
 
 class ActionConflict(TurtleactError):
-    """Another node already serves the action. An action name belongs to one node at a time.
+    """Another node already serves the action. Only one node at a time may serve it.
 
     Attributes:
         action: The action's name.
@@ -308,9 +320,11 @@ class ServerUnavailable(TurtleactError):
 
     Attributes:
         name: The name of the action or service.
-        problem: What is known about the server.
-        kind: Whether ``name`` is an action or a service.
-        otherwise: Another possible explanation; empty if there is none.
+        problem: What is wrong, such as "no server answers". If ``when`` is not empty, the text ends
+            with ``when``.
+        kind: Whether ``name`` is the name of an action or of a service.
+        when: When the server went away, such as "before the goal ended"; may be empty.
+        otherwise: Another possible cause; empty if there is none.
         hint: What to check next; may be empty.
     """
 
@@ -320,12 +334,14 @@ class ServerUnavailable(TurtleactError):
         problem: str = "no server answers",
         *,
         kind: Literal["action", "service"] = "action",
+        when: str = "",
         otherwise: str = "",
         hint: str = "",
     ) -> None:
         super().__init__(name, problem)
         self.name = name
-        self.problem = problem
+        self.problem = f"{problem} {when}" if when else problem
+        self.when = when
         self.hint = hint
         self.kind = kind
         self.otherwise = otherwise
@@ -341,7 +357,7 @@ class ServiceError(TurtleactError):
 
     Attributes:
         name: The service's name.
-        reason: The server's explanation.
+        reason: The server's explanation. If it sent none, this text says what went wrong.
     """
 
     def __init__(self, name: str, reason: str) -> None:
@@ -370,7 +386,7 @@ class SimError(TurtleactError):
 
     Attributes:
         problem: What is wrong, and what to do.
-        turtle: The name of the turtle that the error is about; empty if it is about none.
+        turtle: The name of the turtle that the error is about; empty if it is about no turtle.
     """
 
     def __init__(self, problem: str, *, turtle: str = "") -> None:
@@ -402,11 +418,11 @@ class Verdict(TurtleactError):
 
 
 class Abort(Verdict):
-    """Raise this in a body to end its goal ABORTED.
+    """Raise this in a body to end its goal with the status ABORTED.
 
     Args:
         reason: The explanation sent to the client.
-        result: The result sent with the reason. If left out, it is the action's default result.
+        result: The result sent to the client. If left out, the action's default result is sent.
     """
 
     def __init__(self, reason: str = "", result: object = None) -> None:
@@ -419,10 +435,11 @@ class Abort(Verdict):
 
 
 class Cancel(Verdict):
-    """Raise this in the clean-up of a canceled body to report a result.
+    """Raise this at the end of a canceled body's clean-up, to send a result to the client.
 
     Args:
-        result: What the goal achieved so far. If left out, it is the partial or default result.
+        result: What the goal has achieved so far. If left out, the client gets the partial result
+            that the body has set, or the action's default result if the body has set none.
     """
 
     def __init__(self, result: object = None) -> None:

@@ -1,8 +1,9 @@
 """The rules for goals: states, transitions, cancel requests, and how long results are kept.
 
 - A goal is ACCEPTED, then EXECUTING. A client's cancel makes it CANCELING. It ends once, as
-  SUCCEEDED, CANCELED or ABORTED. Any other step raises an error and changes nothing.
-- Only a client's cancel leads to CANCELED. If the server ends a goal by itself, it is ABORTED.
+  SUCCEEDED, CANCELED or ABORTED. Any other transition raises an error and changes nothing.
+- Only a client's cancel leads to CANCELED. If a goal's body is cancelled for another reason, the
+  goal becomes ABORTED.
 - A cancel request names goals by id, by time, or by both (`select`).
 - A goal that has ended is kept for ``result_timeout`` seconds, and longer while somebody waits for
   its result. After that, the goal is forgotten (`GoalTable`).
@@ -83,7 +84,7 @@ _BY_NUMBER: Final = {int(status): status for status in GoalStatus}
 
 
 class GoalEvent(IntEnum):
-    """What can happen to a goal."""
+    """An event that changes the state of a goal."""
 
     EXECUTE = 1
     CANCEL_GOAL = 2
@@ -167,13 +168,14 @@ class GoalOrder(msgspec.Struct, eq=False):
 
     Attributes:
         request: The goal message.
-        sender: The client. If the client goes away, the server finds the client's goals by this
-            value.
+        sender: An object that stands for the client. If the client goes away, the server uses this
+            object to find the client's goals.
         cancel_timeout: How long a cancelled caller waits for the goal to end (s, event loop time).
         goal_id: The 16 bytes of an id that the user or an observer chose; None to let the server or
             client choose one.
         on_feedback: The user's callback for feedback.
-        reattach: How long to wait for the return of a server that has gone (s, event loop time).
+        reattach: How long to wait for a server, both at first and after the server has gone away
+            (s, event loop time).
     """
 
     request: object
@@ -185,44 +187,48 @@ class GoalOrder(msgspec.Struct, eq=False):
 
 
 class Goal(msgspec.Struct, eq=False):
-    """One goal, as the server holds it. A client in the same process reads the same object.
+    """One goal, as its server keeps it. A client in the same process uses the same object.
 
     Attributes:
         request: The goal message.
-        stamp: When the server accepted it (ns since the epoch).
-        status: The goal's state. Only `apply` changes it. A new goal may be created EXECUTING.
-        history: The states since its acceptance, without the final one. Each state comes with the
-            number of feedback messages published before it.
-        id: The 16 bytes of its id; None until somebody asks for the id.
+        stamp: When the server accepted the goal (ns since the epoch).
+        status: The goal's state. Only `apply` changes it. A new goal may have the state EXECUTING
+            from the start.
+        history: The goal's states since its acceptance, without the final one. Each state comes
+            with the number of feedback messages published before it.
+        id: The 16 bytes of the goal's id; None until somebody asks for the id.
         on_feedback: The sender's callback for feedback.
-        is_streamed: Whether feedback must be kept for a reader.
+        is_streamed: Whether the goal's feedback must be kept, because a client may read it later.
         parent: The goal whose body sent this goal, if any.
-        sender: The client that sent it.
-        feedback: The feedback kept so far; created by the first message or the first reader.
-        last_feedback: The newest message, which is always kept. It may stay encoded until somebody
-            in this process reads it.
-        result: The partial result; once the goal has ended, the result.
-        reason: Why the goal was aborted, or why it is about to be.
-        listener: Notified of each change.
-        end_callbacks: Called once the goal has ended and observers have been told. These callbacks
-            must not raise exceptions.
-        body: The running body, as long as it can be canceled.
-        ended: When it ended (ns since the epoch); 0 before.
-        is_decided: Whether the goal's end has been decided. With a journal, the end is announced a
-            little later, and only then has the goal ended.
-        resumed: What an earlier process has left of the goal; None if the goal began in this
-            process.
+        sender: The client that sent the goal.
+        feedback: The feedback messages that are kept for readers; None before the first such
+            message or reader.
+        last_feedback: The newest feedback message, which is always kept. It may stay encoded until
+            somebody in this process reads it.
+        result: The partial result until the goal ends, then the result.
+        reason: Why the goal was aborted, or will be aborted soon.
+        listener: The listener to fire after each change.
+        end_callbacks: Functions to call when the goal has ended, after observers have been told.
+            They must not raise exceptions.
+        body: The running body; None when there is no body that can be canceled.
+        ended: When the goal ended (ns since the epoch); 0 before.
+        is_decided: Whether the goal's end has been decided. With a journal, the goal ends a little
+            later, when the journal has stored the end.
+        resumed: The goal's progress in an earlier process, a `Resumed`; None if the goal began in
+            this process.
         is_paused: Whether the goal is paused: its body stands still until the goal is resumed.
         is_paused_by_parent: Whether the goal is paused only because its parent is paused.
-        hold: The request to its body to stand still; see `turtleact.server.pausing`.
-        paused_ns: The total length of its earlier pauses (ns), by the server's clock.
-        children: The active goals that its body has sent, each with an object that can pause it.
-        waiters: How many callers wait for its result. The table keeps the goal while there are such
-            callers.
-        published: How many feedback messages were published for it on the feedback topic.
-        is_asked_for: Whether a client in another process has asked for its result.
-        error: Why contact with the goal was lost; its state is then UNKNOWN.
-        runner: The object that runs its body; None before the body begins.
+        hold: The object that asks the goal's body to stand still; see `turtleact.server.pausing`.
+        paused_ns: The total length of the goal's earlier pauses (ns), by the server's clock.
+        children: The active goals that this goal's body has sent, each with an object that can
+            pause it.
+        waiters: How many callers wait for the goal's result. The table keeps the goal while there
+            are such callers.
+        published: How many feedback messages of the goal were published on the feedback topic.
+        is_asked_for: Whether a client in another process has asked for the goal's result.
+        error: The exception that says why contact with the goal was lost; None if it was not lost.
+            If contact was lost, the goal's state is UNKNOWN.
+        runner: The object that runs the goal's body; None before the body begins.
     """
 
     request: object
@@ -257,8 +263,13 @@ class Goal(msgspec.Struct, eq=False):
 
     @property
     def hex(self) -> str:
-        """The id in hexadecimal, as ROS prints it, or "(no id)"."""
-        return self.id.hex() if self.id else "(no id)"
+        """The id in hexadecimal, as ROS prints it; empty while the goal has no id."""
+        return self.id.hex() if self.id else ""
+
+    @property
+    def suffix(self) -> str:
+        """The end of a log line: the goal's id in parentheses; empty while the goal has no id."""
+        return f" (goal {self.hex})" if self.id else ""
 
     def enter_parent(self, parent: Goal, pauses: object) -> None:
         """Become a child of the parent goal; ``pauses`` is the object that can pause this goal."""
@@ -267,16 +278,17 @@ class Goal(msgspec.Struct, eq=False):
         parent.children[self] = pauses
 
     def leave_parent(self) -> None:
-        """Stop being a child, so that a chain of goals can be freed."""
+        """Stop being a child of the parent goal, so that finished goals do not stay in memory."""
         if self.parent is not None and self.parent.children is not None:
             self.parent.children.pop(self, None)
         self.parent = None
 
     def apply(self, event: GoalEvent) -> None:
-        """Change the state and tell the listener.
+        """Change the state and fire the listener.
 
         Raises:
-            InvalidTransition: if the state does not allow the event. Nothing changed.
+            InvalidTransition: if the state does not allow the event. In that case, the state does
+                not change.
         """
         status = _NEXT[self.status][event]
         if status is None:
@@ -290,7 +302,7 @@ class Goal(msgspec.Struct, eq=False):
 
 
 def failure(goal: Goal) -> TurtleactError:
-    """Return the exception for everybody who waits for a goal that has failed."""
+    """Return the exception for callers that wait for a goal that was canceled, aborted or lost."""
     if goal.error is not None:
         return goal.error
     kind = GoalCanceled if goal.status is GoalStatus.CANCELED else GoalAborted
@@ -300,14 +312,14 @@ def failure(goal: Goal) -> TurtleactError:
 def select(goals: Iterable[Goal], goal_id: bytes | None, stamp: int) -> list[Goal]:
     """Return the active goals that a cancel request is for, in the order of their acceptance.
 
-    Without id and stamp, the request is for every goal. With a stamp, it is for every goal accepted
-    at or before that time. With an id, it is for that goal. With both, it is for that goal and for
-    the earlier ones.
+    Without id and stamp, the request is for every goal. With only a stamp, it is for every goal
+    accepted at or before that time. With only an id, it is for the goal with that id. With both, it
+    is for the goal with that id and for every goal accepted at or before that time.
 
     Args:
         goals: All goals that the server holds.
-        goal_id: 16 bytes, or None.
-        stamp: A time (ns since the epoch), or zero.
+        goal_id: The id in the request (16 bytes), or None if the request has no id.
+        stamp: The stamp in the request (ns since the epoch), or zero if the request has no stamp.
 
     Source: action_msgs/srv/CancelGoal.
     """
@@ -331,7 +343,7 @@ def cancel_code(named: Goal | None, *, by_id: bool, asked: int, let_go: int) -> 
     Args:
         named: The goal with the requested id, if the server holds it.
         by_id: Whether the request had an id but no stamp.
-        asked: How many goals `select` found.
+        asked: How many goals `select` has returned for the request.
         let_go: How many of these goals are being canceled now.
 
     Source: action_msgs/srv/CancelGoal; rcl_action ``rcl_action_process_cancel_request``.
@@ -350,7 +362,7 @@ CURRENT_GOAL: ContextVar[Goal | None] = ContextVar("CURRENT_GOAL", default=None)
 class GoalTable:
     """The goals that a server holds: all active ones and those that ended recently.
 
-    A goal without an id is forgotten as soon as it ends, because nobody can ask for it later.
+    A goal without an id is forgotten as soon as it ends, because no client can ask for its result.
 
     Args:
         result_timeout: How long to keep a goal after its end (s); None to keep it for ever.
@@ -386,7 +398,7 @@ class GoalTable:
             del self._named[goal.id]
 
     def name(self, goal: Goal, goal_id: bytes, now: int) -> bytes:
-        """Give a goal this id unless it has one, and return its id."""
+        """Give a goal this id, unless the goal has an id already, and return the goal's id."""
         if goal.id is None:
             goal.id = goal_id
             self._named[goal_id] = goal
@@ -398,7 +410,7 @@ class GoalTable:
     def end(self, goal: Goal, now: int) -> None:
         """Record that a goal has ended.
 
-        Its result is kept for ``result_timeout`` from ``now`` on.
+        The goal's result is kept for ``result_timeout`` seconds after ``now``.
         """
         goal.ended = now
         self._active.pop(goal, None)
@@ -423,7 +435,7 @@ class GoalTable:
         return sorted(dict.fromkeys([*self._named.values(), *self._active]), key=_by_stamp)
 
     def expire(self, now: int) -> None:
-        """Forget the goals that have expired, except those that somebody waits for."""
+        """Forget the goals that have expired, except those whose results somebody waits for."""
         expiries = self._expiries
         while expiries and expiries[0][0] <= now:
             goal = self._named[heapq.heappop(expiries)[1]]
@@ -432,13 +444,13 @@ class GoalTable:
                 self.unpin(goal)
 
     def hold_ended(self, goal: Goal) -> None:
-        """Add a goal that ended in an earlier process, and keep it for the rest of its time."""
+        """Add a goal that ended in an earlier process. It expires like any other goal."""
         if goal.id is not None:
             self._named[goal.id] = goal
             self._schedule(goal)
 
     def unpin(self, goal: Goal) -> None:
-        """Forget a goal that has expired. Call this when nobody waits for its result any more."""
+        """Forget a goal if it has expired. Call this when nobody waits for the goal's result."""
         if goal in self._pinned and goal.id is not None:
             self._pinned.remove(goal)
             del self._named[goal.id]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import uuid
 
-from turtleact.errors import InvalidName
+from turtleact.errors import InvalidGoalId
 
 __all__ = ["goal_id_bytes", "new_goal_id"]
 
@@ -20,7 +20,10 @@ _VARIANT = bytes(octet & 0x3F | 0x80 for octet in range(256))
 
 
 class _Pool:
-    """A stock of ids. A forked child starts without it, so that no id is used twice."""
+    """A supply of unused ids.
+
+    A forked child process starts with an empty supply, so that no id is used twice.
+    """
 
     def __init__(self) -> None:
         self._stock: list[bytes] = []
@@ -48,7 +51,8 @@ def goal_id_bytes(goal_id: bytes | str | uuid.UUID) -> bytes:
     """Convert a goal id in any form to its 16 bytes.
 
     Raises:
-        InvalidName: if the id is not 16 bytes, a UUID, or 32 hexadecimal digits.
+        InvalidGoalId: if the id is neither 16 bytes nor a UUID nor 32 hexadecimal digits, or is all
+            zeros.
 
     >>> goal_id_bytes("0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e").hex()
     '0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e'
@@ -58,13 +62,13 @@ def goal_id_bytes(goal_id: bytes | str | uuid.UUID) -> bytes:
             goal_id = uuid.UUID(goal_id).bytes
         except ValueError:
             problem = "a goal id has 32 hexadecimal digits"
-            raise InvalidName(str(goal_id), problem, 0) from None
+            raise InvalidGoalId(str(goal_id), problem, 0) from None
     if isinstance(goal_id, uuid.UUID):
         goal_id = goal_id.bytes
     if not isinstance(goal_id, bytes):
-        raise InvalidName(repr(goal_id), "a goal id has 16 bytes, or is a UUID", 0)
+        raise InvalidGoalId(repr(goal_id), "a goal id has 16 bytes, or is a UUID", 0)
     if len(goal_id) != 16:
-        raise InvalidName(goal_id.hex(), "a goal id has 16 bytes", 0)
+        raise InvalidGoalId(goal_id.hex(), "a goal id has 16 bytes", 0)
     if not any(goal_id):
-        raise InvalidName(goal_id.hex(), "a goal id must not be all zeros", 0)
+        raise InvalidGoalId(goal_id.hex(), "a goal id must not be all zeros", 0)
     return goal_id

@@ -1,26 +1,29 @@
 """Service introspection: publishes the requests and responses of a service, as ROS 2 does.
 
-Each end of a service publishes on the topic ``SERVICE/_service_event``, with messages of the type
-``SERVICE_TYPE_Event``. An action has three services, so it has three such topics at each end.
+The client and the server of a service each publish events on the topic ``SERVICE/_service_event``,
+with messages of the type ``SERVICE_TYPE_Event``. An action has three services, so its clients and
+servers publish on three such topics. There are four kinds of events:
 
 =====================  ======================================
 ``REQUEST_SENT``       the client has sent a request
-``REQUEST_RECEIVED``   the server has received it
-``RESPONSE_SENT``      the server has answered
-``RESPONSE_RECEIVED``  the client has received the answer
+``REQUEST_RECEIVED``   the server has received the request
+``RESPONSE_SENT``      the server has sent the response
+``RESPONSE_RECEIVED``  the client has received the response
 =====================  ======================================
 
-The events come from the calls of a service, not from the observers of an action's goals. A rejected
-goal, a refused cancel request, and a second request for a result change no goal. Besides, observers
-do not know the sequence numbers of requests.
+Events are made from the calls of a service, not from the changes of an action's goals, because some
+calls change no goal: for example, a goal request that is rejected, a cancel request that is
+refused, or a second request for the same result. Besides, code that observes goals does not know
+the sequence numbers of requests.
 
-The topic exists as soon as introspection is on, since tools subscribe only to topics that they can
-see. A message is built only while somebody reads the topic.
+The topic exists as soon as introspection is on, because tools subscribe only to topics that they
+can see. An event is built only while the topic has subscribers.
 
-Readers in the same process get an event at once. For other processes, the events of `GATHER`
-seconds are built and sent together: to send each at once would delay the reply that the caller
-waits for. Until then only the bytes of a request or response are kept, which no handler can change.
-The stamp of an event says when the call happened.
+If there is a subscriber in the same process, each event is published at once. Otherwise, events are
+collected for `GATHER` seconds, then built and sent together, because sending each event at once
+would delay the response that the caller waits for. In the meantime, only the encoded request or
+response is kept, so handlers cannot change it. The stamp of an event is the time of the call, not
+of the sending.
 
 Source: rcl ``service_event_publisher.c``; ``service_msgs/msg/ServiceEventInfo``; REP 2012.
 """
@@ -37,13 +40,14 @@ import msgspec
 from turtleact.errors import InvalidOption
 from turtleact.interfaces import EventFormat, WireFormat
 from turtleact.interfaces.standard import ServiceEventInfo
+from turtleact.names import event_topic
 from turtleact.tasks import Background, current_tasks
 from turtleact.transports.base import CallObserver, QoS
 
 if TYPE_CHECKING:
     from turtleact.transports.base import Endpoint, MakeEndpoint, Transport
 
-__all__ = ["EVENT_QOS", "GATHER", "Introspection", "ServiceEvents", "event_topic"]
+__all__ = ["EVENT_QOS", "GATHER", "Introspection", "ServiceEvents"]
 
 logger = logging.getLogger("turtleact.services")
 
@@ -61,17 +65,18 @@ GATHER: Final = 0.02
 
 
 class ServiceEvents(CallObserver):
-    """Publishes the events of one service at one end.
+    """Publishes the events that one client or one server of a service sees.
 
     Args:
-        transport: The transport to open the topic on.
-        endpoint: A function that describes an endpoint.
-        service: The service endpoint whose calls are published.
+        transport: The transport that publishes the events.
+        endpoint: A function that returns the description of an endpoint.
+        service: The endpoint of the client or server whose calls are published.
         find_type: A function that returns the class of the service.
-        mode: "metadata" or "contents".
+        mode: What is published: "metadata" (who called and when), or "contents" (also the requests
+            and responses).
 
     Raises:
-        InvalidOption: if the mode does not exist.
+        InvalidOption: if the mode is unknown.
     """
 
     def __init__(
@@ -116,7 +121,7 @@ class ServiceEvents(CallObserver):
             self._publish(self._response, gid, sequence, response)
 
     def close(self) -> None:
-        """Send the events that wait, and leave the topic."""
+        """Send the events that have not been sent yet, and close the publisher."""
         self._is_open = False
         if self._gathering is not None:
             self._gathering.cancel()
@@ -124,7 +129,7 @@ class ServiceEvents(CallObserver):
         self._publication.close()
 
     def _publish(self, kind: int, gid: bytes, sequence: int, message: object) -> None:
-        """Publish an event. A failure is logged, because it must not affect the call."""
+        """Publish an event. A failure is only logged, because it must not affect the call."""
         try:
             data = b""
             if self._has_contents:
@@ -178,12 +183,3 @@ class ServiceEvents(CallObserver):
 
     def _complain(self) -> None:
         logger.exception("an event of topic %s cannot be published", self._topic)
-
-
-def event_topic(service: str) -> str:
-    """Return the name of the topic with a service's events.
-
-    >>> event_topic("/spawn")
-    '/spawn/_service_event'
-    """
-    return f"{service}/_service_event"

@@ -1,8 +1,8 @@
 """The rules for graph names: validation, resolution in a namespace, and an action's five endpoints.
 
 All functions are pure. A name consists of parts separated by slashes. A leading ``~`` stands for
-the node's own name, and a leading slash makes the name absolute. Substitutions in braces are not
-supported.
+the node's fully qualified name, and a leading slash makes the name absolute. Substitutions in
+braces are not supported.
 
 Source: the ROS 2 article "Topic and Service name mapping to DDS", and ``rmw/validate_*_name.c``.
 """
@@ -15,7 +15,18 @@ import msgspec
 
 from turtleact.errors import InvalidName
 
-__all__ = ["ActionNames", "action_names", "resolve_name", "validate_name", "validate_node_name"]
+__all__ = [
+    "EVENT_SUFFIX",
+    "ActionNames",
+    "action_names",
+    "event_topic",
+    "resolve_name",
+    "validate_name",
+    "validate_node_name",
+]
+
+EVENT_SUFFIX = "/_service_event"
+"""The topic with a service's events has the service's name with this suffix."""
 
 #: Each pattern finds a forbidden part of a name. The error shows the match that comes first.
 FAULTS = (
@@ -46,7 +57,7 @@ class ActionNames(msgspec.Struct, frozen=True):
         send_goal: The service that accepts or rejects goals.
         cancel_goal: The service that cancels goals.
         get_result: The service that returns results.
-        feedback: The topic of feedback.
+        feedback: The topic with the feedback of all goals.
         status: The topic with the states of all goals.
     """
 
@@ -64,7 +75,7 @@ def validate_name(name: str) -> None:
     A part may begin with an underscore, which hides the name from listings.
 
     Raises:
-        InvalidName: with the position of the first wrong character.
+        InvalidName: if the name breaks a rule. The error has the position of the first mistake.
     """
     refuse(name, FAULTS)
 
@@ -73,7 +84,7 @@ def validate_node_name(name: str) -> None:
     """Check the name of a node: a single part, without slashes.
 
     Raises:
-        InvalidName: with the position of the first wrong character.
+        InvalidName: if the name breaks a rule. The error has the position of the first mistake.
     """
     refuse(name, NODE_FAULTS)
 
@@ -82,12 +93,13 @@ def resolve_name(name: str, namespace: str = "/", node: str = "") -> str:
     """Return the absolute form of a name.
 
     Args:
-        name: Relative, absolute or private (``~/pose``).
-        namespace: The namespace that a relative name belongs to.
-        node: The node's name, which replaces a ``~``.
+        name: A relative, absolute or private name. A private name begins with ``~``, as in
+            ``~/pose``.
+        namespace: The namespace in which a relative or private name is resolved.
+        node: The node's name. Only a private name needs it.
 
     Raises:
-        InvalidName: if a part breaks the rules, or a ``~`` is used without a node.
+        InvalidName: if a name breaks the rules, or if ``name`` is private and ``node`` is empty.
 
     >>> resolve_name("pose", "/sim"), resolve_name("~/pose", "/sim", "turtle")
     ('/sim/pose', '/sim/turtle/pose')
@@ -129,10 +141,19 @@ def action_names(name: str) -> ActionNames:
 
 
 def refuse(name: str, faults: tuple[tuple[re.Pattern[str], str], ...]) -> None:
-    """Raise an error for the first fault in the name, or for a name that is not a string."""
+    """Raise `InvalidName` for the first mistake in a name, or for a name that is not a string."""
     if not isinstance(name, str):  # a type and a name may have been mixed up
         raise InvalidName(repr(name), "expected text such as 'patrol'", 0)
     found = [(match.start(), problem) for fault, problem in faults if (match := fault.search(name))]
     if found:
         position, problem = min(found)
         raise InvalidName(name, problem, position)
+
+
+def event_topic(service: str) -> str:
+    """Return the name of the topic on which the events of a service are published.
+
+    >>> event_topic("/spawn")
+    '/spawn/_service_event'
+    """
+    return f"{service}{EVENT_SUFFIX}"

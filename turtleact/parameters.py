@@ -3,17 +3,18 @@
 This module does no I/O. `turtleact.node.parameters` serves a `ParameterTable` on the graph.
 
 ==================  =============================  =============================================
-ROS 2               Python                         default of a declaration, for example
+ROS 2               Python                         example
 ==================  =============================  =============================================
 bool                `bool`                         ``True``
 integer             `int`                          ``3``
 double              `float`                        ``0.5``
 string              `str`                          ``"fast"``
+array of the above  a `list` of one of the above   ``[0.5, 1.0]``
 byte array          `bytes`                        ``b"on"``
-array of any other  a `list` of one of the others  ``[0.5, 1.0]``
 ==================  =============================  =============================================
 
-The reason of a refusal starts with rclcpp's words, because other programs may look for them.
+If a value is refused, the reason starts with rclcpp's words, because programs may search for these
+words.
 
 Source: rclcpp 28.1 (ROS 2 Jazzy), ``node_parameters.cpp``; rcl_interfaces.
 """
@@ -21,7 +22,7 @@ Source: rclcpp 28.1 (ROS 2 Jazzy), ``node_parameters.cpp``; rcl_interfaces.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from inspect import iscoroutinefunction
 from numbers import Integral, Real
 from typing import Final, Generic, NamedTuple, TypeAlias, TypeVar, cast
@@ -48,6 +49,7 @@ __all__ = [
     "ParameterTable",
     "Value",
     "descriptor_of",
+    "flattened",
     "is_listed",
     "message_of",
     "out_of_range",
@@ -72,7 +74,7 @@ class Kind(NamedTuple):
     Attributes:
         word: rclcpp's name for the kind.
         field: The field of ``ParameterValue`` that holds the value.
-        expected: Which Python value it takes, for error messages.
+        expected: A description of the Python values of this kind, for error messages.
     """
 
     word: str
@@ -107,9 +109,9 @@ class ParameterDeclaration(Generic[P]):
 
     Attributes:
         name: The name of the parameter.
-        descriptor: Its kind, description and range.
-        message: The parameter's first value, as a message.
-        validate: A function that checks values; see `turtleact.Node.parameter`.
+        descriptor: The parameter's name, kind, description and range, as a message.
+        message: The parameter's initial value, as a message.
+        validate: A function that checks values; see `turtleact.parameter`.
     """
 
     def __init__(
@@ -125,7 +127,7 @@ class ParameterDeclaration(Generic[P]):
 
     @property
     def default(self) -> P:
-        """The parameter's first value."""
+        """The parameter's initial value."""
         return cast("P", value_of(self.message))
 
     def __repr__(self) -> str:
@@ -148,20 +150,21 @@ def parameter(
     expression declares it.
 
     Args:
-        name: The parameter's name; dots group parameters.
-        default: The first value. It sets the kind that all later values must have: `bool`,
-            `int`, `float`, `str`, `bytes`, or a list of one of the first four. Python's whole
-            numbers are accepted for a `float`.
+        name: The parameter's name. Dots form groups: ``camera.width`` is in the group ``camera``.
+        default: The initial value. It sets the kind that all later values must have: `bool`, `int`,
+            `float`, `str`, `bytes`, or a list of `bool`, `int`, `float` or `str`. Later values of a
+            `float` may also be whole numbers.
         description: What the parameter is for, with its unit.
-        range: The least and the greatest allowed number, and perhaps the step between allowed
-            numbers. Only an `int` or `float` can have a range. Both ends are allowed.
-        read_only: Whether the parameter keeps its first value.
-        validate: Called with each new value, including the first. To refuse a value, raise
-            `ValueError` with the reason, or return False.
+        range: The least and the greatest allowed number, and optionally the step between allowed
+            numbers. Only an `int` or `float` can have a range. Both ends are always allowed.
+        read_only: Whether the parameter keeps its initial value.
+        validate: A function that is called with each new value, including the initial one. To
+            refuse a value, it raises `ValueError` with the reason, or returns False.
 
     Raises:
-        InvalidParameter: if ``default`` has an unsupported type or is out of range.
-        InvalidOption: if ``range`` or ``validate`` is not allowed.
+        InvalidParameter: if ``name`` is not allowed, or ``default`` has an unsupported type or is
+            out of range.
+        InvalidOption: if ``description``, ``range`` or ``validate`` is not allowed.
 
     >>> max_speed = parameter("max_speed", 1.0, range=(0.0, 2.0))
     >>> max_speed.name, max_speed.default
@@ -184,18 +187,18 @@ def descriptor_of(
     bounds: Bounds | None = None,
     read_only: bool = False,
 ) -> ParameterDescriptor:
-    """Describe a parameter.
+    """Make the message that describes a parameter.
 
     Args:
-        name: Its name; dots group parameters.
-        kind: The number of its kind in `KINDS`.
+        name: The parameter's name. Dots form groups: ``camera.width`` is in the group ``camera``.
+        kind: The number of the parameter's kind in `KINDS`.
         description: What the parameter is for.
-        bounds: The range of an integer or double. It includes both ends.
-        read_only: Whether the parameter keeps its first value for ever.
+        bounds: The range of an integer or double, including both ends.
+        read_only: Whether the parameter keeps its initial value for ever.
 
     Raises:
         InvalidParameter: if the name is empty or not a string.
-        InvalidOption: if the range does not fit the kind, or is no valid range.
+        InvalidOption: if the description is not a string, or the range is not valid for the kind.
     """
     if not isinstance(name, str) or not name:
         raise InvalidParameter(name, "its name must be a string that is not empty")
@@ -249,8 +252,8 @@ def message_of(name: str, value: object, kind: int = _NOT_SET) -> ParameterValue
     """Return a Python value as a message.
 
     Args:
-        name: The parameter, for errors.
-        value: The value. Whole numbers are accepted for doubles.
+        name: The parameter's name, for error messages.
+        value: The value. For a double, it may be a whole number.
         kind: The number of the kind that the value must have. If left out, the value's own kind is
             used.
 
@@ -280,7 +283,7 @@ def message_of(name: str, value: object, kind: int = _NOT_SET) -> ParameterValue
 
 
 def _kind_of(value: object) -> int:
-    """The number of a value's kind; 0 if it has none."""
+    """Return the number of a value's kind; 0 if it has none."""
     for number, types in enumerate((bool, Integral, Real, str, bytes | bytearray), start=1):
         if isinstance(value, types):
             return number
@@ -294,7 +297,7 @@ def _kind_of(value: object) -> int:
 
 
 def _convert(value: object, kind: int) -> object:
-    """Convert numbers to those of Python, and sequences to lists."""
+    """Convert numbers to `int` or `float`, and sequences to lists."""
     if kind >= _BYTES:
         items = cast("Iterable[object]", value)
         return [_convert(item, kind - _ARRAY) for item in items]
@@ -304,7 +307,7 @@ def _convert(value: object, kind: int) -> object:
 
 
 def out_of_range(descriptor: ParameterDescriptor, value: ParameterValue) -> str:
-    """Describe the numbers that a parameter takes; return "" if it takes this one.
+    """Return why a number is out of a parameter's range; "" if it is in the range.
 
     >>> speed = descriptor_of("speed", 2, bounds=(0, 10, 5))
     >>> out_of_range(speed, message_of("speed", 7))
@@ -339,7 +342,7 @@ def _is_within(number: float, bounds: IntegerRange | FloatingPointRange) -> bool
 
 
 def _is_same(one: float, other: float) -> bool:
-    """Whether two numbers are equal. Doubles may differ by a rounding error, as in rclcpp."""
+    """Whether two numbers are equal, apart from rounding errors of doubles, as in rclcpp."""
     if isinstance(one, int) or math.isinf(one) or math.isinf(other):
         return one == other
     return abs(one - other) <= 2.220446049250313e-14 * abs(one + other)
@@ -348,7 +351,7 @@ def _is_same(one: float, other: float) -> bool:
 class ParameterTable:
     """The declared parameters of a node, by name.
 
-    A parameter keeps the kind of its first value.
+    Each parameter keeps the kind of its initial value.
     """
 
     def __init__(self) -> None:
@@ -373,9 +376,9 @@ class ParameterTable:
         """Declare a parameter.
 
         Args:
-            descriptor: Its name, kind, description and range.
-            value: Its first value.
-            check: Takes a value, and returns why the parameter cannot have it; an empty string if
+            descriptor: The parameter's name, kind, description and range.
+            value: The parameter's initial value.
+            check: A function that takes a value and returns why the parameter cannot have it; "" if
                 it can.
 
         Raises:
@@ -392,13 +395,13 @@ class ParameterTable:
             self._checks[name] = check
 
     def undeclare(self, name: str) -> Parameter:
-        """Remove a parameter, and return it with its last value."""
+        """Remove a parameter, and return its name and last value."""
         del self._descriptors[name]
         self._checks.pop(name, None)
         return Parameter(name, self._values.pop(name))
 
     def convert(self, name: str, value: object) -> ParameterValue:
-        """Convert the Python value that a program assigns to a parameter.
+        """Convert a Python value to a message, if a program may set the parameter to this value.
 
         Raises:
             InvalidParameter: if the parameter is not declared, is read-only, or cannot have the
@@ -417,14 +420,15 @@ class ParameterTable:
         """Check that a parameter is declared.
 
         Raises:
-            InvalidParameter: if it is not declared. The error suggests the nearest name.
+            InvalidParameter: if it is not declared. The error suggests a similar name, if there is
+                one.
         """
         if name not in self._descriptors:
             problem = f"it is not declared{did_you_mean(str(name), self._descriptors)}"
             raise InvalidParameter(name, problem)
 
     def problem(self, parameters: Sequence[Parameter]) -> str:
-        """Return why parameters cannot be set together, in rclcpp's words; empty if they can."""
+        """Return why some parameters cannot be set together, in rclcpp's words; "" if they can."""
         if not parameters:
             return _NO_PARAMETERS
         for each in parameters:
@@ -436,22 +440,19 @@ class ParameterTable:
         return next(filter(None, problems), "")
 
     def apply(self, parameters: Sequence[Parameter]) -> None:
-        """Set parameters. The caller has made sure that `problem` finds no problem with them."""
+        """Set parameters. Before this, the caller must check them with `problem`."""
         self._values.update((each.name, each.value) for each in parameters)
 
     def values(self, names: Sequence[str]) -> list[ParameterValue]:
-        """The values of some parameters. The list is empty if one of the names is not declared."""
+        """Return the values of some parameters, or an empty list if one of them is not declared."""
         return [self._values[name] for name in names] if self._has_all(names) else []
 
     def descriptors(self, names: Sequence[str]) -> list[ParameterDescriptor]:
-        """The descriptions of some parameters.
-
-        The list is empty if one of the names is not declared.
-        """
+        """Return the descriptors of some parameters, or an empty list if one is not declared."""
         return [self._descriptors[name] for name in names] if self._has_all(names) else []
 
     def listed(self, prefixes: Sequence[str], depth: int) -> ListParametersResult:
-        """The names of parameters, and the groups that contain them; see `is_listed`."""
+        """Return the names for which `is_listed` is true, and the groups that contain them."""
         names = [name for name in sorted(self._descriptors) if is_listed(name, prefixes, depth)]
         groups = [name.rpartition(".")[0] for name in names if "." in name]
         return ListParametersResult(names, list(dict.fromkeys(groups)))
@@ -460,7 +461,7 @@ class ParameterTable:
         return all(name in self._descriptors for name in names)
 
     def _misfit(self, name: str, value: ParameterValue) -> str:
-        """Why a declared parameter cannot have a value, in rclcpp's words; empty if it can."""
+        """Return why a declared parameter cannot have a value, in rclcpp's words; "" if it can."""
         known = self._descriptors[name]
         if value.type == _NOT_SET:
             return "cannot undeclare a statically typed parameter"
@@ -489,12 +490,15 @@ _NO_PARAMETERS = (
 
 
 def is_listed(name: str, prefixes: Sequence[str], depth: int) -> bool:
-    """Whether a parameter is in one of the groups, and not too deep in it.
+    """Whether the service ``list_parameters`` lists a parameter for these prefixes and this depth.
 
     Args:
         name: The parameter's name.
-        prefixes: The groups. If empty, every group counts.
-        depth: How many parts a name may have after the name of the group; 0 for any number.
+        prefixes: The names of groups or parameters. A parameter is listed if its name is one of
+            these, or if it is in one of these groups. If ``prefixes`` is empty, only ``depth``
+            limits the list.
+        depth: How many parts a name may have after its prefix; 0 for any number. Without prefixes,
+            all parts of the name count.
     """
     if not prefixes:
         return depth == 0 or name.count(".") < depth
@@ -503,3 +507,16 @@ def is_listed(name: str, prefixes: Sequence[str], depth: int) -> bool:
         if name == prefix or (rest != name and (depth == 0 or rest.count(".") < depth)):
             return True
     return False
+
+
+def flattened(tree: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield each value of a nested mapping with the dotted name of its parameter.
+
+    >>> dict(flattened({"arm": {"speed": 2.0, "joint": {"count": 6}}, "name": "lab"}))
+    {'arm.speed': 2.0, 'arm.joint.count': 6, 'name': 'lab'}
+    """
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            yield from flattened(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value

@@ -16,17 +16,20 @@ __all__ = [
     "loggable",
     "shortened",
     "summary",
+    "syntax_hint",
     "text_of",
 ]
 
 STOPS = (KeyboardInterrupt, SystemExit, GeneratorExit)
-"""These exceptions stop the program or close a coroutine. With any other, a callback fails."""
+"""The exceptions that stop the program or close a coroutine.
+
+If a callback raises any other exception, the callback has failed."""
 
 STOPPED = "the program was stopped"
-"""The reason of everything that ends because the program was stopped."""
+"""The reason given for goals and service calls that end because the program was stopped."""
 
 CUT_OFF = "canceled from within"
-"""The reason of a goal that the user's own code cancelled, for example with all tasks."""
+"""The reason given for a goal if the user's own code cancelled its body's task."""
 
 LONGEST = 10_000
 """The maximum length of an exception's text in logs and messages, in characters."""
@@ -34,9 +37,15 @@ LONGEST = 10_000
 _UNKNOWN_FIELD = re.compile(r"Unexpected keyword argument '(\w+)'")
 """The error text of msgspec for a message that is created with an unknown field."""
 
+_RETURN_IN_GENERATOR = "'return' with value in async generator"
+"""The error text of Python for a body that yields feedback and returns its result."""
+
 
 def summary(error: BaseException) -> str:
-    """Describe an exception in one line. The members of a group are joined with semicolons."""
+    """Describe an exception in one line.
+
+    The descriptions of an exception group's members are joined with semicolons.
+    """
     if isinstance(error, BaseExceptionGroup):
         return shortened("; ".join(summary(each) for each in error.exceptions))
     text, hint = text_of(error), field_hint(error)
@@ -45,7 +54,10 @@ def summary(error: BaseException) -> str:
 
 
 def text_of(value: object) -> str:
-    """Return ``str(value)`` in one line, at most `LONGEST` characters, even if ``str`` fails."""
+    """Return ``str(value)`` in one line, cut after `LONGEST` characters.
+
+    If ``str`` fails, the text says so.
+    """
     try:
         text = str(value)
     except Exception as failure:
@@ -54,10 +66,11 @@ def text_of(value: object) -> str:
 
 
 def field_hint(error: BaseException) -> str:
-    """Suggest a field if a message was created with an unknown one; otherwise return "".
+    """If a message was created with an unknown field, suggest a known one; otherwise return "".
 
-    The error does not name the class. A check in Python would double the cost of every message. So
-    after a failed call, the class is looked up in the source of the call.
+    The error does not name the message class, so this function finds the class in the source code
+    of the failed call. The class itself does not check the fields in Python, because the check
+    would double the time to create a message.
     """
     found = _UNKNOWN_FIELD.fullmatch(str(error)) if type(error) is TypeError else None
     called = _called(error.__traceback__) if found else None
@@ -72,8 +85,19 @@ def field_hint(error: BaseException) -> str:
     return f"{called.__qualname__} has {', '.join(map(repr, fields)) or 'no fields'}"
 
 
+def syntax_hint(error: BaseException) -> str:
+    """Advise what to write if a body returns its result after a ``yield``; otherwise return "".
+
+    Bodies in rclpy return their results, so many users try this. Python's own message does not help
+    them.
+    """
+    if isinstance(error, SyntaxError) and error.msg == _RETURN_IN_GENERATOR:
+        return "a body that yields feedback yields its result, too: write 'yield' for 'return'"
+    return ""
+
+
 def _called(trace: TracebackType | None) -> type | None:
-    """The class whose call has raised an error; None if the source does not show it."""
+    """Return the class whose call has raised the error; None if the source does not show it."""
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     if trace is None:
@@ -96,7 +120,10 @@ def _called(trace: TracebackType | None) -> type | None:
 
 
 def _value_of(expression: ast.expr, names: dict[str, object]) -> object:
-    """The value of a dotted name; None for another expression. No code of the user runs."""
+    """Return the value of a dotted name; for any other expression, return None.
+
+    This runs none of the user's code.
+    """
     if isinstance(expression, ast.Attribute):
         import inspect
 
@@ -130,7 +157,8 @@ def loggable(error: BaseException) -> BaseException:
     """Return an exception that can be logged with its traceback without printing a huge text.
 
     `logging` prints the whole text of an exception and of its causes. If one of these texts is
-    longer than `LONGEST`, the result is a stand-in with the same traceback and shortened text.
+    longer than `LONGEST`, this returns another exception with the same traceback and a shortened
+    text.
     """
     if not any(_is_huge(each) for each in _chain(error)):
         return error
@@ -138,7 +166,7 @@ def loggable(error: BaseException) -> BaseException:
 
 
 def _chain(error: BaseException) -> list[BaseException]:
-    """Collect an exception, its causes and contexts, and the members of groups."""
+    """Collect an exception, its causes and contexts, and the members of exception groups."""
     found: list[BaseException] = []
     waiting = [error]
     while waiting:

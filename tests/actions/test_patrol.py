@@ -324,7 +324,7 @@ async def test_two_turtles_patrol_side_by_side():
 NO = "must be finite and above zero, not"
 REFUSED = [
     ({"turtle": "turtle1/"}, "'turtle1/' is not a valid name of a turtle: it ends in a slash"),
-    ({"targets": []}, "targets is empty: give at least one, such as {x: 9.0, y: 7.0}"),
+    ({"targets": []}, "targets is empty: give at least one place"),
     (
         {"targets": points((1.0, 1.0), (20.0, 3.0))},
         "targets[1].x is 20.0, outside the world: from 0 to 11.0888891",

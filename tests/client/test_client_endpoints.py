@@ -10,6 +10,8 @@ import anyio
 import pytest
 
 from turtleact.client.client_endpoints import AT_ONCE, ClientEndpoints, RequestLimiter
+from turtleact.errors import PauseRefused, ServerUnavailable
+from turtleact.goal import Goal
 from turtleact.goal_wire import GoalNote
 from turtleact.interfaces import WireFormat, implied
 from turtleact.names import action_names
@@ -128,10 +130,17 @@ def endpoint(kind: EndpointKind, name: str, type_name: str, qos: QoS | None = No
     return Endpoint(kind, name, type_name, "/user", qos or QoS())
 
 
+class Handler:
+    """Answers requests, which these tests never send."""
+
+    async def reply(self, request: object, caller: bytes) -> Reply:
+        raise NotImplementedError
+
+
 def serve(transport: MemoryTransport, number: int) -> Closeable:
     """A server of the action; its gid tells it from others."""
     described = Endpoint("service", NAMES.send_goal, SEND_GOAL.type_name, "/lab", gid=bytes(number))
-    return transport.serve(described, WireFormat(SEND_GOAL), object())
+    return transport.serve(described, WireFormat(SEND_GOAL), Handler())
 
 
 def client(transport: MemoryTransport) -> ClientEndpoints:
@@ -179,3 +188,23 @@ async def test_the_next_server_may_get_both_requests_though_the_last_one_could_n
     assert not endpoints.knows_ours()
     endpoints.learn(OURS)
     assert endpoints.takes_both
+
+
+@pytest.mark.parametrize(
+    ("servers", "error", "text"),
+    [
+        (0, ServerUnavailable, "action '/count': the server is gone, so its goals cannot be "),
+        (1, PauseRefused, "its server does not offer that"),
+    ],
+)
+async def test_a_server_that_is_gone_is_told_from_one_that_cannot_pause(
+    monkeypatch, servers, error, text
+):
+    monkeypatch.setattr("turtleact.client.client_endpoints.OFFERED_WITHIN", 0.01)
+    transport = MemoryTransport()
+    for number in range(servers):
+        serve(transport, number + 1)
+    endpoints = client(transport)
+    with pytest.raises(error, match=text):
+        await endpoints.set_paused(Goal(Count.Goal(), 0, id=bytes(16)), is_paused=True)
+    endpoints.close()

@@ -179,6 +179,25 @@ async def test_why_a_request_has_failed_is_asked_once_all_is_known_that_came_wit
     assert sent.error.problem == GONE.problem
 
 
+@pytest.mark.parametrize(
+    ("error", "problem"),
+    [
+        (ServerUnavailable("/count", "the server fell", when="before it replied"), "fell"),
+        (ServerUnavailable("/count"), "went away"),
+    ],
+)
+async def test_the_error_of_an_accepted_goal_says_that_it_has_not_ended(
+    monkeypatch, error, problem
+):
+    monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 0.0)
+    server = Server()
+    _, sent = follow(server)
+    server.sent.come(ACCEPTED)
+    server.asked.come(error)
+    await settle()
+    assert str(sent.error) == f"action '/count': the server {problem} before the goal ended"
+
+
 @pytest.mark.parametrize("is_accepted", [True, False])
 async def test_only_a_goal_not_accepted_yet_may_have_been_dropped(is_accepted, monkeypatch):
     monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 0.0)
@@ -260,7 +279,7 @@ async def test_if_only_the_second_request_takes_waiting_the_goal_is_sent_once():
         (
             [ACCEPTED, GONE, UNKNOWN],
             UnknownGoal,
-            "and the next server of '/count' lacks it",
+            "and the new server of '/count' does not have it",
         ),
         ([ACCEPTED, GONE, GONE, GONE, SUCCEEDED], ServerUnavailable, "the server went away"),
         ([ACCEPTED, ServiceTimeout("/count", 600), SUCCEEDED], None, ""),

@@ -279,7 +279,7 @@ async def test_a_callback_that_fails_does_no_harm(caplog):
 
     async with apart(count) as served:
         assert await served.client.send_goal(goal(1), feedback_callback=fail) == result(0)
-    assert "the feedback_callback of goal" in caplog.text
+    assert "the feedback_callback of a goal of /count failed (goal " in caplog.text
 
 
 async def test_feedback_of_others_is_not_heard():

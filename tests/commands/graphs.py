@@ -138,6 +138,8 @@ async def fibonacci(transport):
 async def turtlesim(transport):
     """The endpoints of turtlesim; its turtle stands still, 62.5 poses a second tell."""
     async with open_node("turtlesim", transport=transport) as node:
+        event = interface("rcl_interfaces/msg/ParameterEvent")
+        node.publisher(event, "/parameter_events", QoS(depth=1000))
         qos = QoS(depth=7)
         node.subscription(Twist, "/turtle1/cmd_vel", qos)
         node.publisher(interface("turtlesim/msg/Color"), "/turtle1/color_sensor", qos)

@@ -76,8 +76,11 @@ async def strange(goal):
     yield Strange.Result()
 
 
+REASON = "not today"
+
+
 async def reject(goal):
-    raise Reject("not today")
+    raise Reject(REASON)
 
 
 async def consider(goal):

@@ -154,5 +154,5 @@ def test_a_signal_ends_that_wait(turtleact, without_router, interrupts):
     ran = turtleact("send-goal", "now", "--reattach", "600")
     assert (ran.status, ran.err.splitlines()[-1]) == (
         130,
-        "turtleact: interrupted before the goal was accepted; there is none",
+        "turtleact: interrupted before the goal was accepted; it does not run",
     )

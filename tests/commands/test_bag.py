@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import sys
@@ -15,7 +16,7 @@ import pytest
 
 from turtleact import open_node, recording
 from turtleact.clock import VirtualClock
-from turtleact.commands import bag_converting, bag_sessions
+from turtleact.commands import bag_contents, bag_converting, bag_sessions
 from turtleact.interfaces import encode, get_message
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard.std_msgs.msg import String
@@ -95,7 +96,7 @@ Serialization Format: cdr
 
 Lost: 3 messages of /said were not recorded.
 Missing: the goals and results of /patrol. No service events were published; serve the actions \
-with introspection to record them.
+with 'turtleact serve --introspection contents' to record them.
 """
 
 
@@ -122,6 +123,29 @@ def test_info_says_that_a_file_was_not_closed(turtleact, bag):
     file.write_bytes(file.read_bytes()[:-100])
     said = turtleact("bag", "info", str(bag)).out
     assert "\nThe file was not closed: the recorder was killed" in said
+
+
+@pytest.mark.parametrize("options", [[], ["-v"]])
+def test_info_says_in_one_line_that_a_file_is_cut_off(turtleact, bag, caplog, options):
+    file = bag / "run_0.mcap"
+    whole = file.read_bytes()
+    assert turtleact("bag", "info", *options, str(bag)).status == 0
+    assert not caplog.messages
+    file.write_bytes(whole[: len(whole) // 2])
+    assert turtleact("bag", "info", *options, str(bag)).status == 0
+    [said] = caplog.messages
+    assert said.startswith(f"bag '{file}': the record at byte ")
+
+
+def test_info_of_a_folder_opens_no_sqlite_file_since_that_reads_all_of_it(turtleact, bag):
+    described = bag / "metadata.yaml"
+    described.write_text(
+        described.read_text()
+        .replace("storage_identifier: mcap", "storage_identifier: sqlite3")
+        .replace("run_0.mcap", "run_0.db3")
+    )
+    (bag / "run_0.db3").write_text("cannot be opened")
+    assert turtleact("bag", "info", str(bag)).status == 0
 
 
 class Left(BaseException):
@@ -195,6 +219,51 @@ def test_a_signal_ends_a_recording_with_status_0(
         assert f"turtleact: subscribed to topic '{topic}'\n" in ran.err
     assert f"turtleact: {bag.info.count} message" in ran.err
     assert f" recorded in {tmp_path}/run\n" in ran.err
+
+
+@asynccontextmanager
+async def asking(transport):
+    """A graph on which goals are sent, but the server publishes no service events."""
+
+    async def ask(client):
+        while True:
+            await client.send_goal(Fibonacci.Goal(order=1))
+            await transport.clock.sleep(0.05)
+
+    async with (
+        counting(transport, None),
+        open_node("asker", transport=transport) as node,
+    ):
+        running = Background(ask(node.action_client(Fibonacci, "fibonacci")), "asking")
+        yield
+        await running.aclose()
+
+
+def test_a_recording_without_goals_says_so_and_counts_as_info_does(
+    on_graph, interrupts, monkeypatch, tmp_path
+):
+    async def tell(recording):
+        while recording.count < 8:
+            await anyio.sleep(0.01)
+        interrupts.end(signal.SIGINT)
+
+    monkeypatch.setattr(bag_sessions, "tell", tell)
+    path = tmp_path / "run"
+    ran = on_graph(asking, "bag", "record", "-a", "-o", str(path))
+    assert (
+        "turtleact: missing: the goals and results of /fibonacci. No service events were "
+        "published; serve the actions with 'turtleact serve --introspection contents'"
+    ) in ran.err
+    bag = Bag(path)
+    told = f"{bag.info.count} messages (0 of topics, {bag.info.count} of actions and services)"
+    assert f"turtleact: {told} recorded in {path}\n" in ran.err
+    assert bag_contents.messages_told(bag.info) == told
+
+
+def test_a_bag_of_topics_is_counted_in_one_number(on_graph, tmp_path, interrupts, monkeypatch):
+    signal_at(monkeypatch, interrupts)
+    ran = on_graph(talking, "bag", "record", "/said", "-o", str(tmp_path / "run"))
+    assert " of topics" not in ran.err
 
 
 def test_a_recording_names_what_was_lost(on_graph, interrupts, monkeypatch, tmp_path):
@@ -419,7 +488,9 @@ def test_goals_without_events_show_what_is_missing(turtleact, bag):
 def test_a_bag_is_played(on_graph, goals):
     ran = on_graph(talking, "bag", "play", goals, "-r", "max")
     assert ran.status == 0
-    assert ran.err.startswith(f"turtleact: playing {goals}: ")
+    told = r"playing (.+): 0\.0 s, (\d+) messages \(1 of topics, (\d+) of actions and services\)\n"
+    [(path, in_all, of_actions)] = re.findall(told, ran.err)
+    assert (path, int(in_all)) == (goals, 1 + int(of_actions))
     count = int(ran.err.split()[-2])
     assert count == Bag(goals).info.count
     ran = on_graph(talking, "bag", "play", goals, "--topics", "/said", "/none", "--rate", "100")
@@ -457,6 +528,14 @@ def test_what_cannot_be_played_is_said(on_graph, tmp_path):
     ran = on_graph(talking, "bag", "play", str(tmp_path / "odd"))
     assert ran.status == 1
     assert "'/odd' was not played: its type lab_msgs/msg/Odd is not known; give" in ran.err
+
+
+def test_playing_a_bag_that_was_cut_off_before_its_first_message_fails(on_graph, bag, tmp_path):
+    [file] = bag.glob("*.mcap")
+    cut_off = tmp_path / "cut.mcap"
+    cut_off.write_bytes(file.read_bytes()[:100])
+    ran = on_graph(talking, "bag", "play", str(cut_off))
+    assert (ran.status, ran.err.splitlines()[-1]) == (1, "turtleact: played 0 messages")
 
 
 @pytest.mark.parametrize(

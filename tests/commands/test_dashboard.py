@@ -99,7 +99,7 @@ async def test_a_goal_that_runs_is_told_with_its_state_age_and_progress():
             await node.clock.sleep(2.0)
             lines = shown(board, width=140)
             assert re.search(
-                rf"● /patrol +EXECUTING +2\.0 s  {goal.goal_id.hex()[:8]}  1 of 2 places",
+                rf"● /patrol +EXECUTING +2\.0 s  {goal.goal_id.hex()[:8]}  1 of 2 targets",
                 "\n".join(lines),
             )
             assert "2" in world_of(lines).replace("turtle1", "")
@@ -266,6 +266,39 @@ def test_what_is_printed_before_there_is_a_dashboard_goes_to_stderr(capsys):
     assert capsys.readouterr() == ("", "too early\n")
 
 
+async def test_a_line_of_the_log_is_shown_before_the_server_is_ready(monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    stream = io.StringIO()
+    board = Dashboard(stream)
+    with board.listening():
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(board.run)
+            await anyio.wait_all_tasks_blocked()
+            assert not stream.getvalue()
+            print("waiting until that has gone", file=sys.stderr)
+            with anyio.fail_after(5):
+                while "waiting until that has gone" not in stream.getvalue():
+                    await anyio.sleep(0.01)
+            beside.cancel_scope.cancel()
+    assert "not ready yet" in stream.getvalue()
+    assert stream.getvalue().rpartition(GIVE_BACK)[2] == "waiting until that has gone\n"
+
+
+async def test_a_reload_renews_the_line_that_says_it_is_ready():
+    lines = iter(["ready: /first", "ready: /first", "ready: /second"])
+    board = Dashboard(io.StringIO())
+    log = ServerLog(board)
+    log.reload("lab.py:10: SyntaxError")
+    log.say("web page, and rosbridge, at http://127.0.0.1:9090")
+    log.ready(lambda: next(lines))
+    log.reload("reloading: lab.py changed")
+    log.reload("reloaded: /second")
+    assert [line.rstrip() for line in shown(board)[:2]] == [
+        "web page, and rosbridge, at http://127.0.0.1:9090",
+        "ready: /second",
+    ]
+
+
 async def test_its_lines_are_left_standing():
     stream = io.StringIO()
     async with served(stream) as (board, node):
@@ -307,7 +340,7 @@ async def test_the_last_place_counts_though_no_frame_was_drawn_since():
     async with served() as (board, node):
         client = node.action_client(Patrol, "/patrol")
         await client.send_goal(Patrol.Goal(targets=[Point(x=6.0, y=5.5)]))
-        assert any("SUCCEEDED" in line and "1 of 1 places" in line for line in shown(board, 140))
+        assert any("SUCCEEDED" in line and "1 of 1 targets" in line for line in shown(board, 140))
 
 
 async def test_only_so_many_turtles_are_followed_on_their_way(monkeypatch):
@@ -321,4 +354,4 @@ async def test_only_so_many_turtles_are_followed_on_their_way(monkeypatch):
                 client.send_goal(Patrol.Goal(targets=targets, turtle="turtle2")),
             ):
                 lines = shown(board, width=140)
-                assert sum("of 1 places" in line for line in lines) == sent
+                assert sum("of 1 targets" in line for line in lines) == sent

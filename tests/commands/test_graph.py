@@ -10,6 +10,7 @@ import sys
 from collections.abc import Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import anyio
 import pytest
@@ -22,6 +23,8 @@ from turtleact.commands.settings import Policies
 from turtleact.commands.transcript import PlainTranscript
 from turtleact.errors import TurtleactError
 from turtleact.graph import names_like
+from turtleact.interfaces.standard import ExampleFibonacci, Fibonacci
+from turtleact.transports import MemoryTransport
 from turtleact.transports.rmw_zenoh import config, transport
 
 GRAPHS = Path(__file__).with_name("graphs.py")
@@ -73,7 +76,7 @@ def test_a_signal_ends_the_opening_of_a_graph(turtleact, interrupts, monkeypatch
         (
             ["send-goal", "fibonacci", "{}"],
             143,
-            "turtleact: interrupted before the goal was accepted; there is none\n",
+            "turtleact: interrupted before the goal was accepted; it does not run\n",
         ),
         (["serve", "--no-sim", "turtleact.actions.fibonacci"], 0, ""),
     ],
@@ -153,7 +156,7 @@ LOOKS: dict[str, Callable[[Node], Awaitable[int]]] = {
     "cancel": lambda node: held_goals.cancel(node, ["71a90636"]),
     "cancel --all": lambda node: held_goals.cancel_many(node, "/hold", 0),
     "watch": lambda node: held_goals.follow(
-        node, "c53d", PlainTranscript(wants_feedback=True), hears_feedback=True
+        node, "c53d", PlainTranscript(wants_feedback=True), "", hears_feedback=True
     ),
 }
 
@@ -253,3 +256,18 @@ def test_a_type_whose_name_is_too_long_for_a_file_is_unknown(turtleact, verb):
     assert ran.status == 1
     assert ran.err.startswith("turtleact: unknown interface 'aaaa")
     assert len(ran.err) < 5000
+
+
+async def nothing(_goal: object) -> None:
+    """A body that no goal reaches."""
+
+
+async def test_a_server_of_another_type_does_not_serve_a_goals_action():
+    async with open_node("lab", transport=MemoryTransport()) as node:
+        types: list[Any] = [ExampleFibonacci, Fibonacci]
+        servers = [node.action_server(each, "count", nothing) for each in types]
+        names = [each.type_name for each in types]
+        assert [graph.is_served(node, "/count", name) for name in names] == [True, True]
+        await servers[0].aclose()
+        assert [graph.is_served(node, "/count", name) for name in names] == [False, True]
+        assert not graph.is_served(node, "/other", names[1])

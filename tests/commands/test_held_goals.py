@@ -20,6 +20,7 @@ from turtleact.commands import event_echo, live, send_goal, topic_reading
 from turtleact.commands import held_goals as verbs
 from turtleact.commands.held_goals import HeldGoal, held_goals, served_actions
 from turtleact.commands.message_text import Style
+from turtleact.errors import ServerUnavailable
 from turtleact.goal import GoalStatus
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import (
@@ -33,6 +34,7 @@ from turtleact.interfaces.standard import (
     TurtlePose,
 )
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
+from turtleact.services import ServiceClient
 from turtleact.tasks import Background
 from turtleact.testing import FaultyTransport
 from turtleact.transports import MemoryTransport
@@ -492,11 +494,31 @@ def test_a_silent_server_of_a_goal_is_named_and_waited_for(on_graph, verb):
     assert ran.err.splitlines()[0] == "turtleact: server /peer does not answer; waiting for it"
 
 
-@pytest.mark.parametrize(("verb", "arguments"), [("watch", []), ("result", []), ("cancel", [])])
-def test_a_server_that_goes_away_is_told_by_the_name_of_its_action(on_graph, verb, arguments):
-    ran = on_graph(peer(2, answers=False, leaves_after=3.0), verb, STRANGER.hex(), *arguments)
+@pytest.mark.parametrize("verb", ["watch", "result"])
+def test_the_error_of_a_lost_goal_says_that_it_has_not_ended(on_graph, monkeypatch, verb):
+    call = ServiceClient.call
+
+    async def lose(client, request, timeout=None):
+        if client.name.endswith("get_result"):
+            raise ServerUnavailable(client.name, "the server fell", when="before it replied")
+        return await call(client, request, timeout)
+
+    monkeypatch.setattr(ServiceClient, "call", lose)
+    ran = on_graph(peer(2), verb, STRANGER.hex(), "--interfaces", ".")
+    again = f"'turtleact watch {STRANGER.hex()} --interfaces .' follows it again"
+    assert ran.err.splitlines()[-1] == (
+        "turtleact: action '/far': the server fell before the goal ended; "
+        f"if the server returns and continues the goal, {again}"
+    )
+
+
+@pytest.mark.parametrize("verb", ["watch", "result", "cancel"])
+def test_a_server_that_goes_away_is_told_by_the_name_of_its_action(on_graph, verb):
+    ran = on_graph(peer(2, answers=False, leaves_after=3.0), verb, STRANGER.hex())
     assert (ran.status, ran.out) == (1, "")
-    assert ran.err.splitlines()[-1] == "turtleact: action '/far': the server was closed"
+    said, _, hint = ran.err.splitlines()[-1].partition(";")
+    assert said == "turtleact: action '/far': the server was closed"
+    assert ("follows it again" in hint) == (verb != "cancel")
 
 
 # --- watch on a terminal --------------------------------------------------------------------
@@ -525,7 +547,9 @@ def test_a_goal_that_is_watched_is_displayed_and_its_result_stands(on_graph, gra
     ran = on_graph(graphs.goals, "watch", "c53d")
     assert ran == (0, "", "")
     frame, _, result = standing(terminal).partition("Result:\n")
-    assert re.match(r"● /count  SUCCEEDED \d+\.\d s +c53d3439\n  sent by somebody else\n", frame)
+    assert re.match(
+        r"● /count  SUCCEEDED \d+\.\d s +c53d3439\n  sent by another program; the ", frame
+    )
     assert "sequence  [0, 1, " in frame
     assert result.startswith("    sequence:\n    - 0\n")
     assert result.endswith("\nGoal finished with status: SUCCEEDED\n")

@@ -167,10 +167,16 @@ def test_a_sourced_file_with_another_definition_is_the_one_that_is_shown(turtlea
     assert turtleact("interface", "show", "turtlesim/msg/Color").out == "# Another.\nfloat64 hue\n"
 
 
-def test_a_class_without_a_file_is_shown(turtleact):
-    assert turtleact("interface", "show", "turtleact_interfaces/GoTo").out.startswith(
-        "float64 x\nfloat64 y\n"
-    )
+def test_a_class_without_a_file_is_shown_with_the_comments_of_its_docstrings(turtleact):
+    shown = turtleact("interface", "show", "turtleact_interfaces/GoTo").out
+    assert shown.startswith("# Go to a place.\n\n# Where to go, which turtle goes, and how")
+    assert "\n# The x coordinate of the place (m).\nfloat64 x\n" in shown
+
+
+def test_the_comments_of_docstrings_may_be_left_out(turtleact):
+    shown = turtleact("interface", "show", "turtleact_interfaces/GoTo", "--no-comments").out
+    assert "\nfloat64 x\nfloat64 y\n" in shown
+    assert "#" not in shown
 
 
 def test_the_type_may_come_from_a_pipe(turtleact, stdin_of):

@@ -254,17 +254,26 @@ def test_a_signal_of_another_kind_may_count_as_the_same(installed):
 
 
 def test_a_deadline_can_be_put_off_until_a_second_signal(installed, monkeypatch):
+    now = 0.0
     monkeypatch.setattr("turtleact.commands.interrupts.GRACE", 0.01)
+    monkeypatch.setattr("turtleact.commands.interrupts.monotonic", lambda: now)
     installed.patience = 0.0
+    rung = heard_alarms(monkeypatch)
+
+    def interrupted():
+        nonlocal now
+        signal.raise_signal(SIGINT)
+        for _ in range(5):
+            now += 0.009
+            installed.extend()
+        before = len(rung)
+        while len(rung) < before + 2:  # the alarm clock looks at the deadline
+            pass
 
     def late():
-        signal.raise_signal(SIGINT)
-        end = time.monotonic() + 0.05
-        while time.monotonic() < end:
-            installed.extend()
-        signal.raise_signal(SIGINT)
-        installed.extend()
-        spin()
+        interrupted()
+        assert len(installed.received) == 1
+        interrupted()
 
     async def steps():
         with pytest.raises(Left, match="130"):

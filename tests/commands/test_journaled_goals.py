@@ -385,6 +385,7 @@ def test_a_goal_goes_on_after_a_kill_and_a_reload_and_its_sender_sees_one_run(
         out, _ = sender.communicate(timeout=30)
         assert (sender.returncode, held["state"]) == (0, "EXECUTING")
         assert out.endswith("Goal finished with status: SUCCEEDED\n")
+        assert "turtleact: the server of /steps is back\n" in out
         assert "    sequence:\n    - 0\n    - 1\n    - 2\n    - 3\n" in out
         refused, _ = second.communicate(timeout=30)
         assert second.returncode == 1
@@ -402,7 +403,7 @@ def test_a_standby_waits_for_the_journal_and_goes_on_with_its_goals(tmp_path, at
         command = ["serve", "lab.py", "--no-sim", "--plain", "--wait", "--listen", at, *resume]
         standby = start(tmp_path, *command)
         try:
-            waiting = lines_until(standby, "waiting until that has gone")
+            waiting = lines_until(standby, "waiting until that process has gone")
             assert f"process {server.pid} (" in waiting
             server.kill()
             lines_until(standby, "EXECUTING (resumed)")

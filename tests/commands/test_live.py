@@ -84,6 +84,14 @@ async def test_progress_is_what_no_longer_remains():
         assert "75%  remaining 1.00" in shown(picture)
 
 
+async def test_what_remains_of_a_goal_that_was_sent_before_is_no_bar():
+    async with displayed(Fibonacci.Goal()) as (picture, handle, _):
+        picture.shown = picture.shown._replace(goal=None)
+        handle.last_feedback = Roll(remaining=4.0)
+        assert "  last feedback 0.0 s ago" in shown(picture)
+        assert "%" not in shown(picture)
+
+
 async def test_without_a_measure_progress_is_how_fresh_the_feedback_is():
     async with displayed(Fibonacci.Goal()) as (picture, handle, _):
         handle.last_feedback = Fibonacci.Feedback()
@@ -99,7 +107,7 @@ async def test_places_that_the_turtle_has_passed_are_counted():
     goal = Drive(targets=[Point(x=1.0, y=1.0), Point(x=9.0, y=9.0)])
     async with displayed(goal) as (picture, _, turtles):
         turtles["turtle1"].publish(TurtlePose(x=1.1, y=1.0))
-        assert "50%  1 of 2 places" in shown(picture)
+        assert "50%  1 of 2 targets" in shown(picture)
 
 
 async def test_places_that_the_turtle_has_passed_have_a_tick_on_the_map():
@@ -123,9 +131,9 @@ async def test_places_of_further_rounds_come_back():
     goal = Drive(targets=[Point(x=1.0, y=1.0)], loops=1)
     async with displayed(goal) as (picture, _, turtles):
         turtles["turtle1"].publish(TurtlePose(x=1.0, y=1.0))
-        assert "1 of 2 places" in shown(picture)
+        assert "1 of 2 targets" in shown(picture)
         turtles["turtle1"].publish(TurtlePose(x=1.0, y=1.0))
-        assert "2 of 2 places" in shown(picture)
+        assert "2 of 2 targets" in shown(picture)
 
 
 async def test_all_turtles_are_on_the_map():
@@ -150,6 +158,14 @@ async def test_all_turtles_are_on_the_map():
 async def test_a_goal_that_drives_a_turtle_has_a_map(goal, name, has_map):
     async with displayed(goal, name) as (picture, _, _):
         assert ("┌" in shown(picture)) is has_map
+
+
+async def test_a_goal_without_a_server_is_shown_as_such():
+    async with displayed(Drive()) as (picture, _, _):
+        picture.is_served = False
+        assert "EXECUTING (server gone) 0.0 s" in shown(picture)
+        picture.has_ended = True
+        assert "(server gone)" not in shown(picture)
 
 
 async def test_a_paused_goal_is_shown_as_such():

@@ -89,7 +89,9 @@ def test_a_file_that_is_not_utf8_is_an_error(read, tmp_path):
 
 @pytest.mark.parametrize("what", ["goal", "request"])
 def test_an_endless_file_is_an_error(read, what):
-    with pytest.raises(UsageError, match=f"/dev/zero: is longer than {MOST} bytes; no {what} is"):
+    with pytest.raises(
+        UsageError, match=f"/dev/zero: is longer than {MOST} bytes; no {what} is that long"
+    ):
         read(path="/dev/zero", what=what)
 
 

@@ -77,13 +77,15 @@ def test_its_program_is_found_and_serves_its_action(
             del sys.modules[module]
     assert name == (options or ["server"])[-1]
     [(_, *line)] = served
-    assert line == ["serve", f"lab.{name}", "--no-sim", "--node-name", name, "--plain"]
+    file = str(here / "lab" / "lab" / f"{name}.py")
+    assert line == ["serve", file, "--no-sim", "--node-name", name, "--plain"]
 
 
-def test_an_unbuilt_package_runs_from_beginning_to_end(turtleact, here):
+@pytest.mark.parametrize("program", [["lab", "server"], ["lab/lab/server.py"]])
+def test_an_unbuilt_package_runs_from_beginning_to_end(turtleact, here, program):
     turtleact("pkg", "create", "lab")
     options = ["--listen", free_endpoint()]
-    command = [sys.executable, "-m", "turtleact", "run", "lab", "server", *options]
+    command = [sys.executable, "-m", "turtleact", "run", *program, *options]
     with warm.start(command, cwd=here, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None
         try:

@@ -460,7 +460,7 @@ def test_an_unknown_node_is_told_with_the_nearest(on_turtlesim, line):
     ran = on_turtlesim(*line.replace("X", "/turtlesin").split())
     assert (ran.status, ran.err) == (
         1,
-        "turtleact: node '/turtlesin': there is none of that name, did you mean '/turtlesim'?\n",
+        "turtleact: there is no node '/turtlesin', did you mean '/turtlesim'?\n",
     )
 
 

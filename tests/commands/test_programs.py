@@ -169,7 +169,15 @@ async def mine(goal):
 """
 
 
-@pytest.mark.parametrize("more", ["", "NUMBER = 3\n", "if NUMBER := 3:\n    import sys\n"])
+@pytest.mark.parametrize(
+    "more",
+    [
+        "",
+        "NUMBER = 3\n",
+        "if NUMBER := 3:\n    import sys\n",
+        "from turtleact.interfaces import load_interfaces\nload_interfaces('.')\ndef main(): ...\n",
+    ],
+)
 def test_a_file_that_only_declares_actions_is_told_how_to_serve_them(run, tmp_path, capsys, more):
     assert run(f"{LAB}{more}") == 0
     file = tmp_path / "go.py"
@@ -179,9 +187,55 @@ def test_a_file_that_only_declares_actions_is_told_how_to_serve_them(run, tmp_pa
 
 
 @pytest.mark.parametrize(
+    "more", ["", "def again():\n    return main()\n", "later = lambda: main()\n"]
+)
+def test_a_file_that_does_not_call_its_main_is_told_how_to(run, tmp_path, capsys, more):
+    assert run(f"import signal\n\ndef main():\n    signal.pause()\n{more}") == 0
+    assert capsys.readouterr().err == (
+        f"turtleact: {tmp_path / 'go.py'} defines main, but runs nothing: "
+        "add 'if __name__ == \"__main__\": main()' at its end\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("first", "lines"),
+    [
+        ("", "'import asyncio' at its beginning and 'if __name__"),
+        ("import asyncio\n", "'if __name__"),
+    ],
+)
+def test_a_file_that_does_not_run_its_async_main_is_told_how_to(
+    run, tmp_path, capsys, first, lines
+):
+    assert run(f"{first}async def main(): ...\n") == 0
+    assert capsys.readouterr().err == (
+        f"turtleact: {tmp_path / 'go.py'} defines main, but runs nothing: "
+        f'add {lines} == "__main__": asyncio.run(main())\' at its end\n'
+    )
+
+
+def test_a_file_with_only_background_functions_is_told_how_to_serve_them(run, tmp_path, capsys):
+    functions = "".join(
+        f"@turtleact.background\nasync def {name}(node): ...\n" for name in ("beat", "log")
+    )
+    assert run(f"import turtleact\n{functions}") == 0
+    file = tmp_path / "go.py"
+    assert capsys.readouterr().err == (
+        f"turtleact: {file} declares background functions beat, log, but runs nothing: "
+        f"use 'turtleact serve {file}'\n"
+    )
+
+
+@pytest.mark.parametrize(
     "text",
     [
         f"{LAB}print(mine)\n",
+        "def main(): ...\nmain()\n",
+        "def main(): ...\ncode = main()\n",
+        "def main(): ...\nif __name__ == '__main__':\n    status = main()\n",
+        "import asyncio\nasync def main(): ...\ncode = asyncio.run(main())\n",
+        "import anyio\nasync def main(): ...\ncode: object = anyio.run(main)\n",
+        f"{LAB}def main(): ...\ncode = main()\n",
         f"{LAB}if __name__ == '__main__':\n    print(mine)\n",
         "from turtleact.actions.fibonacci import fibonacci\n",
         "NUMBER = 3\n",

@@ -165,6 +165,41 @@ async def test_background_tasks_end_together(desk, capsys):
     assert capsys.readouterr().out == "in time\n" * 2
 
 
+LINGERING = """
+import anyio
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+@turtleact.background
+async def linger(node):
+    client = node.action_client(Fibonacci, "mine")
+    async with client.send_goal(Fibonacci.Goal(order=1)) as handle:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.move_on_after(1, shield=True):
+                node.seen.append((await handle.outcome()).reason)
+                try:
+                    await client.send_goal(Fibonacci.Goal())
+                except turtleact.TurtleactError as error:
+                    node.seen.append(type(error).__name__)
+"""
+
+
+@pytest.mark.parametrize("reason", ["reloading", "shutdown"])
+async def test_goals_end_and_none_is_accepted_while_a_background_task_cleans_up(desk, reason):
+    desk.node.seen = []
+    desk.write(2, more=LINGERING)
+    await desk.rest()
+    await anyio.wait_all_tasks_blocked()
+    if reason == "reloading":
+        desk.write(3)
+        await desk.rest()
+    else:
+        await desk.reloader.aclose()
+    assert desk.node.seen == [reason, "ServerUnavailable"]
+
+
 async def test_a_module_may_have_background_tasks_alone(desk, caplog):
     text = "import turtleact\n\n@turtleact.background\nasync def fail(node):\n    node.missing\n"
     desk.write(text=text)
@@ -342,7 +377,7 @@ async def test_a_module_that_fails_leaves_the_old_actions_until_the_next_change(
 async def test_a_deleted_file_leaves_the_old_actions_until_it_is_back(desk, caplog):
     (desk.folder / "reloadlab.py").unlink()
     await desk.rest()
-    assert "there is no module 'reloadlab' here" in caplog.text
+    assert "there is no file 'reloadlab.py' any more" in caplog.text
     assert await desk.answer() == [1, 10]
     desk.write(2)
     await desk.rest()

@@ -85,13 +85,24 @@ def test_the_exit_status_says_how_the_goal_ended(on_stage, name, status):
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("reject", "turtleact: the goal was rejected: not today\n"),
+        ("reject", "turtleact: reason: not today\n"),
         ("crash", "turtleact: the goal was aborted: ZeroDivisionError: by hand\n"),
         ("fail", "turtleact: the goal was aborted: no reason given\n"),
     ],
 )
 def test_the_reason_of_a_failure_goes_to_stderr(on_stage, name, reason):
     assert on_stage("send-goal", name).err.endswith(reason)
+
+
+def test_a_rejection_without_a_reason_says_that_there_is_none(on_stage, stage, monkeypatch):
+    monkeypatch.setattr(stage, "REASON", "")
+    ran = on_stage("send-goal", "reject")
+    assert ran.err.endswith("turtleact: the server gave no reason\n")
+
+
+def test_a_rejection_in_json_is_a_whole_sentence_on_stderr(on_stage):
+    ran = on_stage("send-goal", "reject", "--json")
+    assert ran.err.endswith("turtleact: the goal was rejected: not today\n")
 
 
 def test_one_line_on_stderr_says_that_a_world_was_started(on_stage):
@@ -323,13 +334,53 @@ def test_a_goal_that_does_not_end_after_its_timeout_is_left(start, name):
     ]
 
 
+@pytest.mark.parametrize(("arguments", "status"), [(["-t", "0.01"], 124), ([], 130)])
+def test_without_an_answer_nobody_says_what_became_of_a_canceled_goal(
+    on_graph, monkeypatch, arguments, status
+):
+    gates, left = list[anyio.Event](), list[int]()
+
+    @asynccontextmanager
+    async def deaf(transport):
+        gates.append(anyio.Event())
+
+        async def ponder(handle):
+            await anyio.sleep_forever()
+
+        async def hold(goal):
+            await gates[0].wait()
+            return Fibonacci.Result()
+
+        async with open_node("stage", transport=transport) as node:
+            node.action_server(Fibonacci, "/deaf", hold, cancel_callback=ponder)
+            yield
+
+    def leave(status):
+        left.append(status)
+        gates[0].set()  # the program does not end here, so the goal must
+
+    monkeypatch.setattr(send_goal, "leave", leave)
+    monkeypatch.setattr(send_goal, "PATIENCE", 0.05)
+    monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", 0.05)
+    if not arguments:
+        interrupt = signal.raise_signal
+        monkeypatch.setattr(PlainTranscript, "accepted", lambda *_: interrupt(signal.SIGINT))
+    ran = on_graph(deaf, "send-goal", "deaf", "--plain", *arguments)
+    assert left == [status]
+    assert re.fullmatch(
+        "turtleact: the server has not answered, so it is not known whether the goal was canceled; "
+        "once the server answers again, 'turtleact watch [0-9a-f]{32}' shows the goal",
+        next(line for line in ran.err.splitlines() if "watch" in line),
+    )
+
+
 def test_a_server_that_does_not_take_the_goal_in_time_is_given_up(on_stage, monkeypatch):
     monkeypatch.setattr(send_goal, "PATIENCE", 0.01)
     ran = on_stage("send-goal", "consider", "-t", "0.02")
     assert (ran.status, ran.out.count("accepted")) == (124, 0)
     assert ran.err.splitlines()[1:] == [
         "turtleact: no answer from the server after 0.02 s; giving up",
-        "turtleact: given up before the goal was accepted; there is none",
+        "turtleact: given up before the goal was accepted; it does not run",
     ]
 
 
@@ -350,7 +401,7 @@ async def late(transport):
 
 
 @pytest.mark.parametrize(
-    ("grace", "rest"), [(0.01, "the server may still accept it"), (5.0, "there is none")]
+    ("grace", "rest"), [(0.01, "the server may still accept it"), (5.0, "it does not run")]
 )
 def test_a_server_that_does_not_answer_in_time_is_told_from_one_that_takes_no_goal(
     on_graph, monkeypatch, grace, rest
@@ -377,12 +428,12 @@ def test_a_server_that_does_not_answer_is_waited_for_until_a_signal(on_graph, mo
     assert ran.err == (
         "no answer from the server for 0.01 s; waiting for it\n"
         "waiting for the server's answer; Ctrl-C again exits at once\n"
-        "interrupted before the goal was accepted; there is none\n"
+        "interrupted before the goal was accepted; it does not run\n"
     )
 
 
 @pytest.mark.parametrize(
-    ("grace", "rest"), [(0.01, "the server may still accept it"), (5.0, "there is none")]
+    ("grace", "rest"), [(0.01, "the server may still accept it"), (5.0, "it does not run")]
 )
 def test_a_server_that_does_not_answer_is_told_from_one_that_takes_no_goal(
     on_graph, monkeypatch, grace, rest
@@ -497,7 +548,7 @@ def test_a_signal_before_the_acceptance_leaves_no_goal_behind(start):
     program.send(signal.SIGINT)
     ran = program.end()
     assert ran.status == 130
-    assert ran.err.endswith("interrupted before the goal was accepted; there is none\n")
+    assert ran.err.endswith("interrupted before the goal was accepted; it does not run\n")
 
 
 def test_a_signal_before_the_world_is_there_ends_the_program(start):

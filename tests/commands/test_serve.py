@@ -13,7 +13,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,8 @@ from typing import NamedTuple
 
 import anyio
 import pytest
+import websockets
+from websockets.sync.client import ClientConnection, connect
 
 import turtleact
 from turtleact import GoalStatus
@@ -327,6 +329,38 @@ def test_a_server_that_is_ended_answers_all_who_wait(served, number):
     assert "the goal was aborted: shutdown" in err
 
 
+LINGERING = """
+import anyio
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+
+@turtleact.action(Fibonacci, "endless")
+async def endless(goal):
+    yield Fibonacci.Feedback(partial_sequence=[0])
+    await anyio.sleep_forever()
+
+
+@turtleact.background
+async def linger(node):
+    client = node.action_client(Fibonacci, "endless")
+    async with client.send_goal(Fibonacci.Goal()) as handle:
+        try:
+            await anyio.sleep_forever()
+        finally:
+            with anyio.move_on_after(4, shield=True):
+                print("told:", (await handle.outcome()).reason, flush=True)
+"""
+
+
+def test_goals_end_while_a_background_task_cleans_up(tmp_path):
+    (tmp_path / "servedlingering.py").write_text(LINGERING)
+    with serving(tmp_path, "servedlingering", "--no-sim", "--reload") as server:
+        first_lines(server.process, "EXECUTING")
+        status, out, _ = server.end(signal.SIGINT)
+    assert (status, out.splitlines()[-1]) == (0, "told: shutdown")
+
+
 EXITED = """\
 turtleact: no more goals are accepted; running goals are ended
 turtleact: your code has ended the program: sys.exit(7)
@@ -423,8 +457,25 @@ def test_a_server_that_is_killed_is_told_at_once(served):
     _, err = sender.communicate(timeout=PATIENCE)
     assert sender.returncode == 1
     error, hint = err.splitlines()[-2:]
-    assert "turtleact: action '/endless': the server went away before " in error
-    assert "if its server lives, the goal goes on; 'turtleact watch " in hint
+    assert error.endswith("action '/endless': the server went away before the goal ended")
+    assert "if the server returns and continues the goal, 'turtleact watch " in hint
+
+
+def test_a_sender_that_waits_for_a_killed_server_says_so_and_does_not_promise_its_goal(served):
+    sender = served.start("send-goal", "endless", "--plain", "--reattach", "60")
+    first_lines(sender, "accepted")
+    served.process.kill()
+    assert sender.stderr is not None
+    gone = "turtleact: the server of /endless has gone: waiting for it for up to 60 s\n"
+    assert sender.stderr.readline() == gone
+    sender.send_signal(signal.SIGINT)
+    first_lines(sender, "Canceling")
+    awaited = "turtleact: waiting for the server, which has gone; Ctrl-C again exits at once\n"
+    assert sender.stderr.readline() == awaited
+    sender.send_signal(signal.SIGINT)
+    _, err = sender.communicate(timeout=PATIENCE)
+    assert sender.returncode == 130
+    assert err.startswith("turtleact: if the server returns and continues the goal, 'turtleact")
 
 
 def test_ctrl_c_ends_the_sender_with_its_status_though_the_server_is_killed(served):
@@ -449,7 +500,7 @@ def test_a_taken_port_is_one_clear_line(shared, lab):
 
 def test_a_second_server_on_the_graph_of_the_first_lists_only_its_own_actions(shared, lab):
     with serving_beside(shared, lab) as ready:
-        assert ready == f"ready at {shared.at}, domain 0: nothing\n"
+        assert ready == f"ready at {shared.at}, domain 0: no actions\n"
 
 
 @contextmanager
@@ -491,7 +542,7 @@ def test_what_is_said_of_the_world_reaches_it(turtleact, monkeypatch):
 @pytest.mark.parametrize(
     ("count", "said"),
     [
-        (0, "nothing"),
+        (0, "no actions"),
         (2, "/0, /1"),
         (12, "/0, /1, /2, /3, /4, /5, /6, /7, /8, /9, /10, /11"),
         (13, "/0, /1, /2, /3, /4, /5, /6, /7, /8, /9, /10, and 2 more"),
@@ -580,7 +631,9 @@ async def test_an_action_is_served_once_the_other_node_is_gone(caplog):
             robot.serve(quick)
             beside.start_soon(partial(serve_declared, node, [quick], wait=True))
             await anyio.wait_all_tasks_blocked()
-            assert caplog.messages == ["/quick is served by /robot: waiting until that has gone"]
+            assert caplog.messages == [
+                "/quick is served by /robot: waiting until that node has gone"
+            ]
             await robot.aclose()
         assert node.graph().actions == {"/quick": (Fibonacci.type_name,)}
         assert caplog.messages[1:] == ["/quick is free: serving it now"]
@@ -592,7 +645,7 @@ def test_a_standby_takes_over_when_the_first_server_is_killed(served, lab):
         assert standby.stderr is not None
         assert standby.stdout is not None
         notes = {standby.stderr.readline() for _ in range(2)}
-        assert "/quick is served by /servedlab: waiting until that has gone\n" in notes
+        assert "/quick is served by /servedlab: waiting until that node has gone\n" in notes
         served.process.kill()
         assert standby.stdout.readline().startswith("ready at ")
         standby.send_signal(signal.SIGTERM)
@@ -621,7 +674,7 @@ async def test_a_server_of_the_same_node_that_lives_is_not_waited_for_for_ever(
         with pytest.raises(TurtleactError, match="'/quick' is served by node /turtleact already"):
             await serve_declared(other, [quick], wait=False)
     assert caplog.messages[-2:] == [
-        "/quick is served by /turtleact: waiting until that has gone",
+        "/quick is served by /turtleact: waiting until that node has gone",
         "waiting for up to 0.1 s: /turtleact may be an earlier run that was killed",
     ]
 
@@ -674,6 +727,40 @@ def test_a_built_in_action_makes_way_for_a_server_in_another_process(tmp_path):
     assert err.count(note) == 1
 
 
+OWN_FIBONACCI = """
+import anyio
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+
+
+@turtleact.action(Fibonacci, "fibonacci")
+async def mine(goal):
+    yield Fibonacci.Result(sequence=[7])
+
+
+@turtleact.action(Fibonacci, "slow")
+async def slow(goal):
+    try:
+        yield Fibonacci.Feedback(partial_sequence=[0])
+        await anyio.sleep_forever()
+    finally:
+        with anyio.CancelScope(shield=True):
+            await anyio.sleep(0.3)
+"""
+
+
+def test_a_withdrawn_built_in_action_does_not_return_when_the_server_ends(tmp_path):
+    """Another goal's clean-up takes a while, in which the built-in action could return."""
+    (tmp_path / "servedown.py").write_text(OWN_FIBONACCI)
+    with serving(tmp_path, "servedown") as server:
+        sender = server.start("send-goal", "slow", "--feedback", "--plain")
+        first_lines(sender, "Feedback:")
+        _, _, err = server.end(signal.SIGTERM)
+        sender.communicate(timeout=PATIENCE)
+    assert "/fibonacci is served by /turtleact now: the built-in action withdraws\n" in err
+    assert "the built-in action serves it again" not in err
+
+
 def test_a_signal_ends_a_server_that_waits_for_another(served, lab):
     standby = start(lab, "serve", "servedlab", "--no-sim", "--wait", "--connect", served.at)
     assert standby.stderr is not None
@@ -690,6 +777,49 @@ def test_a_page_is_served_besides(lab):
         with urllib.request.urlopen(url, timeout=PATIENCE) as page:
             assert page.status == 200
         assert server.end(signal.SIGTERM)[0] == 0
+
+
+def follow_to_the_end(
+    client: ClientConnection, goals: dict[str, int], end: Callable[[], None]
+) -> tuple[dict[str, tuple[str, str]], dict[str, tuple[bool, int]]]:
+    """Send goals and watch them as a page does. Once they run, end their server.
+
+    Gives the last news of each action's goal, and the results that a client of rosbridge gets.
+    """
+    seen: dict[str, tuple[str, str]] = {}
+    results: dict[str, tuple[bool, int]] = {}
+    place: dict[str, object] = {}
+    is_ending = False
+    with suppress(websockets.ConnectionClosedOK):
+        while True:
+            asked = {"op": "call_service", "service": "/turtleact/web/watch", "args": place}
+            client.send(json.dumps(asked))
+            while (heard := json.loads(client.recv(PATIENCE)))["op"] != "service_response":
+                results[heard["id"]] = (heard["result"], heard["status"])
+            news = heard["values"]
+            if not place:
+                for action, order in goals.items():
+                    sent: dict[str, object] = {"op": "send_action_goal", "action": action}
+                    sent |= {"action_type": Fibonacci.type_name, "id": action}
+                    sent |= {"args": {"order": order}}
+                    client.send(json.dumps(sent))
+            place = {"session": news["session"], "since": news["revision"]}
+            seen |= {each["action"]: (each["status"], each["reason"]) for each in news["goals"]}
+            if not is_ending and list(seen.values()) == [("EXECUTING", "")] * len(goals):
+                is_ending = True
+                end()
+    return seen, results
+
+
+def test_web_clients_are_told_how_goals_end_when_the_server_ends(lab):
+    goals = {"/endless": 1, "/fibonacci": 40}  # of the user's actions, and of the built-in ones
+    with serving(lab, "servedlab", "--web", "0") as server:
+        url = server.ready.split()[-1].replace("http", "ws")
+        with connect(url) as client:
+            end = partial(server.process.send_signal, signal.SIGTERM)
+            seen, results = follow_to_the_end(client, goals, end)
+    assert seen == dict.fromkeys(goals, ("ABORTED", "shutdown"))
+    assert results == dict.fromkeys(goals, (True, GoalStatus.ABORTED))
 
 
 def test_names_and_origins_are_let_in_by_the_page(lab):

@@ -127,7 +127,7 @@ def test_lines_are_written_where_nothing_can_or_shall_move(option, environment):
         assert served.echoes
         assert served.end() == (
             0,
-            f"ready at {served.at}, domain 0: nothing\n"
+            f"ready at {served.at}, domain 0: no actions\n"
             "turtleact: no more goals are accepted; running goals are ended\n",
         )
 

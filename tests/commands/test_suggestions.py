@@ -43,6 +43,7 @@ ELSEWHERE = {
     "bag convert": "test_playing.py: it needs a damaged bag",
     "cancel 71a9 0d4f": "test_page.py: it needs goals with these ids",
     'service call /world/set_simulation_state "state: {state: 1}"': "test_send_goal.py",
+    "cancel ID": "test_page.py: likewise",
     "pause 71a9": "test_pausing.py: it needs such a goal",
     "mcp --actions /patrol,/go_to": "test_mcp.py: it serves until its client leaves",
     "mcp --all --confirm": "test_mcp.py: likewise",
@@ -55,6 +56,7 @@ OPEN = {
     " [PACKAGE]": "",
     "FILE.py [ARGUMENTS]": shlex.quote(__file__),
     "PACKAGE EXECUTABLE [ARGUMENTS]": "turtlesim turtlesim_node",
+    "my_package talker": "turtlesim turtlesim_node",
     "VERB": "goals",
     "NAME [TYPE] [GOAL]": "fibonacci",
     "[TARGET...]": "lab",
@@ -68,6 +70,7 @@ NEEDS_MORE = {"send-goal": "fibonacci", "watch": "71a9", "action send_goal": "/f
 NEEDS_MORE |= {"interface python": "std_msgs -o interfaces", "run": "turtlesim turtlesim_node"}
 NEEDS_MORE |= {"serve --journal": "goals.db"}
 NEEDS_MORE |= {"bag record": "-a", "bag info": "run", "bag play": "run", "bag goals": "run"}
+NEEDS_MORE |= {"bag play --send-actions-as-client": "run"}
 NEEDS_MORE |= {"bag convert": "-i run -o cut", "bag view": "run"}
 """What a sentence of a page leaves open, and the arguments that a command cannot do without."""
 

@@ -109,8 +109,12 @@ def test_a_target_means_actions(target, found):
         ("targetlabs.py", "there is no file 'targetlabs.py', did you mean 'targetlab.py'?"),
         ("./targetlabs", "there is no file './targetlabs', did you mean 'targetlab.py'?"),
         ("inner/zzz.py", "there is no file 'inner/zzz.py' (there are: lab-1.py)"),
-        ("inner", "module 'inner' is a folder: name a file in it (inner/lab-1.py)"),
-        ("inner/", "'inner/' is a folder: name a file in it (inner/lab-1.py)"),
+        ("inner", "module 'inner' is a folder: name a file in it (inner/lab-1.py, inner/p"),
+        ("inner/", "'inner/' is a folder: name a file in it (inner/lab-1.py, inner/p"),
+        ("ros", "module 'ros' is a folder: name a file in it (ros/ros/server.py)"),
+        ("./ros", "'./ros' is a folder: name a file in it (ros/ros/server.py)"),
+        ("ros/test", "'ros/test' is a folder: it has no file with actions"),
+        ("ros/lab.py", "there is no file 'ros/lab.py' (there are: tools.py)"),
         ("outer/lab.py", "'outer/lab.py': there is no folder '"),
         ("plain.py", "'plain.py' declares no action: put @turtleact.action(TYPE, NAME) above a "),
         ("plain", "module 'plain' declares no action: put @turtleact.action(TYPE, NAME) above a b"),
@@ -126,6 +130,10 @@ def test_what_means_no_action_is_refused(folder, target, problem):
     (folder / "passing.py").write_text("from labelsewhere import aside\n")
     for name in ("queue.py", "a.b.py"):
         (folder / name).write_text(OTHER)
+    for name in ("setup.py", "conftest.py", "tools.py", "ros/server.py", "test/test_ros.py"):
+        file = folder / "ros" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(OTHER if name == "ros/server.py" else "")
     with pytest.raises(UsageError) as caught:
         find_actions(target)
     assert problem in str(caught.value)
@@ -140,8 +148,17 @@ def test_what_means_no_action_is_refused(folder, target, problem):
             "1: {cannot}: ModuleNotFoundError: No module named 'nowhere_at_all'",
         ),
         ("def f(:\n", "1: {cannot}: SyntaxError: "),
+        (
+            "async def f(goal):\n    yield 1\n    return 2\n",
+            "3: {cannot}: SyntaxError: 'return' with value in async generator: "
+            "a body that yields feedback yields its result, too: write 'yield' for 'return'",
+        ),
         ("raise BaseException('by hand')\n", "1: {cannot}: BaseException: by hand"),
-        ("import turtleact\n@turtleact.action\ndef f(): ...\n", "2: {cannot}: TypeError: "),
+        (
+            "import turtleact\n@turtleact.action\ndef f(): ...\n",
+            "2: {cannot}: TypeError: the type and the name of the action are missing: "
+            "write @turtleact.action(TYPE, 'f')",
+        ),
     ],
 )
 def test_a_module_that_fails_is_told_with_its_line(folder, text, problem):
@@ -175,7 +192,11 @@ def test_a_lookup_that_fails_is_told_with_its_line(folder):
     [
         ("Fibonacci, 'f'", "the body of action 'f' must be an 'async def', not a plain function"),
         ("Fibonacci, '1'", "invalid name: a part begins with a digit\n  1\n  ^"),
-        ("'f', int", "invalid name: expected text such as 'patrol'\n  <class 'int'>\n  ^"),
+        (
+            "Fibonacci, 7",
+            "module 'wrong' cannot be imported: TypeError: "
+            "the name of the action is 7, which is not a string",
+        ),
     ],
 )
 def test_a_declaration_that_is_wrong_is_told_with_its_line(folder, declared, problem):

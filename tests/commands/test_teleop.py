@@ -15,7 +15,7 @@ import pytest
 from turtleact import Abort, open_node
 from turtleact.commands import teleop, terminal
 from turtleact.commands.terminal import Region
-from turtleact.interfaces.standard import RotateAbsolute, Twist
+from turtleact.interfaces.standard import Fibonacci, RotateAbsolute, Twist
 
 from .. import warm
 from .ttys import open_terminal, read
@@ -135,7 +135,7 @@ def test_a_turtle_that_is_not_there_is_an_error(on_graph, keyboard):
 def test_where_no_turtle_is_connected_to_that_is_an_error(on_graph, graphs, keyboard):
     ran = on_graph(graphs.fibonacci, "teleop", "--plain", "--connect", "tcp/127.0.0.1:1")
     assert ran.err == (
-        "turtleact: no turtle is in reach at tcp/127.0.0.1:1: nobody reads a cmd_vel\n"
+        "turtleact: no turtle is in reach at tcp/127.0.0.1:1: no node subscribes to a cmd_vel\n"
     )
 
 
@@ -151,7 +151,7 @@ def test_where_there_is_no_turtle_a_world_is_started(on_graph, graphs, keyboard)
 
 def test_that_world_has_no_turtle_of_another_name(on_graph, graphs, keyboard):
     ran = on_graph(graphs.fibonacci, "teleop", "--plain", "--turtle", "bob")
-    assert ran == (1, "", "turtleact: no turtle 'bob' is in reach, nor any other\n")
+    assert ran == (1, "", "turtleact: no turtle 'bob' is in reach, and no other turtle\n")
 
 
 def leaving(robot, seconds):
@@ -178,6 +178,86 @@ def test_the_end_of_the_turtle_is_told(on_graph, keyboard, monkeypatch):
     assert ran.err == (
         "turtleact: turtle 'turtle1' has gone: nobody reads /turtle1/cmd_vel any more\n"
     )
+
+
+def driven(robot, *, name="other", serves=False):
+    """A graph on which another node drives the robot."""
+
+    @asynccontextmanager
+    async def nodes(transport):
+        async with robot(transport), open_node(name, transport=transport) as node:
+            if serves:
+                node.action_server(Fibonacci, "/count", idle)
+            node.publisher(Twist, f"/{robot.name}/cmd_vel")
+            yield
+
+    return nodes
+
+
+async def idle(goal):
+    yield Fibonacci.Result()
+
+
+@pytest.mark.parametrize(
+    ("serves", "what"), [(True, teleop.END_ITS_GOAL), (False, "stop the other one")]
+)
+def test_another_node_that_drives_the_turtle_is_told_once(on_graph, keyboard, serves, what):
+    typed(keyboard, "up", "down", "q")
+    ran = on_graph(driven(Robot(), serves=serves), "teleop", "--plain")
+    assert ran.err == (
+        "turtleact: node '/other' publishes /turtle1/cmd_vel too, so turtle1 obeys both of you. "
+        f"To drive alone, {what}\n"
+    )
+
+
+def test_another_teleop_of_the_same_name_is_told(on_graph, keyboard):
+    typed(keyboard, "q")
+    ran = on_graph(driven(Robot(), name="teleop_turtle"), "teleop", "--plain")
+    assert ran.err.startswith("turtleact: node '/teleop_turtle' publishes /turtle1/cmd_vel too")
+
+
+def test_a_node_that_begins_to_drive_the_turtle_is_told_then(on_graph, keyboard, monkeypatch):
+    robot = Robot()
+
+    async def begin(goal):
+        robot.node.publisher(Twist, "/turtle1/cmd_vel")
+        await anyio.sleep_forever()
+        yield RotateAbsolute.Result()
+
+    def note(text):
+        print(text)
+        typed(keyboard, "q")
+
+    monkeypatch.setattr(robot, "rotate", begin)
+    monkeypatch.setattr(teleop, "note", note)
+    typed(keyboard, "g")
+    ran = on_graph(robot, "teleop", "--plain")
+    assert ran.out.startswith(f"{teleop.HELP}node '/sim' publishes /turtle1/cmd_vel too")
+
+
+def test_a_node_that_stops_driving_the_turtle_is_told_each_time(on_graph, keyboard):
+    robot = Robot()
+
+    @asynccontextmanager
+    async def driving_twice(transport):
+        async with robot(transport), anyio.create_task_group() as beside:
+
+            async def drive():
+                for _ in range(2):
+                    async with open_node("other", transport=transport) as node:
+                        node.publisher(Twist, "/turtle1/cmd_vel")
+                        await transport.clock.sleep(1.0)
+                    await transport.clock.sleep(1.0)
+                typed(keyboard, "q")
+
+            beside.start_soon(drive)
+            yield
+
+    ran = on_graph(driving_twice, "teleop", "--plain")
+    begins, ends, *again = ran.err.splitlines()
+    assert begins.startswith("turtleact: node '/other' publishes /turtle1/cmd_vel too")
+    assert ends == "turtleact: node '/other' no longer publishes /turtle1/cmd_vel"
+    assert again == [begins, ends]
 
 
 def test_a_rotation_that_nobody_serves_is_a_line(on_graph, keyboard, monkeypatch):

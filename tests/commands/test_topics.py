@@ -379,7 +379,7 @@ def test_a_type_that_the_topic_has_not_is_refused(on_graph, graphs):
     assert (ran.status, ran.err) == (
         1,
         "turtleact: topic '/turtle1/pose': it is of type turtlesim/msg/Pose, not "
-        "std_msgs/msg/String; the type may be left out\n",
+        "std_msgs/msg/String; leave out the type or correct it\n",
     )
 
 
@@ -396,7 +396,7 @@ def test_a_topic_that_comes_with_another_type_is_told_so(on_graph, graphs):
     assert (ran.status, ran.err) == (
         1,
         "turtleact: topic '/it': it is of type geometry_msgs/msg/Twist, not std_msgs/msg/String; "
-        "the type may be left out\n",
+        "leave out the type or correct it\n",
     )
 
 
@@ -608,8 +608,8 @@ def test_a_type_that_nobody_reads_is_told_and_waited_for(on_graph, graphs):
     assert ran == (
         130,
         "Waiting for at least 1 matching subscription(s)...\n",
-        "turtleact: topic '/turtle1/cmd_vel' is of type geometry_msgs/msg/Twist: "
-        "nobody there reads std_msgs/msg/String\n",
+        "turtleact: topic '/turtle1/cmd_vel' is of type geometry_msgs/msg/Twist, "
+        "so no node receives std_msgs/msg/String\n",
     )
 
 

@@ -35,7 +35,7 @@ def numbers(course):
 def test_a_place_is_behind_the_turtle_once_it_has_come_near():
     tour = course((1.0, 1.0), (5.0, 5.0))
     tour.follow(1.1, 1.0)
-    assert (tour.passed, numbers(tour), tour.told()) == (1, [2], "1 of 2 places")
+    assert (tour.passed, numbers(tour), tour.told()) == (1, [2], "1 of 2 targets")
 
 
 def test_a_place_that_was_passed_between_two_looks_is_behind_it_too():
@@ -55,7 +55,7 @@ def test_a_further_round_begins_with_all_places():
     tour = course((1.0, 1.0), (5.0, 5.0), loops=1)
     for x in (1.0, 5.0):
         tour.follow(x, x)
-    assert (numbers(tour), tour.told()) == ([1, 2], "2 of 4 places")
+    assert (numbers(tour), tour.told()) == ([1, 2], "2 of 4 targets")
 
 
 def test_a_goal_without_places_leads_nowhere():

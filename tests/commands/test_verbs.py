@@ -72,6 +72,15 @@ USAGE = [
     ),
     (["send-gaol"], "No such command 'send-gaol'. Did you mean 'send-goal'?"),
     (["--frobnicate"], "No such option: --frobnicate"),
+    (
+        ["serve", "--port", "9"],
+        "No such option: --port. Did you mean --web .HOST:.PORT or --listen tcp/HOST:PORT",
+    ),
+    (
+        ["serve", "--port=9090"],
+        "No such option: --port. Did you mean --web .HOST:.PORT or --listen",
+    ),
+    (["topic", "list", "--port", "9"], "No such option: --port"),
     (["send-goal", "--rate"], "No such option: --rate"),
     (["serve", "--listen", "tcp/127.0.0.1:99999"], "--listen takes an endpoint such as"),
     (["serve", "--turtles", "10001"], "'--turtles': Input should be less than or equal to 10000"),
@@ -234,6 +243,13 @@ def test_a_command_line_that_makes_no_sense_is_refused(turtleact, arguments, pro
     ran = turtleact(*arguments)
     assert (ran.status, ran.out) == (2, "")
     assert re.search(problem, ran.problem)
+
+
+def test_a_folder_with_the_name_of_a_file_is_not_run(turtleact, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lab.py").mkdir()
+    ran = turtleact("run", "lab.py")
+    assert (ran.status, ran.problem) == (2, "'lab.py' is a folder, not a Python file")
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from turtleact.interfaces.standard.diagnostic_msgs.msg import (
 from turtleact.node import Node
 from turtleact.transports import MemoryTransport, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint
-from turtleact.transports.rmw_zenoh import services
+from turtleact.transports.rmw_zenoh import service_servers
 from turtleact.transports.rmw_zenoh.keys import endpoint_token
 from turtleact.type_descriptions import GET_TYPE_DESCRIPTION
 
@@ -64,7 +64,7 @@ class Graph:
         return await self._stack.enter_async_context(opened)
 
     async def faults(self, *, endpoints: int = 0, is_faulty: bool = False) -> list[Fault]:
-        """What the doctor finds within `SOON` seconds, once it sees so many endpoints.
+        """Wait until the graph has that many endpoints, and return what the doctor then finds.
 
         With ``is_faulty``, the doctor looks again after each change until it finds a fault.
         """
@@ -144,7 +144,7 @@ async def test_different_definitions_are_named_with_their_fields(address):
 
 
 async def test_a_clock_that_is_wrong_is_named(address, monkeypatch):
-    monkeypatch.setattr(services, "time_ns", lambda: time.time_ns() + 5_000_000_000)
+    monkeypatch.setattr(service_servers, "time_ns", lambda: time.time_ns() + 5_000_000_000)
     async with graph_at(address) as graph:
         (await graph.node("late")).action_server(Count, "count", count)
         fault = await graph.only_fault(endpoints=5)

@@ -34,7 +34,7 @@ from turtleact.transports.rmw_zenoh.keys import (
     node_token,
     parse_token,
 )
-from turtleact.transports.rmw_zenoh.services import error_said, said
+from turtleact.transports.rmw_zenoh.service_errors import decode_error, encode_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -172,11 +172,11 @@ def a_name_is_taken_or_refused(data: bytes) -> None:
 def an_error_is_made_again(data: bytes) -> None:
     """What another process says of a failure."""
     kind, _, text = data.decode(errors="replace").partition("\n")
-    error = error_said("/name", text, kind)
+    error = decode_error("/name", text, kind)
     assert isinstance(error, TurtleactError)
     assert isinstance(str(error), str)
-    again, told = said(error)
-    assert str(error_said("/name", told, again)) == str(error)
+    told, again = encode_error(error)
+    assert str(decode_error("/name", told, again)) == str(error)
 
 
 def is_told(error: TurtleactError) -> None:

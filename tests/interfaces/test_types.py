@@ -25,6 +25,7 @@ from turtleact.interfaces.types import (
     byte,
     constants,
     definition,
+    expect_interface,
     fields,
     float64,
     int8,
@@ -413,3 +414,20 @@ def test_what_is_declared_in_an_isolated_block_is_forgotten():
         registry.prefixes = ("/opt/ros/jazzy",)
     assert not registry.names()
     assert not registry.prefixes
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "end"),
+    [
+        (Action, Count.Goal, "Action, not Count.Goal: give Count itself"),
+        (Service, Add.Request, "Service, not Add.Request: give Add itself"),
+        (Action, Add.Request, "Action, not Add.Request"),
+        (Service, Count.Goal, "Service, not Count.Goal"),
+        (Message, Count, "Message, not Count"),
+        (Action, "Count", "'Count': give the class, for example turtleact.get_action(TYPE)"),
+    ],
+)
+def test_only_a_part_of_the_expected_kind_gets_the_advice_to_give_the_whole(kind, given, end):
+    with pytest.raises(TypeError) as refused:
+        expect_interface(kind, given)
+    assert str(refused.value).endswith(end)

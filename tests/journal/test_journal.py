@@ -157,7 +157,7 @@ def test_pruning_deletes_what_has_ended_and_expired(path):
 
 async def test_a_second_writer_is_told_who_writes(path):
     async with open_journal(path):
-        with pytest.raises(JournalError, match=f"process {os.getpid()} .* writes it; one process"):
+        with pytest.raises(JournalError, match=f"process {os.getpid()} .* writes it, and only one"):
             async with open_journal(path):
                 pass
 

@@ -38,6 +38,7 @@ class Lift(Message, type_name="mcp_tests/msg/Lift"):
     LAMP_RED: ClassVar[uint8] = 1
     LAMP_GREEN: ClassVar[uint8] = 2
     LAMP_BLUE: ClassVar[uint8] = 4
+    HEIGHT_TOP: ClassVar[float64] = -1.0
 
     height: float64 = 0.0
     mode: uint8 = 0
@@ -64,7 +65,10 @@ PROPERTIES = input_schema(Lift)["properties"]
 @pytest.mark.parametrize(
     ("field", "schema"),
     [
-        ("height", {"type": "number", "description": "How high (m)."}),
+        (
+            "height",
+            {"type": "number", "description": "How high (m). Constants: HEIGHT_TOP = -1.0."},
+        ),
         (
             "mode",
             {

@@ -222,7 +222,9 @@ async def test_a_function_that_is_not_declared_cannot_be_served():
     ],
 )
 async def test_an_interface_of_another_kind_is_refused(open_one, kind, given):
-    name = given.__qualname__ if isinstance(given, type) else repr(given)
+    names: dict[object, str] = {Count.Goal: "Count.Goal: give Count itself"}
+    names["Word"] = "'Word': give the class, for example turtleact.get_message(TYPE)"
+    name = names.get(given) or given.__qualname__
     async with turtleact.open_node("lab") as node:
         with pytest.raises(TypeError) as refused:
             open_one(node, given)
@@ -317,7 +319,7 @@ async def test_one_that_waits_can_be_waited_for(caplog):
         assert await waiting.wait_until_serving()
         assert (first.is_serving, waiting.is_serving) == (False, True)
     assert caplog.messages == [
-        "/count is served by /lab: waiting until that has gone",
+        "/count is served by /lab: waiting until that node has gone",
         "/count is free: serving it now",
     ]
 

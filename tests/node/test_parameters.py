@@ -437,12 +437,12 @@ async def test_a_closed_node_declares_and_sets_nothing():
 async def test_a_first_value_of_the_node_replaces_the_declared_one():
     speed = parameter("speed", 1.0, range=(0.0, 2.0), read_only=True)
     async with open_node("lab") as node:
-        node.first_values |= {"speed": 2, "names": [], "depth": "deep"}
+        node.initial_values |= {"speed": 2, "names": [], "depth": "deep"}
         assert node.parameter(speed).value == 2.0
         assert node.parameter(speed).value == 2.0  # found, not declared again
         assert node.parameter("names", ["a"]).value == []
         with pytest.raises(InvalidParameter, match="parameter 'depth': expected a whole number"):
             node.parameter("depth", 1)
-        node.first_values["far"] = 3.0
+        node.initial_values["far"] = 3.0
         with pytest.raises(InvalidParameter, match=r"parameter 'far': it takes 0.0 to 2.0"):
             node.parameter("far", 1.0, range=(0.0, 2.0))

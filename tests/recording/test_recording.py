@@ -11,7 +11,7 @@ from turtleact.errors import UsageError
 from turtleact.interfaces import WireFormat, encode
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import TurtlePose
-from turtleact.interfaces.standard.std_msgs.msg import String
+from turtleact.interfaces.standard.std_msgs.msg import Int32, String
 from turtleact.recording import BagError, Selection
 from turtleact.recording.bag_writer import BagWriter
 from turtleact.recording.metadata import read_qos_overrides
@@ -88,6 +88,14 @@ async def test_an_action_is_recorded_with_its_status_and_feedback(node, tmp_path
     ]
     theirs = [each for topic, _, each in by_rosbags(tmp_path / "run") if topic.endswith("feedback")]
     assert [each.feedback.sequence.tolist() for each in theirs] == [[0], [1], [2]]
+
+
+async def test_a_topic_of_two_types_is_named_once(node, tmp_path):
+    node.publisher(String, "said")
+    node.publisher(Int32, "said")
+    async with recording.record(node, tmp_path / "run", topics=["said"]) as run:
+        assert run.topics == ["/said"]
+    assert len(recording.Bag(tmp_path / "run").info.topics) == 2
 
 
 async def test_stamps_are_those_of_the_graph(tmp_path):

@@ -13,7 +13,7 @@ from turtleact.goal import GoalStatus
 
 ESCAPE = re.compile(r"\x1b\[[0-9;]*m")
 WORLD = render.MapView(11.0, [render.Turtle(5.5, 5.5, 0.0, "turtle1")])
-RUNS = render.GoalRow("/patrol", "ab" * 16, GoalStatus.EXECUTING, 12.34, "1 of 2 places")
+RUNS = render.GoalRow("/patrol", "ab" * 16, GoalStatus.EXECUTING, 12.34, "1 of 2 targets")
 
 
 def shown(view, width=99, height=30):
@@ -24,7 +24,7 @@ def shown(view, width=99, height=30):
 def test_the_goals_stand_beside_the_map():
     lines = shown(render.Board(["ready"], WORLD, [RUNS]), width=140)
     assert lines[0] == "ready"
-    assert re.fullmatch(r"┌─+┐ ● /patrol +EXECUTING +12\.3 s  abababab  1 of 2 places", lines[1])
+    assert re.fullmatch(r"┌─+┐ ● /patrol +EXECUTING +12\.3 s  abababab  1 of 2 targets", lines[1])
 
 
 def test_a_narrow_table_leaves_out_the_id_and_the_progress():
@@ -79,7 +79,7 @@ def test_the_beginning_of_the_newest_line_is_shown_if_there_is_no_room_for_all_o
 
 def test_without_a_world_the_table_stands_in_its_place():
     assert shown(render.Board(["ready"], None, [RUNS], log=["log"]), width=72)[1:] == [
-        "● /patrol               EXECUTING    12.3 s  abababab  1 of 2 places",
+        "● /patrol               EXECUTING    12.3 s  abababab  1 of 2 targets",
         "log",
     ]
 

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from rich.cells import cell_len
 
 from turtleact import render
+from turtleact.actions.patrol import Patrol
 from turtleact.goal import GoalStatus
-from turtleact.interfaces import Message, float64, int32, string
+from turtleact.interfaces import Message, float64, int32, string, to_dict
 from turtleact.interfaces.standard import Fibonacci, PatrolCommandInterface, Point
 
 SIDE = 11.0
@@ -54,20 +55,29 @@ def world(**changes):
 
 
 def test_the_goal_is_told_with_its_state_and_age():
-    head, goal = text_of(render.goal_panel(view()))
+    head, goal = text_of(render.goal_panel(view(), width=80))
     assert re.fullmatch(r"● /patrol  EXECUTING 7\.3 s +01234567", head.rstrip())
     assert goal.strip() == "order 5"
 
 
 @pytest.mark.parametrize("status", list(GoalStatus))
 def test_every_state_has_its_name_shown(status):
-    assert status.name in text_of(render.goal_panel(view(status=status)))[0]
+    assert status.name in text_of(render.goal_panel(view(status=status), width=80))[0]
 
 
 def test_a_long_goal_is_cut_to_the_window():
     goal = PatrolCommandInterface.Goal(targets=[Point(x=1.0, y=2.0)] * 5)
-    line = text_of(render.goal_panel(view(goal=goal)), width=40)[1]
+    line = text_of(render.goal_panel(view(goal=goal), width=40), width=40)[1]
     assert line == "  targets [(x 1, y 2, z 0), (x 1, y 2, …"
+
+
+def test_a_long_goal_is_wrapped_where_there_is_room():
+    goal = PatrolCommandInterface.Goal(targets=[Point(x=1.0, y=2.0)] * 5)
+    lines = text_of(render.goal_panel(view(goal=goal), width=40, rows=2), width=40)[1:]
+    assert lines == [
+        "  targets [(x 1, y 2, z 0), (x 1, y 2, z",
+        "  0), (x 1, y 2, z 0), (x 1, y 2, z 0),…",
+    ]
 
 
 def test_a_known_fraction_is_a_bar():
@@ -114,10 +124,21 @@ def test_a_long_list_is_cut_in_the_middle():
     ]
 
 
-def test_a_long_text_is_cut_to_the_window():
-    assert table(PatrolCommandInterface.Feedback(feedback_msg="x" * 1000), width=30) == [
-        "  feedback_msg  " + "x" * 13 + "…"
-    ]
+def test_a_long_text_is_wrapped_between_words():
+    feedback = PatrolCommandInterface.Feedback(feedback_msg="Target 1 reached")
+    assert table(feedback, width=30) == ["  feedback_msg  Target 1", " " * 16 + "reached"]
+
+
+def test_a_very_long_text_is_cut_to_the_window():
+    feedback = PatrolCommandInterface.Feedback(feedback_msg="x" * 1000)
+    lines = ["  feedback_msg  " + "x" * 14, *[" " * 16 + "x" * 14] * 2]
+    assert table(feedback, width=30) == [*lines, " " * 16 + "x" * 13 + "…"]
+    assert table(feedback, width=30, rows=1) == ["  feedback_msg  " + "x" * 13 + "…"]
+
+
+def test_every_field_has_a_line_before_a_long_one_has_two():
+    lines = table(Feedback(text="word " * 20), width=30, rows=5)
+    assert [line.split()[0] for line in lines] == ["text", "word", "numbers", "target", "remaining"]
 
 
 def test_more_fields_than_rows_are_counted():
@@ -150,6 +171,32 @@ def test_the_map_stands_beside_the_feedback():
     lines = frame(79, 23, world(), feedback=Feedback(), fraction=0.5, progress="x")
     assert lines[2].startswith("┌" + "─" * 34 + "┐")
     assert any(re.match(r"│.*│ +text", line) for line in lines)
+
+
+def test_in_a_narrow_window_the_feedback_stands_below_the_map():
+    feedback = PatrolCommandInterface.Feedback(feedback_msg="Target 1 reached")
+    lines = frame(60, 29, world(), feedback=feedback, fraction=0.5, progress="x")
+    assert lines[2].startswith("┌" + "─" * 44 + "┐")
+    assert lines[-2:-1] == ["  feedback_msg  Target 1 reached"]
+    assert len(lines) == 28
+
+
+def test_the_last_frame_of_a_patrol_has_room_for_its_feedback_in_a_narrow_window():
+    feedback = Patrol.Feedback(index=1, target=Point(5.0, 1.0, 0.0))
+    lines = frame(60, 18, world(), feedback=feedback)
+    assert {line.split()[0] for line in lines[-8:]} >= to_dict(feedback).keys()
+
+
+def test_the_map_keeps_its_size_while_numbers_in_the_feedback_change():
+    numbers = [Feedback(target=Point(x, x, x), remaining=x) for x in (0.0, 1.5, -0.123)]
+    frames = [frame(60, 30, world(), feedback=each, fraction=0.5) for each in numbers]
+    assert len({(len(lines), sum("│" in line for line in lines)) for lines in frames}) == 1
+
+
+def test_in_a_low_narrow_window_the_feedback_stands_beside_the_map():
+    assert any(
+        re.match(r"│.*│ +text", line) for line in frame(60, 14, world(), feedback=Feedback())
+    )
 
 
 @pytest.mark.parametrize(("width", "height"), [(39, 24), (80, 9), (30, 10)])

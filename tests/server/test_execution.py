@@ -455,7 +455,7 @@ async def test_a_failure_is_logged_with_its_traceback(body, send, caplog):
     await end_of(body, send)
     (record,) = caplog.records
     assert (record.name, record.levelno) == ("turtleact.server", logging.ERROR)
-    assert record.getMessage() == "the body of goal (no id) of /count failed"
+    assert record.getMessage() == "the body of /count failed"
     assert record.exc_info is not None
     assert str(record.exc_info[1]) == "no pen"
 
@@ -1075,7 +1075,7 @@ async def test_a_listener_that_raises_does_not_reach_the_body(body, caplog):
     ):
         assert (await handle.outcome()).status is GoalStatus.SUCCEEDED
     assert [record.getMessage() for record in caplog.records] == [
-        "the feedback_callback of goal (no id) failed"
+        "the feedback_callback of a goal of /count failed"
     ] * 3
 
 

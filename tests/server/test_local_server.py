@@ -824,11 +824,11 @@ async def test_a_body_that_ignores_its_cancellation_is_given_up(caplog):
         await settle()
     given_up, *waiting = caplog.messages
     assert re.fullmatch(
-        r"the body of /count ignores its cancellation and is given up: goal \(no id\), "
-        rf"at {re.escape(__file__)}:\d+ in Stubborn\.body",
+        r"the body of /count ignores its cancellation at "
+        rf"{re.escape(__file__)}:\d+ in Stubborn\.body, so it is given up",
         given_up,
     )
-    trios = ["/count waits for its bodies: trio cannot let go of a task"]
+    trios = ["the server of /count waits until its bodies end: trio cannot abandon a task"]
     assert waiting == ([] if current_tasks().can_let_go else trios)
 
 

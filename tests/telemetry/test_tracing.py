@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextvars
+import inspect
 import os
+import re
 import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import asynccontextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import anyio
@@ -24,7 +27,7 @@ from turtleact.goal_wire import GoalNote
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.node import local_server_of
 from turtleact.observers import FeedbackLost
-from turtleact.telemetry import instrument, new_traces
+from turtleact.telemetry import instrument, new_traces, tracing
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import REQUEST_NOTE
 
@@ -594,3 +597,11 @@ async def test_each_of_many_goals_has_a_span_in_both_processes(collector, free_a
         assert span.end_time_unix_nano > span.start_time_unix_nano
     said = Counter(failed(each) for each in collector.spans if each.status.code == ERROR)
     assert said == {(ERROR, "below zero", "GoalAborted", "below zero"): 2 * GOALS // FAILS}
+
+
+def test_the_page_lists_every_event():
+    page = Path(__file__).parents[2] / "docs" / "telemetry.md"
+    [row] = [line for line in page.read_text().splitlines() if line.startswith("| events |")]
+    listed = set(re.findall("`([^`]+)`", row))
+    named = set(re.findall(r'add_event\("([^"]+)"', inspect.getsource(tracing)))
+    assert named <= listed

@@ -354,7 +354,7 @@ class TransportConformance:
             await peers.settle()
         (record,) = caplog.records
         assert (record.name, record.levelno) == ("turtleact.transport", logging.ERROR)
-        assert record.getMessage() == "a subscription of topic /chatter failed on a message"
+        assert record.getMessage() == "a subscription of topic /chatter failed to handle a message"
         assert "no room" in str(record.exc_info)
 
     async def test_a_subscriber_that_has_failed_gets_the_next_message(self, transport):
@@ -914,6 +914,23 @@ class TransportConformance:
             caller.close()
             caller.close()
             await peers.settle()
+            assert adder.lost == adder.callers
+
+    @BOTH_WAYS
+    async def test_a_caller_that_is_closed_leaves_when_its_calls_are_over(self, transport, end):
+        gate = anyio.Event()
+        async with transport() as peers:
+            getattr(peers, end).serve(service(), SERVING, adder := Adder(gate=gate))
+            caller = peers.here.join(client(), ASKING)
+            await peers.settle()
+            async with running(lambda: caller.call(numbers(4))) as called:
+                await peers.settle()
+                caller.close()
+                await peers.settle()
+                assert adder.lost == []
+                gate.set()
+            await peers.settle()
+            assert called.value.message == Sum.Response(total=4)
             assert adder.lost == adder.callers
 
     async def test_a_call_that_nobody_serves_ends_at_once(self, transport):

@@ -44,7 +44,7 @@ def test_what_names_no_line_is_told_as_it_is():
 def test_where_an_address_is_taken_somebody_else_may_be_the_router():
     assert why_not_open(config([], [AT]), words(TAKEN)) == (
         f"cannot listen at {AT}: Address already in use (os error 98); "
-        "is another router there already? connect to it"
+        "if a router listens there, connect to it; if not, end that program or use another port"
     )
 
 
@@ -74,6 +74,14 @@ def test_what_keeps_it_from_connecting_is_told():
 def test_a_missing_router_is_reported_once_with_its_remedy(text, problem):
     said = why_not_open(config([AT], []), words(text))
     assert said == f"no ROS 2 graph in reach: {problem}; 'turtleact serve' starts one"
+
+
+def test_a_program_that_is_no_router_is_not_called_a_missing_router():
+    said = f"Read error on TCP link 127.0.0.1:46900 => {AT}: early eof"
+    assert why_not_open(config([AT], []), said) == (
+        f"no ROS 2 graph in reach: the program that listens at {AT} seems to be no router "
+        f"({said}): end it, or use another port"
+    )
 
 
 def test_a_router_that_rejects_the_connection_is_no_missing_router():

@@ -45,11 +45,11 @@ from turtleact.interfaces.types import REGISTRY
 from turtleact.tasks import current_tasks
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
 from turtleact.transports.base import REQUEST_NOTE, Endpoint, Reply, Target
-from turtleact.transports.rmw_zenoh import services
+from turtleact.transports.rmw_zenoh import service_clients
 from turtleact.transports.rmw_zenoh.attachment import read_attachment, write_attachment
 from turtleact.transports.rmw_zenoh.config import session_config
 from turtleact.transports.rmw_zenoh.keys import data_key, endpoint_token, gid_of
-from turtleact.transports.rmw_zenoh.services import WireCaller
+from turtleact.transports.rmw_zenoh.service_clients import WireCaller
 from turtleact.transports.rmw_zenoh.session import Declared, Publisher, Query, Session
 from turtleact.transports.rmw_zenoh.topics import WirePublication
 
@@ -218,6 +218,17 @@ async def two(address: str) -> AsyncIterator[Pair]:
         acquainted(here, there) as meet,
     ):
         yield Pair(here, there, meet)
+
+
+@asynccontextmanager
+async def two_nodes(address: str) -> AsyncIterator[tuple[Pair, turtleact.Node, turtleact.Node]]:
+    """Two transports, a node ``lab`` there and a node ``user`` here."""
+    async with (
+        two(address) as peers,
+        turtleact.open_node("lab", transport=peers.there) as lab,
+        turtleact.open_node("user", transport=peers.here) as user,
+    ):
+        yield peers, lab, user
 
 
 class Bare:
@@ -602,7 +613,7 @@ async def test_definitions_that_differ_are_named(address):
 
 
 async def test_a_server_that_is_announced_and_cannot_be_reached_is_given_up(address, monkeypatch):
-    monkeypatch.setattr(services, "GRACE", 0.05)
+    monkeypatch.setattr(service_clients, "GRACE", 0.05)
     async with beside(address) as (transport, other):
         caller = transport.join(client(), ASKING)
         announced = msgspec.structs.replace(service(), type_hash=SERVING.type_hash)
@@ -632,15 +643,11 @@ async def test_a_goal_can_be_sent_as_soon_as_its_client_is_opened(address):
     async def done(goal: Fibonacci.Goal) -> Fibonacci.Result:
         return Fibonacci.Result(sequence=[goal.order])
 
-    async with (
-        two(address) as peers,
-        turtleact.open_node("lab", transport=peers.there) as lab,
-        turtleact.open_node("far", transport=peers.here) as far,
-    ):
+    async with two_nodes(address) as (peers, lab, user):
         lab.action_server(Fibonacci, "fibonacci", done)
         await peers.settle()
         peers.here.discovery_ends = 0.0  # the session is older than that
-        client = far.action_client(Fibonacci, "fibonacci")
+        client = user.action_client(Fibonacci, "fibonacci")
         assert (await client.send_goal(Fibonacci.Goal(order=3))).sequence == [3]
 
 
@@ -1177,7 +1184,7 @@ async def test_replies_that_come_with_the_news_that_their_server_has_gone_are_al
 
 
 async def test_a_call_of_a_closed_client_ends_when_its_server_has_gone(address, monkeypatch):
-    monkeypatch.setattr(services, "LOST", 0.0)
+    monkeypatch.setattr(service_clients, "LOST", 0.0)
     async with two(address) as peers:
         peers.here.serve(service(), SERVING, Adder(gate=anyio.Event()))
         caller = peers.there.join(client(), ASKING)
@@ -1482,7 +1489,9 @@ async def test_a_port_that_is_taken_is_said():
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         at = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        said = rf"^cannot listen at {at}: Address already in use [^\[\]]*; is another router th"
+        said = (
+            rf"^cannot listen at {at}: Address already in use [^\[\]]*; if a router listens there"
+        )
         with pytest.raises(TurtleactError, match=said):
             await open_zenoh(mode="router", listen=[at]).__aenter__()
 
@@ -1556,12 +1565,8 @@ def test_transports_has_no_other_names():
 
 
 async def test_a_service_of_a_node_is_called_from_another_process(address):
-    async with (
-        two(address) as peers,
-        turtleact.open_node("desk", transport=peers.there) as desk,
-        turtleact.open_node("user", transport=peers.here) as user,
-    ):
-        desk.service(Sum, "add", lambda request: Sum.Response(total=sum(request.numbers)))
+    async with two_nodes(address) as (_, lab, user):
+        lab.service(Sum, "add", lambda request: Sum.Response(total=sum(request.numbers)))
         adder = user.service_client(Sum, "add")
         assert await adder.wait_for_service()
         assert await adder.call(numbers(2, 3), timeout=20) == Sum.Response(total=5)
@@ -1571,11 +1576,7 @@ async def test_a_service_of_a_node_is_called_from_another_process(address):
 async def test_feedback_reaches_readers_here_and_in_another_process_alike(address):
     types = implied(Count)
     goal_id = UUID(bytes(range(16)))
-    async with (
-        two(address) as peers,
-        turtleact.open_node("lab", transport=peers.there) as lab,
-        turtleact.open_node("user", transport=peers.here) as user,
-    ):
+    async with two_nodes(address) as (peers, lab, user):
         lab.action_server(Count, "count", count)
         heard = [
             node.subscription(types.feedback_message, "count/_action/feedback")
@@ -1596,11 +1597,7 @@ async def test_feedback_reaches_readers_here_and_in_another_process_alike(addres
 @asynccontextmanager
 async def counted(address: str, body: Any):
     """A node that serves a body, and the handle of a goal that another process has sent to it."""
-    async with (
-        two(address) as peers,
-        turtleact.open_node("lab", transport=peers.there) as lab,
-        turtleact.open_node("user", transport=peers.here) as user,
-    ):
+    async with two_nodes(address) as (_, lab, user):
         lab.action_server(Count, "count", body)
         client = user.action_client(Count, "count")
         assert await client.wait_for_server()
@@ -1750,11 +1747,7 @@ async def test_actions_whose_definitions_differ_are_named(address):
 
             Result, Feedback = Count.Result, Count.Feedback
 
-    async with (
-        two(address) as peers,
-        turtleact.open_node("lab", transport=peers.there) as lab,
-        turtleact.open_node("user", transport=peers.here) as user,
-    ):
+    async with two_nodes(address) as (peers, lab, user):
         lab.action_server(Count, "count", count)
         await peers.settle()
         with pytest.raises(ServerUnavailable) as caught:
@@ -1769,11 +1762,7 @@ async def test_actions_whose_definitions_differ_are_named(address):
 
 async def test_an_action_of_a_node_is_used_from_another_process(address):
     types = implied(Count)
-    async with (
-        two(address) as peers,
-        turtleact.open_node("lab", transport=peers.there) as lab,
-        turtleact.open_node("user", transport=peers.here) as user,
-    ):
+    async with two_nodes(address) as (peers, lab, user):
         lab.action_server(Count, "count", count)
         heard = user.subscription(types.feedback_message, "count/_action/feedback")
         latched = QoS(depth=1, durability="transient_local")
@@ -1797,11 +1786,7 @@ async def test_an_action_of_a_node_is_used_from_another_process(address):
 
 
 async def test_two_actions_of_one_name_share_a_cancel_service_that_cancels_goals_of_both(address):
-    async with (
-        two(address) as peers,
-        turtleact.open_node("lab", transport=peers.there) as lab,
-        turtleact.open_node("user", transport=peers.here) as user,
-    ):
+    async with two_nodes(address) as (peers, lab, user):
         clients = []
         for action in (Count, Fibonacci):
             lab.action_server(action, "count", forever)

@@ -26,6 +26,7 @@ from turtleact.interfaces.standard import Point, TurtlePose, Twist
 from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.schemas import schema_of
 from turtleact.recording.storage import Channel
+from turtleact.sim.pictures import hue_of
 from turtleact.web.bag_view import open_bag_view
 
 from .browser import CHROMIUM, open_tab, running_browser
@@ -82,6 +83,7 @@ async def values(url: str) -> Any:
 async def test_the_page_gets_what_it_shows(url):
     about = await values(f"{url}bag")
     assert about["poses"] == {"/turtle1/pose": "turtlesim/msg/Pose"}
+    assert about["hues"] == {"/turtle1/pose": hue_of("turtle1")}
     assert about["is_closed"]
     poses = (await values(f"{url}poses?start=0.5&end=1.5"))["/turtle1/pose"]
     assert 0.5 <= poses[0][0] < poses[-1][0] <= 1.5

@@ -14,7 +14,9 @@ from turtleact.errors import (
     GoalAborted,
     GoalRejected,
     InvalidGoal,
+    InvalidGoalId,
     InvalidMessage,
+    InvalidName,
     ServerUnavailable,
     TurtleactError,
     UnknownGoal,
@@ -27,6 +29,7 @@ from .line import Line, websocket_scope
 FIELD = {"loc": ["body", "targets", 1, "x"], "msg": "expected a number", "type": "value_error"}
 CASES = [
     (InvalidGoal("goal.targets[1].x", "expected a number"), 422, [FIELD]),
+    (InvalidGoalId("0" * 32, "not all zeros", 0), 422, f"not all zeros: {'0' * 32}"),
     (GoalRejected("the queue is full"), 409, "the goal was rejected: the queue is full"),
     (UnknownGoal("no goal 12"), 404, "the goal is not known to the server: no goal 12"),
     (ServerUnavailable("/count"), 503, "action '/count': no server answers"),
@@ -58,7 +61,14 @@ async def test_an_error_of_a_goal_is_a_response(kind, error, code, detail):
     assert (answer.status_code, answer.json()) == (code, {"detail": detail})
 
 
-@pytest.mark.parametrize("error", [GoalAborted("lost"), InvalidMessage("msg.x", "wrong")])
+@pytest.mark.parametrize(
+    "error",
+    [
+        GoalAborted("lost"),
+        InvalidMessage("msg.x", "wrong"),
+        InvalidName("bad name", "no blanks", 3),  # the app's own mistake, not the client's
+    ],
+)
 async def test_any_other_error_stays_an_error(error):
     with pytest.raises(type(error)):
         await get(raising(error))

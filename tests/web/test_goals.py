@@ -10,6 +10,7 @@ import pytest
 
 from turtleact import Abort, GoalAborted, GoalResponse, Reject, testing
 from turtleact.web import shared
+from turtleact.web.bridge import FAREWELL
 
 from ..lab import Count, Gate, Running, count, feedback, goal, result, running, settle
 from .line import Line, bridged, line
@@ -306,6 +307,20 @@ async def test_a_client_whose_bridge_is_closed_is_told_that_it_will_not_hear_of_
         assert of(await client.hear()) == ("action_result", problem, 0, False)
         gate.opened.set()
         assert client.closed["code"] == 1001
+
+
+async def test_a_client_gets_the_result_of_a_goal_that_ends_as_its_bridge_closes():
+    gate = Gate()
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", gate.wait)
+        send(client)
+        await gate.started.wait()
+        gate.opened.set()
+        await gate.ended.wait()  # the bridge has not read the result yet
+        began = anyio.current_time()
+        await bridge.aclose()
+        assert anyio.current_time() - began < FAREWELL
+        assert of(await client.hear()) == ("action_result", {"counted": [3]}, 4, True)
 
 
 async def test_a_goal_goes_on_when_its_bridge_is_closed():

@@ -16,7 +16,8 @@ from turtleact import GoalResponse, Reject
 from turtleact.actions.patrol import Patrol
 from turtleact.app import open_world
 from turtleact.interfaces import load_action, load_message
-from turtleact.interfaces.standard import Point, Twist
+from turtleact.interfaces.standard import Fibonacci, Point, Twist
+from turtleact.sim.pictures import shades_of
 from turtleact.web import open_web
 from turtleact.web.bridge import FILES
 
@@ -80,8 +81,10 @@ async def test_the_page_drives_patrols_pauses_and_cancels(devtools):
         assert await page.text("#draft-text") == "2 places for turtle1 · /patrol"
         await page.click("#draft-send")
         await page.until("document.querySelector('#active progress, #active .track:not([hidden])')")
+        await page.until("/index/.test($('active').innerText)")
         shown = await page.text("#active article")
         assert "/patrol" in shown
+        assert re.search(r"target [12] \(index [01]\)", shown)
         assert "0 of 2" in shown or "1 of 2" in shown
         assert re.search(r"distance remaining\s+[\d.]+ m", shown)
         assert await page.run("$('draft-send').hidden")
@@ -121,6 +124,27 @@ IS_DRAWN = """(() => {
       if (isNear(data[i], 179) && isNear(data[i + 1], 184) && data[i + 3] > 250) return true;
     return false;
 })()"""  # whether the map shows the colour of the first pen
+
+HAS_COLOUR = """(wanted => {
+    const {width, height} = $('world');
+    const {data} = $('world').getContext('2d').getImageData(0, 0, width, height);
+    for (let i = 0; i < data.length; i += 4)
+      if (wanted.every((value, at) => Math.abs(data[i + at] - value) < 4)) return true;
+    return false;
+})([%d, %d, %d])"""  # whether the map shows a colour
+
+BROKEN = """(() => {
+    const found = [], range = document.createRange();
+    const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+    for (let text; (text = texts.nextNode());)
+      for (const {index, 0: word} of text.data.matchAll(/[^\\s/]+/g)) {
+        range.setStart(text, index);
+        range.setEnd(text, index + word.length);
+        const lines = [...range.getClientRects()].filter(({width}) => width);
+        if (new Set(lines.map(({top}) => Math.round(top))).size > 1) found.push(word);
+      }
+    return found;
+})()"""  # the words and numbers that stand in more than one line
 
 
 @in_a_browser
@@ -167,6 +191,80 @@ async def test_the_page_connects_again_by_itself_and_says_so(devtools):
             assert (await handle.outcome()).status.name == "CANCELED"
 
 
+STILL_ENABLED = """[...document.querySelectorAll('button:enabled, select:enabled')]
+    .filter(each => each.closest('#draft, .tabs, #fields') === null)
+    .map(each => each.ariaLabel || each.id || each.textContent)"""  # except what changes only views
+LATER = """
+    const {setTimeout, performance} = window, now = performance.now.bind(performance);
+    window.setTimeout = (call, wait) => setTimeout(call, wait / 50);
+    window.skip = 0;
+    performance.now = () => now() + skip;"""  # short waits, and a clock that can be set
+
+
+@in_a_browser
+@on_asyncio
+async def test_a_goal_does_not_seem_to_run_without_a_connection(devtools):
+    targets = Patrol.Goal(targets=[Point(x=9.0, y=9.0), Point(x=2.0, y=2.0)])
+    pill = "document.querySelector('#active .pill')?.textContent"
+    async with AsyncExitStack() as stack:
+        async with open_world() as node, open_web(node, port=0) as web:
+            page = await stack.enter_async_context(connected(devtools, web.url))
+            await page.run(LATER)
+            await page.until("$('turtle').options.length && !$('spawn-here').disabled")
+            async with node.action_client(Patrol, "/patrol").send_goal(targets) as handle:
+                handle.detach()
+                await page.until(f"{pill} === 'executing'")
+                await page.click("#tab-turtles")
+                await page.click("#tab-topics")
+                await page.until("document.querySelector('#rows .run')")
+        await page.until(f"{pill} === 'connection lost'")
+        before = await page.text("#active .clock")
+        await page.run("void (skip = 60_000); $('line').textContent = ''")
+        await page.until("/^not connected, trying again in/.test($('line').textContent)")
+        assert await page.text("#active .clock") == before
+        assert await page.text("#rows .scale span + span") == "connection lost"
+        assert await page.run(STILL_ENABLED) == ["turtle", "copy", "defaults", "Choose turtle1"]
+
+        # the world begins anew, and knows nothing of the goal
+        async with open_world() as node, open_web(node, port=web.port):
+            ended = "document.querySelector('#ended summary')"
+            await page.until(f"{ended}?.innerText.startsWith('end unknown')")
+            assert "The connection was lost before it ended" in await page.text("#ended")
+            assert await page.run("$('active').children.length") == 0
+            assert await page.text("#rows .scale span + span") == "now"
+            bar = "document.querySelector('#rows .lane i').getBoundingClientRect().right"
+            lane = "document.querySelector('#rows .lane').getBoundingClientRect().right"
+            assert await page.run(f"{bar} <= {lane}")
+
+
+@in_a_browser
+@on_asyncio
+async def test_turtles_keep_their_colours_when_others_come(devtools):
+    async with (
+        open_world() as node,
+        open_web(node, port=0) as web,
+        connected(devtools, web.url) as page,
+    ):
+        await page.click("#tab-turtles")
+        await page.until("$('turtle').options.length === 1")
+        spawn = "const [x, y, name] = document.querySelectorAll('[aria-label^=Spawn] input');"
+        click = "document.querySelector('[aria-label^=Spawn] button').click()"
+
+        # a place outside of the world, and a name that is taken, are told before anything happens
+        await page.run(f"{spawn} x.value = '99'; name.value = 'anna'; {click}")
+        assert await page.text("#said") == "x and y are numbers from 0 to 11.08"
+        await page.run(f"{spawn} x.value = '3'; name.value = 'turtle1'; {click}")
+        assert await page.text("#said") == "There is a turtle named turtle1 already"
+        await page.run(f"{spawn} name.value = 'no name'; {click}")
+        await page.until("$('said').textContent.startsWith('No turtle was spawned. The terminal')")
+
+        await page.run(f"{spawn} name.value = 'anna'; {click}")
+        await page.until("$('turtle').options.length === 2")
+        for name in "turtle1", "anna":
+            red, green, blue = shades_of(name).shell
+            await page.until(HAS_COLOUR % (red, green, blue))
+
+
 @in_a_browser
 @on_asyncio
 async def test_a_patrol_is_sent_with_the_keyboard_alone(devtools):
@@ -194,9 +292,8 @@ async def test_a_patrol_is_sent_with_the_keyboard_alone(devtools):
         await page.hit("Tab")
         assert await page.run("document.activeElement.innerText") == "Add to targets"
         await page.hit("Enter")
-        await page.run("document.activeElement.select()")
-        for key in "9":
-            await page.do("Input.insertText", text=key)
+        await page.do("Input.insertText", text="9")
+        assert await page.run("document.activeElement.value") == "9"
         await page.hit("Enter")  # a form is sent with Enter
         await page.until("document.querySelector('#active .pill')?.textContent === 'executing'")
         assert await page.run("document.activeElement.id") == "tab-goals"
@@ -210,6 +307,11 @@ lab_page/Inner[2] two
 int64 large
 bool sure true
 string label
+uint8 MODE_SLOW=0
+uint8 MODE_FAST=3
+uint8 mode
+float64 TIMEOUT_NEVER=-1.0
+float64 timeout 10.0
 ---
 string said
 ---
@@ -234,6 +336,8 @@ async def test_any_action_is_sent_from_a_form_made_from_its_type(devtools):
             raise Reject("many[0].x is too far away")
         if goal.label == "crowd":
             raise Reject("many: these are too near each other")
+        if goal.label == "nobody":
+            raise Reject("nobody is there")
         return GoalResponse.ACCEPT
 
     async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
@@ -266,6 +370,9 @@ async def test_any_action_is_sent_from_a_form_made_from_its_type(devtools):
 
             # what the server says about a field is shown there, too
             await page.run(f"{fill} put('x', '11'); put('tag', 'é'); put('large', '{2**63 - 1}')")
+            await page.run(f"{fill} put('timeout', '2.5')")
+            suggested = "[...input('timeout').list.options].map(each => each.label)"
+            assert await page.run(f"{fill} {suggested}") == ["never (-1.0)"]
             await page.run(f"{fill} put('label', {markup!r})")
             await page.click("#do-send")
             await page.until(f"{wrong}.length === 1")
@@ -277,20 +384,37 @@ async def test_any_action_is_sent_from_a_form_made_from_its_type(devtools):
             assert await page.run(f"{wrong}.length") == 0
             await page.run(f"{fill} put('x', '2.5')")
             await page.click("#do-send")
-            await page.until(f"{wrong}.length === 1 && $('form-error').textContent")
-            assert await page.text("#form-error") == "many: these are too near each other"
-            await page.run(f"{fill} put('label', {markup!r})")
-            assert await page.run(f"{wrong}.length") == 0
+            await page.until(f"{wrong}.length === 1")
+            assert await page.run(f"{wrong}[0].textContent") == (
+                "many: these are too near each other"
+            )
             assert await page.run("$('form-error').textContent + $('said').textContent") == ""
 
+            # what it says about none is shown above the button, and nowhere else
+            await page.run(f"{fill} put('label', 'nobody')")
+            assert await page.run(f"{wrong}.length") == 0
+            await page.click("#do-send")
+            await page.until("$('form-error').textContent")
+            assert await page.text("#form-error") == "nobody is there"
+            assert await page.run(f"{wrong}.length + $('said').textContent") == "0"
+            await page.run(f"{fill} put('label', {markup!r})")
+            assert await page.run("$('form-error').textContent") == ""
+
             await page.click("#copy")
-            await page.until("!$('command').hidden")
+            await page.until("!$('command').hidden && $('said').textContent")
             assert (await page.text("#command")).startswith(
                 'turtleact send-goal /deep lab_page/action/Deep \'{"many":[{"x":2.5,"tag":"é"}'
+            )
+            await page.click("#tab-topics")  # what was said is about the tab before
+            assert await page.run("$('said').textContent") == ""
+            await page.click("#tab-send")
+            await page.run(
+                "[...document.querySelectorAll('#fields select option')].at(-1).selected = true"
             )
             await page.click("#do-send")
             await page.until("document.querySelector('#ended .pill.good')")
             (sent,) = heard
+            assert (sent.mode, sent.timeout) == (deep.Goal.MODE_FAST, 2.5)
             assert (sent.large, sent.sure, sent.label) == (2**63 - 1, True, markup)
             assert [(each.x, each.tag) for each in sent.many] == [(2.5, "é"), (1.5, "")]
             assert [each.x for each in sent.two] == [1.5, 1.5]
@@ -302,6 +426,27 @@ async def test_any_action_is_sent_from_a_form_made_from_its_type(devtools):
             assert await page.run("document.querySelector('img') === null")
             assert await page.run("document.title") == "turtleact"
             assert page.complaints == []
+
+
+@in_a_browser
+@on_asyncio
+async def test_comments_say_how_the_page_writes_values(devtools):
+    async with (
+        turtleact.open_node("lab") as node,
+        open_web(node, port=0) as web,
+        connected(devtools, web.url) as page,
+    ):
+        script = """import("/values.js").then(({notationsOf}) => {
+            const field = (name, comment) => ({name, comment, type: "float64"});
+            const {left, at, label} = notationsOf([
+              field("left", "How far it is (m)."),
+              field("at", "The index of the target."),
+              field("label", "What it is called (of it)"),
+            ], ["targets"]);
+            return [left(1.5), left("far"), at(0), at([]), label === undefined];
+        })"""
+        told = await page.run(script)
+        assert told == ["1.50 m", "far", "target 1 (index 0)", "(none)", True]
 
 
 @in_a_browser
@@ -319,9 +464,18 @@ async def test_the_page_fits_a_phone_and_a_screen_reader(devtools):
         await page.until("innerWidth === 390 && $('turtle').options.length === 2")
         assert await page.run("document.documentElement.scrollWidth") == 390
         assert await page.run("document.querySelector('.bar').getBoundingClientRect().bottom") < 844
+        await node.action_client(Fibonacci, "/fibonacci").send_goal(Fibonacci.Goal(order=1))
+        far = Patrol.Goal(targets=[Point(x=9.0, y=9.0), Point(x=2.0, y=2.0)])
+        running = await node.action_client(Patrol, "/patrol").send_goal(far).__aenter__()
+        running.detach()
+        await page.until(
+            "document.querySelector('#active dl') && document.querySelector('#ended summary')"
+        )
+        await page.click("#ended summary")
         for tab in "send", "turtles", "topics", "goals":
             await page.click(f"#tab-{tab}")
             assert await page.run("document.documentElement.scrollWidth") == 390
+            assert await page.run(BROKEN) == []
             nodes = (await page.do("Accessibility.getFullAXTree"))["nodes"]
             roles = ("button", "textbox", "checkbox", "combobox", "tab", "progressbar", "image")
             unnamed = [
@@ -334,6 +488,7 @@ async def test_the_page_fits_a_phone_and_a_screen_reader(devtools):
             assert unnamed == []
 
         # topics are shown, and turtles come and go
+        assert "geometry_msgs/msg/Twist" in await page.run("$('topics').textContent")
         await page.click("[aria-label='Show /turtle2/pose']")
         await page.until("document.querySelector('.topic dl')?.innerText.includes('theta')")
         await page.click("[aria-label='Kill turtle2']")

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
 import pytest
 
 import turtleact
-from turtleact import Abort, GoalResponse
+from turtleact import Abort, GoalResponse, GoalStatus
 from turtleact.app import open_world
+from turtleact.errors import ServerUnavailable, UnknownGoal
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import (
     UUID,
     Empty,
+    Fibonacci,
     GoalInfo,
     GoalStatusArray,
     GoalStatusMessage,
@@ -21,16 +25,19 @@ from turtleact.interfaces.standard import (
     Time,
     TurtlePose,
 )
+from turtleact.sim.pictures import hue_of
 from turtleact.transports import MemoryTransport, QoS, open_zenoh
-from turtleact.transports.base import Endpoint
+from turtleact.transports.base import STATUS_QOS, Endpoint
 from turtleact.web import open_bridge
+from turtleact.web.bridge import FAREWELL
 from turtleact.web.goal_history import MOST_ACTIVE, MOST_ENDED
-from turtleact.web.watching import MOST_FOLLOWED
+from turtleact.web.watching import MOST_FOLLOWED, Watch
 
 from ..lab import Count, Gate, count, goal, settle
 from .line import Line, bridged, line
 
 TYPE = "lab_interfaces/action/Count"
+GOAL_ID = bytes(range(16))
 Values = dict[str, Any]
 
 
@@ -271,6 +278,145 @@ async def test_goals_of_an_unknown_type_are_shown_until_their_server_is_gone():
         odd.close()
 
 
+@asynccontextmanager
+async def bridged_beside(
+    other_type: str, execute: Any
+) -> AsyncIterator[tuple[turtleact.Node, Line]]:
+    """A bridged node that serves /count, also with a type that has no real server."""
+    name = "/count/_action/send_goal"
+    strange = Endpoint("service", name, f"{other_type}_SendGoal", "/lab")
+    async with bridged() as (node, bridge), line(bridge) as client:
+        await node.action_server(Count, "count", execute).wait_until_serving()
+        other = node.transport.serve(strange, WireFormat(Empty.Request), None)
+        await watch(client)
+        yield node, client
+        other.close()
+
+
+@pytest.mark.parametrize("odd_type", ["aaa/action/Odd", "zzz/action/Odd"])
+async def test_a_goal_is_followed_if_another_type_of_its_action_is_unknown(odd_type):
+    gate = Gate()
+    async with bridged_beside(odd_type, gate.stream) as (node, client):
+        async with node.action_client(Count, "count").send_goal(goal(5)) as handle:
+            (running,) = await goals(client)
+            assert (running["type"], running["status"]) == (TYPE, "EXECUTING")
+            assert (running["request"], running["feedback"]) == ({"upto": 5}, {"so_far": [0]})
+            gate.opened.set()
+            await handle.outcome()
+        (ended,) = await goals(client)
+        assert (ended["status"], ended["result"]) == ("SUCCEEDED", {"counted": [5]})
+
+
+@pytest.mark.parametrize("status", ["EXECUTING", "SUCCEEDED"])
+@pytest.mark.parametrize("odd_type", ["aaa/action/Odd", "zzz/action/Odd"])
+async def test_a_goal_that_may_have_an_unknown_type_keeps_its_status(odd_type, status):
+    async with bridged_beside(odd_type, count) as (node, client):
+        await publish_status(node, GoalStatus[status])
+        (shown,) = await goals(client)
+        assert shown["type"] == min(TYPE, odd_type)
+        assert (shown["status"], shown["reason"]) == (status, "")
+
+
+class Broken:
+    """A client that cannot attach to any goal."""
+
+    def __init__(self, error: turtleact.TurtleactError) -> None:
+        self._error = error
+
+    async def wait_for_server(self, timeout: float) -> bool:
+        return False
+
+    async def attach(self, goal_id: bytes) -> Any:
+        raise self._error
+
+
+class Mistaken:
+    """A client that attaches to goals of another type, and the handle of such a goal."""
+
+    request, is_resumed, status = None, False, GoalStatus.EXECUTING
+
+    async def wait_for_server(self, timeout: float) -> bool:
+        return True
+
+    async def attach(self, goal_id: bytes) -> Mistaken:
+        return self
+
+    async def events(self) -> AsyncIterator[Any]:
+        raise UnknownGoal("the server does not know the goal")
+        yield
+
+
+@asynccontextmanager
+async def broken_for_fibonacci(node: turtleact.Node, broken: Any) -> AsyncIterator[Watch]:
+    """A watch that uses this client for Fibonacci."""
+
+    @asynccontextmanager
+    async def open_client(name: str, action_type: Any) -> AsyncIterator[Any]:
+        yield broken if action_type is Fibonacci else node.action_client(action_type, name)
+
+    watched = Watch(node, open_client)
+    await watched.call("/turtleact/web/watch", {})
+    try:
+        yield watched
+    finally:
+        await watched.aclose()
+
+
+@pytest.mark.parametrize("broken", [Broken(ServerUnavailable("/count")), Mistaken()])
+async def test_a_goal_is_followed_if_only_another_type_of_its_action_can_be_reached(broken):
+    gate = Gate()
+    async with (
+        bridged_beside(Fibonacci.type_name, gate.stream) as (node, _),
+        broken_for_fibonacci(node, broken) as watched,
+    ):
+        async with node.action_client(Count, "count").send_goal(goal(5)) as handle:
+            await settle()
+            record = watched.history.find(handle.goal_id.hex())
+            assert record is not None
+            assert (record.type, record.status) == (TYPE, "EXECUTING")
+            assert (record.request, record.reason) == ({"upto": 5}, "")
+            gate.opened.set()
+            await handle.outcome()
+        await settle()
+        assert record.status == "SUCCEEDED"
+
+
+@pytest.mark.parametrize(
+    ("status", "shown", "reason"),
+    [("SUCCEEDED", "SUCCEEDED", ""), ("EXECUTING", "UNKNOWN", "the types differ")],
+)
+async def test_an_error_of_a_client_does_not_change_a_goal_that_has_ended(status, shown, reason):
+    broken = Broken(turtleact.TurtleactError("the types differ"))
+    async with (
+        bridged_beside(Fibonacci.type_name, count) as (node, _),
+        broken_for_fibonacci(node, broken) as watched,
+    ):
+        await publish_status(node, GoalStatus[status])
+        record = watched.history.find(GOAL_ID.hex())
+        assert record is not None
+        assert (record.status, record.reason) == (shown, reason)
+
+
+async def publish_status(node: turtleact.Node, status: GoalStatus) -> None:
+    """Publish the status of a goal that no server of /count knows."""
+    statuses = node.publisher(GoalStatusArray, "/count/_action/status", STATUS_QOS)
+    info = GoalInfo(UUID(GOAL_ID), Time(1, 0))
+    statuses.publish(GoalStatusArray([GoalStatusMessage(info, status)]))
+    await settle()
+
+
+async def test_a_goal_of_a_server_whose_clock_is_ahead_begins_now():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", count)
+        await watch(client)
+        statuses = node.publisher(GoalStatusArray, "/count/_action/status", STATUS_QOS)
+        info = GoalInfo(UUID(bytes(range(16))), Time(2**31 - 1, 0))
+        statuses.publish(GoalStatusArray([GoalStatusMessage(info, 2)]))
+        await settle()
+        news = await watch(client)
+        assert news["goals"][0]["accepted"] <= news["now"]
+
+
 async def test_more_goals_than_can_be_followed_are_still_shown():
     gate = Gate()
     async with bridged() as (node, bridge), line(bridge) as client:
@@ -305,6 +451,26 @@ async def test_a_page_gets_what_is_new_and_waits_for_it():
         assert (news["is_whole"], "graph" in news) == (False, False)
         assert [each["status"] for each in news["goals"]] == ["SUCCEEDED"]
         assert news["revision"] > first["revision"]
+
+
+async def test_a_page_hears_of_a_goal_that_ends_as_the_bridge_closes():
+    gate = Gate()
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", gate.wait)
+        await watch(client)
+        async with node.action_client(Count, "count").send_goal(goal(5)):
+            await goals(client)
+            last = await watch(client)
+            known = {"session": last["session"], "since": last["revision"]}
+            client.say("call_service", service="/turtleact/web/watch", args=known)
+            await settle()
+            gate.opened.set()
+            await gate.ended.wait()  # the bridge has not read the result yet
+            began = anyio.current_time()
+            await bridge.aclose()
+            assert anyio.current_time() - began < FAREWELL
+            (ended,) = (await client.hear())["values"]["goals"]
+            assert (ended["status"], ended["result"]) == ("SUCCEEDED", {"counted": [5]})
 
 
 async def test_a_page_that_has_missed_too_much_gets_everything_and_so_does_a_new_one():
@@ -367,6 +533,7 @@ async def test_trails_are_kept_for_the_next_page():
         async with line(bridge) as another:
             news = await watch(another)
             assert news["graph"]["poses"] == {"/turtle1/pose": "turtlesim/msg/Pose"}
+            assert news["graph"]["hues"] == {"/turtle1/pose": hue_of("turtle1")}
             trail = news["trails"]["turtle1"]
             assert trail["is_whole"]
             assert [point[0] for point in trail["points"]] == [1.0, 2.0, 3.0, 4.0]
@@ -411,3 +578,24 @@ async def test_other_services_below_turtleact_are_those_of_the_graph():
     async with bridged() as (_, bridge), line(bridge) as client:
         answer = await client.call("/turtleact/web/nothing")
         assert answer["values"] == "service '/turtleact/web/nothing': no server answers"
+
+
+async def test_a_page_that_opens_later_sees_the_goals_of_all_types_of_an_action():
+    gate = Gate()
+
+    async def wait(_goal: Fibonacci.Goal) -> Fibonacci.Result:
+        await gate.opened.wait()
+        return Fibonacci.Result()
+
+    async with bridged() as (node, bridge), line(bridge) as client:
+        node.action_server(Count, "count", gate.wait)
+        node.action_server(Fibonacci, "count", wait)
+        first = node.action_client(Count, "count").send_goal(goal())
+        second = node.action_client(Fibonacci, "count").send_goal(Fibonacci.Goal())
+        async with first as one, second as other:
+            await watch(client)
+            found = {each["id"]: (each["type"], each["status"]) for each in await goals(client)}
+            assert found == {
+                one.goal_id.hex(): (TYPE, "EXECUTING"),
+                other.goal_id.hex(): (Fibonacci.type_name, "EXECUTING"),
+            }

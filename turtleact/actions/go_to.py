@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, ClassVar, Unpack
 
 from turtleact.actions.steering import Limits
 from turtleact.body import ServerOptions
@@ -33,17 +33,22 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         Attributes:
             x: The x coordinate of the place (m).
             y: The y coordinate of the place (m).
-            turtle: Which turtle goes: it has ``<turtle>/pose`` and ``<turtle>/cmd_vel``.
+            turtle: The name of the turtle. Its topics are ``<turtle>/pose`` and
+                ``<turtle>/cmd_vel``.
             tolerance: How far from the place the turtle may stop (m), above zero.
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
             style: ``natural``, ``fastest``, ``forward`` or ``rotate_then_drive``.
-            theta: The heading at the place (rad): 0 is to the right, 1.5708 is up. It has no effect
-                while ``heading_tolerance`` is 0.
-            heading_tolerance: By how much the final heading may be off (rad). With 0, any heading
-                will do.
+            theta: The wanted heading at the place (rad): 0 is to the right, 1.5708 is up. It has no
+                effect if ``heading_tolerance`` is 0.
+            heading_tolerance: How far the final heading may be from ``theta`` (rad). If 0, any
+                heading will do.
         """
 
+        STYLE_NATURAL: ClassVar[string] = "natural"
+        STYLE_FASTEST: ClassVar[string] = "fastest"
+        STYLE_FORWARD: ClassVar[string] = "forward"
+        STYLE_ROTATE_THEN_DRIVE: ClassVar[string] = "rotate_then_drive"
         x: float64 = 0.0
         y: float64 = 0.0
         turtle: string = "turtle1"
@@ -59,8 +64,8 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
 
         Attributes:
             distance: How far the turtle went (m).
-            duration: How long it took (s), by the clock of the graph.
-            bound: The shortest possible time (s) at these speeds and in this style.
+            duration: How long the turtle took (s), by the clock of the graph. Pauses do not count.
+            bound: The shortest possible time (s) at the goal's highest speeds and in its style.
         """
 
         distance: float64 = 0.0
@@ -68,11 +73,11 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         bound: float64 = 0.0
 
     class Feedback(Message):
-        """Where the turtle is, and how far it still has to go. Sent once a second and at the end.
+        """Where the turtle is and how far it still has to go, sent once a second and at the end.
 
         Attributes:
             pose: Where the turtle is.
-            distance_remaining: The remaining distance in a straight line (m).
+            distance_remaining: The distance from the turtle to the place, in a straight line (m).
         """
 
         pose: TurtlePose = TurtlePose()
@@ -88,14 +93,14 @@ def serve(
 ) -> None:
     """Serve ``/go_to``.
 
-    After a restart, a goal in a journal goes on from wherever its turtle stands. While a goal is
+    After a restart, a goal from a journal goes on from wherever its turtle stands. While a goal is
     paused, its turtle stands still, and its time limit does not run.
 
     Args:
-        node: The node that serves it.
-        turtles: The turtles that it may drive.
-        on_conflict: As for `Node.action_server`.
-        **options: As for `Node.action_server`.
+        node: The node that serves the action.
+        turtles: The turtles that the action may drive.
+        on_conflict: See `Node.action_server`.
+        **options: See `Node.action_server`.
     """
     server = _GoTo(turtles)
     options = {
@@ -175,7 +180,7 @@ class _GoTo:
 
 
 def _missed(goal: GoTo.Goal, *, is_there: bool) -> str:
-    """The part of a goal that was not reached: the place, or only the heading."""
+    """Return a text that says what the turtle did not reach: the place, or only the heading."""
     if is_there:
         return f"theta: {goal.theta:g}, heading_tolerance: {goal.heading_tolerance:g}"
     return f"x: {goal.x:g}, y: {goal.y:g}"

@@ -1,7 +1,7 @@
 """``/patrol`` and ``/command_turtle``: a turtle visits a list of places.
 
 ``/command_turtle`` has exactly the interface and the messages of the lecture on ROS actions (see
-``docs/tutorial.md``). ``/patrol`` has more options and reports more.
+``docs/tutorial.md``). ``/patrol`` has more options, and its feedback and result have more fields.
 
 Source: nav2's waypoint follower for ``stop_on_failure`` and ``missed``.
 """
@@ -9,7 +9,7 @@ Source: nav2's waypoint follower for ``stop_on_failure`` and ``missed``.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 
 from turtleact.body import ServerOptions
 from turtleact.errors import Reject
@@ -47,16 +47,21 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
 
         Attributes:
             targets: The places (m), in order; z is ignored.
-            loops: How many more rounds follow the first.
-            turtle: Which turtle goes: it has ``<turtle>/pose`` and ``<turtle>/cmd_vel``.
-            stop_on_failure: Whether a target that is not reached in time ends the patrol. If false,
-                the turtle heads for the next target.
+            loops: How many more rounds follow the first round, 0 or more.
+            turtle: The name of the turtle. Its topics are ``<turtle>/pose`` and
+                ``<turtle>/cmd_vel``.
+            stop_on_failure: Whether the patrol ends if a target is not reached in time. If false,
+                the turtle goes on to the next target.
             tolerance: How close to a target the turtle must come (m), above zero.
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
             style: ``natural``, ``fastest``, ``forward`` or ``rotate_then_drive``.
         """
 
+        STYLE_NATURAL: ClassVar[string] = "natural"
+        STYLE_FASTEST: ClassVar[string] = "fastest"
+        STYLE_FORWARD: ClassVar[string] = "forward"
+        STYLE_ROTATE_THEN_DRIVE: ClassVar[string] = "rotate_then_drive"
         targets: list[Point] = []
         loops: int32 = 0
         turtle: string = "turtle1"
@@ -71,11 +76,12 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
 
         Attributes:
             reached: How many targets were reached, over all rounds.
-            missed: The indices of the targets that were missed, round by round.
+            missed: The indices of the targets that were not reached in time, counted from 0. A
+                target that was missed in several rounds appears several times.
             distance: How far the turtle went (m).
-            duration: How long it took (s), by the clock of the graph.
-            bound: The shortest possible time (s) through all targets, at these speeds and in this
-                style.
+            duration: How long the patrol took (s), by the clock of the graph. Pauses do not count.
+            bound: The shortest possible time (s) through all targets, at the goal's highest speeds
+                and in its style.
         """
 
         reached: int32 = 0
@@ -85,7 +91,7 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
         bound: float64 = 0.0
 
     class Feedback(Message):
-        """How far the patrol has come. Sent at each target, and once a second on the way.
+        """How far the patrol has come, sent at each target and once a second on the way.
 
         Attributes:
             index: The index of the target that the turtle is heading for or has reached, counted
@@ -95,7 +101,8 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
                 its way there.
             reached: How many targets have been reached so far, over all rounds.
             pose: Where the turtle is.
-            distance_remaining: The remaining distance through all targets, in straight lines (m).
+            distance_remaining: The distance from the turtle through all targets that are left, in
+                straight lines (m).
         """
 
         index: int32 = 0
@@ -115,15 +122,15 @@ def serve(
 ) -> None:
     """Serve ``/patrol`` and ``/command_turtle``.
 
-    After a restart, a goal in a journal goes on from wherever its turtle stands, with the first
-    target whose feedback is not in the journal. While a goal is paused, its turtle stands still,
-    and the time limit of its target does not run.
+    After a restart, a goal from a journal goes on from wherever its turtle stands. It continues
+    with the first target that no feedback in the journal reports as reached. While a goal is
+    paused, its turtle stands still, and the time limit for its current target does not run.
 
     Args:
-        node: The node that serves them.
-        turtles: The turtles that they may drive.
-        on_conflict: As for `Node.action_server`.
-        **options: As for `Node.action_server`.
+        node: The node that serves the actions.
+        turtles: The turtles that the actions may drive.
+        on_conflict: See `Node.action_server`.
+        **options: See `Node.action_server`.
     """
     server = _Patrol(turtles)
     options = {"on_pause": turtles.hold, "on_resume": turtles.release, **options}
@@ -140,7 +147,7 @@ def serve(
 
 
 class _Tour:
-    """The stops of a patrol: the targets in order, once for each round."""
+    """The stops of a patrol: all targets in order, repeated for each round."""
 
     def __init__(self, targets: Sequence[Point], rounds: int) -> None:
         self._targets = targets
@@ -151,22 +158,24 @@ class _Tour:
         self.stops = len(targets) * rounds
 
     def index(self, stop: int) -> int:
-        """The index of the target at a stop."""
+        """Return the index of the target at a stop."""
         return stop % len(self._targets)
 
     def target(self, stop: int) -> Point | None:
-        """The target of a stop; None after the last."""
+        """Return the target at a stop, or None after the last stop."""
         return self._targets[self.index(stop)] if stop < self.stops else None
 
     def length_from(self, stop: int) -> float:
-        """How far it is from one stop to the last (m)."""
+        """Return the distance from a stop through all later stops (m)."""
         return self._sum_from(stop, self._legs)
 
     async def bound(self, drive: Drive, goal: Patrol.Goal) -> float:
-        """The shortest possible time (s). For stops beyond `WHOLE`, this leaves out the turns.
+        """Return the shortest possible time (s) of the patrol.
 
-        The first round alone may give a higher bound than all rounds, because the search is finer
-        with fewer stops.
+        The bound includes the turns of at most `WHOLE` stops. It is computed twice: with the turns
+        of the first round only, and with the turns of all rounds. The bound with fewer turns may be
+        higher, because the search is finer with fewer stops. The method therefore returns the
+        higher of the two bounds.
         """
         straight = [max(0.0, leg - 2.0 * goal.tolerance) for leg in self._legs]
         least = 0.0
@@ -182,19 +191,19 @@ class _Tour:
 
 
 class _Patrol:
-    """The body of both actions."""
+    """Checks and runs the goals of ``/patrol`` and ``/command_turtle``."""
 
     def __init__(self, turtles: Turtles) -> None:
         self._turtles = turtles
 
     def check(self, goal: Patrol.Goal) -> GoalResponse:
-        """Reject a goal that cannot be done. The reason names the field."""
+        """Reject a goal of ``/patrol`` that cannot be done. The error names the wrong field."""
         self._steering(goal)
         if goal.loops < 0:
             raise Reject(f"loops is {goal.loops}: it is a number of extra rounds, 0 or more")
         self._turtles.check_turtle(goal.turtle)
         if not goal.targets:
-            raise Reject("targets is empty: give at least one, such as {x: 9.0, y: 7.0}")
+            raise Reject("targets is empty: give at least one place")
         for index, target in enumerate(goal.targets):
             self._turtles.check_target(target, path=f"targets[{index}].")
         return GoalResponse.ACCEPT
@@ -249,9 +258,9 @@ class _Patrol:
         tell: Callable[[Patrol.Feedback], None],
         note: Callable[[Patrol.Result], None],
     ) -> Patrol.Result:
-        """Visit all stops and report each one; record the result, however the patrol ends.
+        """Visit all stops and publish feedback. Record the result, however the patrol ends.
 
-        ``result`` holds what an earlier process has already done for the goal.
+        For a goal from a journal, ``result`` holds what was done for the goal before the restart.
         """
         tour = _Tour(goal.targets, 1 + goal.loops)
         started, before = handle.node.clock.time() - result.duration, result.distance
@@ -301,7 +310,7 @@ class _Patrol:
 
 
 class _Leg:
-    """The way to one stop."""
+    """Drives the turtle to one stop."""
 
     def __init__(
         self,
@@ -321,7 +330,7 @@ class _Leg:
         self._tell = tell
 
     async def run(self) -> bool:
-        """Drive to a stop; return False if it takes far too long."""
+        """Drive to the stop. Return False if the turtle does not reach it within the time limit."""
         drive, target = self._drive, self._target
         after = self._tour.target(self._stop + 1)
         deadline = drive.deadline(target)
@@ -353,4 +362,4 @@ class _Leg:
 
 
 def _nothing(_: Patrol.Result) -> None:
-    """Drop a partial result: the lecture's result message cannot hold one."""
+    """Drop a partial result, because the lecture's result message cannot hold one."""

@@ -1,9 +1,10 @@
 """Opens the endpoints of an action client: three service clients and two subscriptions.
 
-This module also finds out which kind of server is at the other end. How it sends requests depends
-on that. A ROS 2 service queues ten requests that its node has not taken yet. If more arrive, it
-silently drops the oldest. The client therefore sends only a few at a time. Servers of turtleact
-drop no requests. A server of turtleact attaches a note to each answer, which identifies the server.
+This module also finds out whether the server runs turtleact, because that decides how requests are
+sent. A ROS 2 service queues at most ten requests that its node has not taken yet. If more arrive,
+the service silently drops the oldest. The client therefore sends only a few requests at a time.
+Servers that run turtleact drop no requests. They attach a note to each answer, and the client
+recognizes them by this note.
 
 Source: rcl_action ``action_client.c``; rmw_zenoh_cpp ``rmw_service_data.cpp``, ``add_new_query``;
 rmw ``qos_profiles.h``.
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar, cast
 import anyio
 
 from turtleact.body import ActionType
-from turtleact.errors import PauseRefused
+from turtleact.errors import PauseRefused, ServerUnavailable
 from turtleact.goal import CancelCode, Goal, GoalStatus
 from turtleact.goal_wire import (
     PausedGoals,
@@ -43,6 +44,7 @@ from turtleact.services import service_events
 from turtleact.transports.base import (
     STATUS_QOS,
     Caller,
+    CallObserver,
     Closeable,
     Endpoint,
     Format,
@@ -82,9 +84,11 @@ class RequestLimiter:
         self._waiting: deque[anyio.Event] = deque()
 
     async def call(self, caller: Caller, request: object, note: str = "") -> Reply:
-        """Send a request in its turn, and wait for the reply. The errors are the caller's.
+        """Send a request when its turn comes, and wait for the reply.
 
-        Cancelling: safe. A request that still waits for its turn is not sent.
+        If ``caller`` raises an error, this method raises it, too.
+
+        Cancelling: safe. If the request still waits for its turn, it is not sent.
         """
         await self._wait_for_turn()
         try:
@@ -95,7 +99,7 @@ class RequestLimiter:
                 self._admit_next()
 
     def admit_all(self) -> None:
-        """Send all waiting requests now, because the server drops none."""
+        """Send all waiting requests now, because the server drops no requests."""
         while self._waiting:
             self._admit_next()
 
@@ -124,29 +128,30 @@ class RequestLimiter:
 
 
 class ClientEndpoints:
-    """The endpoints of one client.
+    """The endpoints of one action client.
 
-    At first only the client of ``send_goal`` exists. It makes the action client visible on the
-    graph. `open` adds the other endpoints, which cost time and are useless if the server is in the
-    same process.
+    At first, the only endpoint is the service client for ``send_goal``, which makes the action
+    client visible on the graph. `open` adds the other endpoints later, because adding them takes
+    time, and a client of a server in the same process does not need them.
 
     Args:
-        transport: The transport to open them on.
-        endpoint: A function that describes each endpoint.
-        names: The names of the endpoints.
-        action_type: The action.
-        introspection: Which events of the three services are published.
+        transport: The transport on which the endpoints are opened.
+        endpoint: A function that makes the description of an endpoint.
+        names: The names of the action's services and topics.
+        action_type: The type of the action.
+        introspection: Whether the client publishes events of the three services, and whether they
+            include the contents of messages: "off", "metadata" or "contents".
 
     Attributes:
         transport: The argument ``transport``.
         name: The fully qualified name of the action.
-        action_type: The action.
-        is_open: Whether the other endpoints are open.
-        send_goal: Sends goals, each to one server.
-        get_result: Asks for results. It exists after `open`.
+        action_type: The type of the action.
+        is_open: Whether `open` was called.
+        send_goal: The service client that sends goals, each to one server.
+        get_result: The service client that asks for results. It exists only after `open`.
         is_ours: Whether the server ran turtleact when it last answered; see `knows_ours`.
-        takes_both: Whether a goal's two requests may be sent at the same time. It becomes False if
-            a second request arrived before the server knew its goal.
+        takes_both: Whether the client may send a goal and ask for its result at the same time. This
+            becomes False if a result request reached the server before the goal.
     """
 
     get_result: Caller
@@ -170,6 +175,8 @@ class ClientEndpoints:
         self._names = names
         self._introspection = introspection
         self._opened: list[Closeable] = []
+        self._events: list[CallObserver] = []
+        self._canceling = 0  # cancel requests under way
         self._watches_status = self._watches_paused = False
         self._goals, self._cancels = RequestLimiter(), RequestLimiter()
         self._servers: list[Endpoint] = []  # the servers that existed when `is_ours` was learned
@@ -185,25 +192,29 @@ class ClientEndpoints:
 
     @cached_property
     def implied(self) -> Implied:
-        """The services and the feedback message generated for the action."""
+        """The services and the feedback message that are generated from the action."""
         return implied(cast("type[Action]", self.action_type))
 
     def find_local(self) -> object | None:
-        """Return the object that serves the action in this process, if it can be used directly."""
+        """Return the object that serves the action in this process, or None.
+
+        With introspection, the result is None, because a direct call publishes no events.
+        """
         if self._introspection != "off":  # the requests are published, so they must be sent
             return None
         return self.transport.local(self._names.send_goal, f"{self.action_type.type_name}_SendGoal")
 
     async def wait_until_served(self) -> None:
-        """Wait until a server exists. Cancelling: safe."""
+        """Wait until the action has a server on the graph. Cancelling: safe."""
         await wait_until_served(self.transport, lambda: self.send_goal.is_served or None, None)
 
     # which kind of server
 
     def knows_ours(self) -> bool:
-        """Whether the server runs turtleact. If so, requests need not wait for their turn.
+        """Return whether the server is known to run turtleact.
 
-        This is True if the server's note showed it and no server has appeared since.
+        This is known if the server's last reply had a note, and the action still has the same
+        servers. Requests then need not wait for their turn.
         """
         if self.is_ours and self._seen != self.transport.changes:
             self._seen = self.transport.changes
@@ -211,7 +222,7 @@ class ClientEndpoints:
         return self.is_ours
 
     def learn(self, reply: Reply) -> None:
-        """Learn from a reply whether the server runs turtleact: turtleact's replies have a note."""
+        """Learn from a reply whether the server runs turtleact. If so, the reply has a note."""
         if not reply.note:
             self.is_ours = False
         elif not self.is_ours:
@@ -221,30 +232,38 @@ class ClientEndpoints:
             self._cancels.admit_all()
 
     async def ask_for_goal(self, request: object, note: str) -> Reply:
-        """Send a goal, and return the answer.
+        """Send a goal, and return the server's answer.
 
-        The request waits for its turn unless `knows_ours`.
+        The request waits for its turn, unless the server is known to run turtleact.
         """
         if self.knows_ours():
             return await self.send_goal.call(request, note)
         return await self._goals.call(self.send_goal, request, note)
 
     async def ask_to_cancel(self, request: object) -> Reply:
-        """Send a cancel request like `ask_for_goal`, and return the answer. Call `open` first."""
-        if self.knows_ours():
-            return await self._cancel_goal.call(request)
-        return await self._cancels.call(self._cancel_goal, request)
+        """Send a cancel request, and return the server's answer. Call `open` first.
+
+        The request waits for its turn, unless the server is known to run turtleact.
+        """
+        self._canceling += 1
+        try:
+            if self.knows_ours():
+                return await self._cancel_goal.call(request)
+            return await self._cancels.call(self._cancel_goal, request)
+        finally:
+            self._canceling -= 1
+            self._close_events()
 
     async def set_paused(self, goal: Goal, *, is_paused: bool, timeout: float = 0.0) -> None:
-        """Pause or resume a goal. Only servers of turtleact can do that: ROS 2 has no such service.
+        """Pause or resume a goal. Only servers of turtleact offer a service for this.
 
         Args:
             goal: The goal.
             is_paused: Whether to pause the goal (true) or resume it (false).
-            timeout: How long its body may take to stand still (s).
+            timeout: How long the goal's body may take to stand still (s).
 
         Raises:
-            PauseRefused: if the server refuses, or does not offer the service.
+            PauseRefused: if the server refuses, or does not offer the service for pausing.
             ServerUnavailable: if the server goes away.
         """
         if self._set_paused is None:
@@ -257,6 +276,9 @@ class ClientEndpoints:
             self._opened.append(self._set_paused)
         caller = self._set_paused
         await wait_until_served(self.transport, lambda: caller.is_served or None, OFFERED_WITHIN)
+        if not (caller.is_served or self.send_goal.is_served):
+            problem = "the server is gone, so its goals cannot be paused or resumed"
+            raise ServerUnavailable(self.name, problem)
         if not caller.is_served:
             raise PauseRefused("its server does not offer that; is it a server of turtleact?")
         request = SetPaused.Request(UUID(cast("bytes", goal.id)), is_paused, timeout)
@@ -267,11 +289,13 @@ class ClientEndpoints:
     # opening and closing
 
     def open(self, goals: Mapping[bytes, T], take_feedback: Callable[[T, Any], None]) -> None:
-        """Open the other services and the feedback topic. A second call does nothing.
+        """Open the other two service clients, and subscribe to feedback.
+
+        A second call does nothing.
 
         Args:
             goals: Maps the id of each goal whose feedback is wanted to an object of any kind.
-            take_feedback: Called with that object and the feedback message.
+            take_feedback: Called with the goal's object from ``goals``, and the feedback message.
         """
         if self.is_open:
             return
@@ -304,7 +328,7 @@ class ClientEndpoints:
         )
 
     def watch_status(self, take_states: Callable[[dict[bytes, State]], None]) -> None:
-        """Open the status topic. A second call does nothing."""
+        """Subscribe to the status topic. A second call does nothing."""
         if self._watches_status:
             return
         self._watches_status = True
@@ -316,7 +340,7 @@ class ClientEndpoints:
         self._subscribe(name, type_name, _States(), deliver, STATUS_QOS)
 
     def watch_paused(self, take_paused: Callable[[frozenset[bytes]], None]) -> None:
-        """Open the topic of the paused goals. A second call does nothing.
+        """Subscribe to the topic that lists the paused goals. A second call does nothing.
 
         Args:
             take_paused: Called with the ids of all goals that are paused.
@@ -332,7 +356,7 @@ class ClientEndpoints:
         self._subscribe(name, type_name, WireFormat(PausedGoals), deliver, STATUS_QOS)
 
     def report_lost(self, count: int) -> None:
-        """Report to the doctor that ``count`` more feedback messages have not arrived."""
+        """Report ``count`` more lost feedback messages, so that ``turtleact doctor`` shows them."""
         if self._lost is None:
             from turtleact.fault_reports import LostFeedback  # few programs need it
 
@@ -342,10 +366,21 @@ class ClientEndpoints:
         self._lost.add(count)
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Close the endpoints.
+
+        Requests to cancel that were already sent continue, and their events are still published.
+        """
         for opened in reversed(self._opened):
             opened.close()
         self._opened.clear()
+        self._close_events()
+
+    def _close_events(self) -> None:
+        """Stop publishing events, if the client is closed and no cancel request is under way."""
+        if not (self._opened or self._canceling):
+            for each in self._events:
+                each.close()
+            self._events.clear()
 
     def _find_servers(self) -> list[Endpoint]:
         """Find all servers of the action. A restarted server counts as a new server."""
@@ -360,7 +395,7 @@ class ClientEndpoints:
         mode, maker = self._introspection, self._endpoint
         events = service_events(self.transport, maker, endpoint, find_type, mode)
         if events is not None:
-            self._opened.append(events)  # first, so that it is closed after the client
+            self._events.append(events)
         caller = self.transport.join(endpoint, WireFormat(find_type, asks=True), target)
         caller.observer = events
         self._opened.append(caller)
@@ -379,10 +414,12 @@ class ClientEndpoints:
 
 
 class _FeedbackOfGoals(FeedbackFormat, Generic[T]):
-    """Decodes the feedback of known goals only. In ROS 2, every client gets all goals' feedback.
+    """Decodes only the feedback of known goals.
+
+    In ROS 2, every client gets the feedback of all goals.
 
     Args:
-        action: The action.
+        action: The type of the action.
         goals: Maps the id of each known goal to an object of any kind.
     """
 
@@ -391,13 +428,13 @@ class _FeedbackOfGoals(FeedbackFormat, Generic[T]):
         self._goals = goals
 
     def decode(self, data: bytes) -> Any:  # noqa: ANN401  # not the message of the topic
-        """Return the goal's object and its feedback; None for an unknown goal."""
+        """Return the goal's object from ``goals``, and the feedback; None for an unknown goal."""
         known = self._goals.get(data[GOAL_ID])
         return None if known is None else (known, self.read(data))
 
 
 class _States(WireFormat):
-    """Decodes the status of all goals into a dict of states."""
+    """Decodes a status message into a dict from goal ids to states."""
 
     def __init__(self) -> None:
         super().__init__(GoalStatusArray)

@@ -1,16 +1,20 @@
-"""Follows the goals that one client has at a server in another process.
+"""Follows the goals of one client at a server in another process.
 
-Each goal has a `Goal` object here, which messages from the server keep up to date. A goal takes two
-requests: one sends it, the other waits for its result. There are two ways to send them:
+The client has a `Goal` object for each goal, and messages from the server keep the object up to
+date. A goal takes two requests: the first sends the goal, the second asks for its result. How these
+requests are sent depends on the server:
 
-- A server of turtleact gets both requests at once, which saves a round trip. It answers the second
-  request when the goal has ended. No task waits for the replies: the client handles them as they
-  arrive. If the second request arrives before the server knows the goal, the server says so. From
-  then on the client sends the requests one after the other.
-- A ROS 2 server gets one request after the other, because ROS 2 services may answer in any order.
+- A server of turtleact gets both requests at once, which saves a round trip. The server answers the
+  second request when the goal has ended. No task waits for the replies: the client handles each
+  reply when it arrives. If the second request arrives before the server knows the goal, the server
+  replies that the goal is unknown. From then on, the client sends this server the second request
+  only after the reply to the first.
+- Any other ROS 2 server gets the second request only after it has accepted the goal, because ROS 2
+  services may handle requests in any order.
 
-The client uses a task only where it has to wait: for a server of unknown kind, for the answer to a
-cancel, for feedback that arrives after the result, or for a server to return.
+The client starts a task for a goal only if it must wait for something: for the replies of a server
+that is not known to run turtleact, for the answer to a cancel request, for feedback that arrives
+after the result, or for a server to return.
 
 Source: rcl_action ``action_client.c``, ``goal_state_machine.c``, and
 ``rcl_action_process_result_request``.
@@ -44,7 +48,7 @@ from turtleact.summaries import STOPS, loggable, summary
 from turtleact.tasks import Signal, Tasks, wait_while
 from turtleact.transports.base import REQUEST_NOTE, PendingCall, Reply
 
-__all__ = ["RemoteGoal", "RemoteGoals"]
+__all__ = ["RemoteGoal", "RemoteGoals", "goal_lost"]
 
 logger = logging.getLogger("turtleact.client")
 
@@ -96,22 +100,25 @@ _STEPS: Final[Mapping[GoalStatus, Mapping[GoalStatus, tuple[GoalEvent, ...]]]] =
 
 
 class RemoteGoal(msgspec.Struct, eq=False):
-    """A goal at a server in another process, as far as the client knows.
+    """What the client knows about a goal at a server in another process.
 
     Attributes:
-        goal: The goal object of this process.
-        goal_id: Its id.
-        is_sender: Whether this client sent it.
-        is_accepted: Whether the server has accepted it.
+        goal: The goal's object in this process.
+        goal_id: The goal's id.
+        is_sender: Whether this client sent the goal.
+        is_accepted: Whether the server has accepted the goal.
         is_abandoned: Whether the goal must be canceled as soon as it is accepted.
-        is_awaited: Whether somebody waits for the goal's acceptance.
-        is_answered: Whether the event loop has got the reply to the request for the goal's result.
-        is_observed: Whether observers have heard of the goal.
-        note: The note to send with the goal.
-        received: How many feedback messages have arrived.
+        is_awaited: Whether a task waits for the goal's acceptance.
+        is_answered: Whether the event loop has received the reply to the request for the goal's
+            result.
+        is_observed: Whether the observers were told about the goal.
+        note: A text that is sent with the goal request; see `REQUEST_NOTE`.
+        received: How many feedback messages of the goal have arrived.
         reattach: How long to wait for the return of a server that has gone (s, event loop time).
-        sent: The request that sends the goal, while it is under way without a task.
-        asked: The request for its result, while it is under way without a task.
+        sent: The pending request that sends the goal; None if there is none, or if a task already
+            waits for its reply.
+        asked: The pending request for the goal's result; None if there is none, or if a task
+            already waits for its reply.
         task: The task that follows the goal, if there is one.
     """
 
@@ -136,9 +143,9 @@ class RemoteGoals:
 
     Args:
         endpoints: The client's endpoints.
-        tasks: The task functions of the event loop.
+        tasks: The functions that start tasks in the client's event loop.
         now: A function that returns the current time (ns since the epoch).
-        observers: The objects that hear of each change of this client's goals.
+        observers: The objects that are told about each change of this client's goals.
 
     Attributes:
         by_id: All goals that have not ended, by id.
@@ -163,7 +170,7 @@ class RemoteGoals:
     # called by the client
 
     def send(self, goal: Goal, reattach: float = 0.0) -> RemoteGoal:
-        """Send a goal and follow it.
+        """Send a goal, and follow it to its end.
 
         Args:
             goal: The goal.
@@ -171,7 +178,8 @@ class RemoteGoals:
                 time).
 
         Raises:
-            InvalidMessage: if a value does not fit its type. Nothing was sent.
+            InvalidMessage: if a value of the goal message does not fit its type. Nothing is then
+                sent.
         """
         if not self._endpoints.is_open:
             self.open()
@@ -192,10 +200,12 @@ class RemoteGoals:
         self._follow_in_task(remote)
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
-        """Ask the server to cancel the goals that the id and the stamp (ns) select.
+        """Ask the server to cancel goals, and return its response.
+
+        As in ROS 2, ``goal_id`` and ``stamp`` (ns since the epoch) select the goals.
 
         Raises:
-            ServerUnavailable: if nobody answers, or the client is closed.
+            ServerUnavailable: if no server answers, or the client is closed.
         """
         self.open()
         named = UUID() if goal_id is None else UUID(goal_id)
@@ -212,7 +222,7 @@ class RemoteGoals:
         return response
 
     def cancel_nowait(self, goal: Goal) -> None:
-        """Ask the server to cancel a goal. A task of the client sends the request."""
+        """Start a task that asks the server to cancel a goal. A failure is logged."""
 
         async def ask() -> None:
             try:
@@ -236,7 +246,7 @@ class RemoteGoals:
         self._endpoints.open(self.by_id, self._take_feedback)
 
     def close(self) -> None:
-        """Stop following goals. Everybody who waits for a goal gets an error."""
+        """Stop following goals. Every caller that waits for a goal gets `ServerUnavailable`."""
         self._is_open = False
         for task in tuple(self._running.values()):
             if task is not None:
@@ -254,9 +264,9 @@ class RemoteGoals:
     # two requests at once, without a task
 
     def _send_both(self, remote: RemoteGoal) -> bool:
-        """Send both requests, if the server takes both at once. Return whether both were sent.
+        """Send both requests for a goal, if the server allows it. Return whether both were sent.
 
-        If only one was sent, the task that follows the goal continues with it.
+        If only the first request was sent, the task that follows the goal waits for its reply.
         """
         endpoints = self._endpoints
         if not (endpoints.knows_ours() and endpoints.takes_both):
@@ -281,11 +291,11 @@ class RemoteGoals:
         self._on_reply(remote)
 
     def _on_reply(self, remote: RemoteGoal) -> None:
-        """Handle the replies that have arrived. Start a task if something must be awaited.
+        """Handle the replies to a goal's requests. Start a task if something must be awaited.
 
-        This is called for each of the two replies, which come in any order. The result is handled
-        only after the acceptance. If a request has failed, a task is started. The task gets the
-        same failure again, and handles it.
+        This is called for each of the two replies. The replies may arrive in any order, but the
+        result is handled only after the acceptance. If a request has failed, a task is started that
+        handles the error.
         """
         if remote.task is not None:
             return
@@ -399,7 +409,7 @@ class RemoteGoals:
             if asked is None:
                 name, goal = self._endpoints.name, remote.goal
                 if patience.has_lost:
-                    what = f"its server went away, and the next server of '{name}' lacks it"
+                    what = f"its server went away, and the new server of '{name}' does not have it"
                     raise UnknownGoal(f"{goal.hex}: {what}")
                 raise UnknownGoal(f"'{name}' holds no goal {goal.hex}, or no longer holds it")
             self._endpoints.takes_both = False
@@ -422,11 +432,12 @@ class RemoteGoals:
     # messages from the server
 
     def _accept(self, remote: RemoteGoal, reply: Reply) -> None:
-        """Record the answer to a goal that was sent.
+        """Handle the server's reply to the request that sent a goal.
 
         Raises:
             GoalRejected: if the server rejected the goal.
-            ServerUnavailable: if the server is being closed, and the client waits for its return.
+            ServerUnavailable: if the server rejected the goal because the server is being closed,
+                and ``remote.reattach`` is not 0.
         """
         if not (reply.note and self._endpoints.is_ours):
             self._endpoints.learn(reply)
@@ -445,14 +456,17 @@ class RemoteGoals:
             self.signal(goal).fire()
 
     def _has_ended(self, reply: Reply) -> bool:
-        """Whether a reply has the result. False if the server does not know the goal."""
+        """Return whether a reply has the goal's result.
+
+        A reply without a result means that the server does not know the goal.
+        """
         if not (reply.note and self._endpoints.is_ours):
             self._endpoints.learn(reply)
         response: Any = reply.message
         return response.status in _ENDS
 
     def _take_feedback(self, remote: RemoteGoal, feedback: Message) -> None:
-        """Record a feedback message and call the sender's callback."""
+        """Record a feedback message, and call the sender's callback if there is one."""
         goal = remote.goal
         log = goal.feedback
         if log is None:
@@ -473,12 +487,16 @@ class RemoteGoals:
                 raise
             except BaseException as error:  # also a stray cancellation
                 told = loggable(error)
-                logger.error("the feedback_callback of goal %s failed", goal.hex, exc_info=told)
+                problem = "the feedback_callback of a goal of %s failed%s"
+                logger.error(problem, self._endpoints.name, goal.suffix, exc_info=told)
         if goal.listener is not None:
             goal.listener.fire()
 
     def take_state(self, remote: RemoteGoal, state: State) -> None:
-        """Record a goal's state from the status topic. The end comes with the result instead."""
+        """Record a goal's state from the status topic, unless it is a final state.
+
+        Final states are recorded when the result arrives.
+        """
         seconds, rest, number = state
         remote.goal.stamp = seconds * SECOND + rest
         status = status_of(number)
@@ -499,7 +517,7 @@ class RemoteGoals:
     # states
 
     def _move(self, remote: RemoteGoal, status: GoalStatus) -> None:
-        """Bring a goal into a state through the states before it; never move it back."""
+        """Move a goal to a state through all states in between. Never move a goal back."""
         # The status topic, a reply to a cancel and the result may arrive in any order, and some
         # states may never be reported. Missing states are filled in, and old news is ignored.
         for event in _STEPS.get(remote.goal.status, {}).get(status, ()):
@@ -514,17 +532,17 @@ class RemoteGoals:
                 self._observers.goal_changed(goal, before, goal.status)
 
     def _show(self, remote: RemoteGoal) -> None:
-        """Tell the observers that this client has sent a goal, before any other news of it.
+        """Tell the observers that this client has sent a goal, unless they have been told before.
 
-        Feedback and the acceptance travel separately, and either may arrive first. The first one
-        leads to this call.
+        The observers must be told this before anything else about the goal. The acceptance and the
+        first feedback may arrive in either order, so this method is called for both.
         """
         if remote.is_sender and not remote.is_observed:
             remote.is_observed = True
             self._observers.goal_changed(remote.goal, GoalStatus.UNKNOWN, GoalStatus.ACCEPTED)
 
     def _conclude(self, remote: RemoteGoal, reply: Reply, note: GoalNote) -> None:
-        """End a goal the way its server reported."""
+        """Record the end of a goal as its server reported it."""
         response: Any = reply.message
         goal = remote.goal
         goal.result, goal.reason, goal.is_paused = response.result, note.reason, False
@@ -532,7 +550,7 @@ class RemoteGoals:
         self._move(remote, status_of(response.status))
 
     def _lose(self, remote: RemoteGoal, error: TurtleactError) -> None:
-        """End a goal after contact with it was lost."""
+        """Mark a goal as lost, because ``error`` prevents the client from following it."""
         goal, before = remote.goal, remote.goal.status
         if not goal.ended:
             goal.error, goal.status, goal.ended = error, GoalStatus.UNKNOWN, self._now()
@@ -555,14 +573,17 @@ class RemoteGoals:
     def _failure(self, error: TurtleactError, *, is_accepted: bool = False) -> TurtleactError:
         """Turn the failure of a request into an error for the user, with the action's name.
 
-        If the goal was accepted, the request was certainly not dropped, so the error does not
-        mention that possibility.
+        The error of a request may say that the server perhaps dropped the request. The new error
+        does not say this if the goal was accepted, because the server then cannot have dropped the
+        request.
         """
         if not self._is_open:
             return self._closed()
         if isinstance(error, ServerUnavailable):
-            otherwise = "" if is_accepted else error.otherwise
-            return ServerUnavailable(self._endpoints.name, error.problem, otherwise=otherwise)
+            name = self._endpoints.name
+            if is_accepted:
+                return goal_lost(name, error)
+            return ServerUnavailable(name, error.problem, otherwise=error.otherwise)
         return error
 
     def _closed(self) -> ServerUnavailable:
@@ -588,21 +609,36 @@ class RemoteGoals:
         return task
 
 
-class _Patience:
-    """Decides whether to send a request again after its server has gone.
+def goal_lost(action: str, error: ServerUnavailable) -> ServerUnavailable:
+    """Return the error for an accepted goal, from the error of the request for its result.
 
-    Without ``reattach``, the client waits once for the server's return, in case the server was
-    unreachable only for a moment, and sends at most `ATTEMPTS` requests. With ``reattach``, each
-    absence of the server may last ``reattach`` seconds. An absence ends when feedback arrives, or
-    when a request has been open for `SETTLED` seconds. A server that is killed again and again may
-    never live that long, so its restarts count as one absence.
+    The server has answered the goal's request, so only the end of the goal is missing. If no server
+    answers now, it has gone away since.
+    """
+    problem = error.problem.removesuffix(error.when).rstrip()
+    has_gone = problem == "no server answers"
+    when = "before the goal ended" if error.when or has_gone else ""
+    return ServerUnavailable(action, "the server went away" if has_gone else problem, when=when)
+
+
+class _Patience:
+    """Decides whether to send a request again after its server has gone away.
+
+    Without ``reattach``, the client waits at most `BACK_WITHIN` seconds in all for the server's
+    return, because the server may have been unreachable only for a moment. It sends at most
+    `ATTEMPTS` requests.
+
+    With ``reattach``, the client waits at most ``reattach`` seconds each time that the server goes
+    away. The server counts as back when feedback arrives, or when a request has been open for
+    `SETTLED` seconds. If the server goes away again before it counts as back, the client waits only
+    for the rest of the ``reattach`` seconds.
 
     Args:
         endpoints: The client's endpoints.
         remote: The goal.
 
     Attributes:
-        has_lost: Whether the server has gone since the request was sent.
+        has_lost: Whether the server has gone away since this object was made.
     """
 
     def __init__(self, endpoints: ClientEndpoints, remote: RemoteGoal) -> None:
@@ -618,8 +654,8 @@ class _Patience:
         """Wait until the client can send the request again.
 
         Raises:
-            ServerUnavailable: if the server stays away. The error is the first one that was raised
-                while the server was away.
+            ServerUnavailable: if the server does not return in time. The raised error is the first
+                one since the server went away.
         """
         now, lost, reattach = anyio.current_time(), self._lost, self._remote.reattach
         if reattach and self._was_back(now):
@@ -639,5 +675,5 @@ class _Patience:
         self._asked = anyio.current_time()
 
     def _was_back(self, now: float) -> bool:
-        """Whether the previous absence had ended before this failure."""
+        """Return whether the server counted as back before the request failed at ``now``."""
         return now - self._asked > SETTLED or self._remote.received > self._received

@@ -1,6 +1,7 @@
 """Implements ``bag info`` and ``bag goals``, which print what is in a bag.
 
-``bag info`` prints the contents as ``ros2 bag info`` does, and says what is missing.
+``bag info`` prints the contents as ``ros2 bag info`` does. It also says which messages and goals
+are missing from the bag.
 
 Source: rosbag2 ``format_bag_metadata.cpp``, ``format_action_info.cpp``.
 """
@@ -15,20 +16,20 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from turtleact.commands.output import duration, note, say, say_names, say_table
+from turtleact.commands.output import counted, duration, note, say, say_names, say_table
 from turtleact.interfaces import to_json
 from turtleact.interfaces.conversion import to_dict
 from turtleact.interfaces.text import flow
-from turtleact.names import resolve_name
+from turtleact.names import EVENT_SUFFIX, resolve_name
 from turtleact.recording.bag import Bag
 from turtleact.recording.metadata import BagError, BagInfo, BagTopic
-from turtleact.recording.selection import EVENT, REQUESTS, owner_of, part_of
+from turtleact.recording.selection import REQUESTS, owner_of, part_of
 from turtleact.recording.storage import Range
 
 if TYPE_CHECKING:
     from turtleact.recording import RecordedGoal
 
-__all__ = ["print_goals", "print_info"]
+__all__ = ["messages_told", "missing_goals", "print_goals", "print_info"]
 
 INDENT = 19
 """The width of the column of names at the left."""
@@ -48,10 +49,15 @@ LONGEST = 40
 
 
 def print_info(path: Path, *, verbose: bool, names_only: bool) -> int:
-    """Print what is in a bag. With ``verbose``, count requests and responses separately.
+    """Print what is in a bag, and return the exit status.
+
+    With ``verbose``, requests and responses are counted separately. With ``names_only``, only the
+    names of the topics are printed.
+
+    If a file is cut off or damaged, a log message says what is missing.
 
     Raises:
-        BagError: if there is no bag.
+        BagError: if there is no bag, or one of its files cannot be opened.
     """
     bag = Bag(path)
     try:
@@ -62,6 +68,8 @@ def print_info(path: Path, *, verbose: bool, names_only: bool) -> int:
         reading = _Reading(bag) if verbose else None
         lines = [*_head(info), *_topics(info), *_services(info, reading), *_actions(info, reading)]
         say_names("\n" + "".join(f"{line}\n" for line in [*lines, *_remarks(bag)]))
+        if info.is_closed:  # metadata.yaml does not show that a file was cut off later
+            bag.check()
         return 0
     finally:
         bag.close()
@@ -71,8 +79,8 @@ def print_goals(path: Path, name: str | None, *, as_json: bool) -> int:
     """Print the goals in a bag, and return the exit status.
 
     Raises:
-        BagError: if there is no bag, or a place in it is damaged.
-        InvalidName: if the name breaks ROS 2's rules.
+        BagError: if there is no bag, or a part of the bag is damaged.
+        InvalidName: if the name breaks ROS 2's rules for names.
     """
     import anyio  # `print_info` does without it
 
@@ -93,8 +101,43 @@ def print_goals(path: Path, name: str | None, *, as_json: bool) -> int:
     return 0
 
 
+def messages_told(info: BagInfo) -> str:
+    """Return the number of messages as text.
+
+    If the bag has messages of actions or services, the text also says how many.
+    """
+    others = _count_of_owners(info)
+    if not others:
+        return counted(info.count, "message")
+    split = f"{info.count - others} of topics, {others} of actions and services"
+    return f"{counted(info.count, 'message')} ({split})"
+
+
+def missing_goals(bag: Bag) -> list[str]:
+    """Return sentences that name the actions whose goals and results are missing from a bag."""
+    actions, sentences = _actions_of(bag.info), list[str]()
+    silent = [each.name for each in actions if _lacks_goals(each)]
+    if silent:
+        sentences.append(
+            f"the goals and results of {', '.join(silent)}. No service events were published; "
+            f"{SERVE_WITH_CONTENTS}."
+        )
+    empty = [each.name for each in actions if _lacks_contents(bag, each)]
+    if empty:
+        sentences.append(
+            f"the goals and results of {', '.join(empty)}. Their service events have no contents; "
+            f"{SERVE_WITH_CONTENTS}."
+        )
+    return sentences
+
+
+SERVE_WITH_CONTENTS = (
+    "serve the actions with 'turtleact serve --introspection contents' to record them"
+)
+
+
 class _Action(NamedTuple):
-    """The topics of an action by part, and its type."""
+    """An action in a bag: its type, and the topics of its parts, such as ``"feedback"``."""
 
     name: str
     type_name: str
@@ -102,7 +145,7 @@ class _Action(NamedTuple):
 
 
 class _Reading:
-    """The facts that only the messages show: requests and responses, and sizes by topic."""
+    """Counts the requests, responses and bytes of each topic by reading all messages of a bag."""
 
     def __init__(self, bag: Bag) -> None:
         self.sizes: Counter[str] = Counter()
@@ -111,7 +154,7 @@ class _Reading:
         for raw in bag.messages(Range()):
             topic = raw.channel.topic
             self.sizes[topic] += len(raw.data)
-            if topic.endswith(EVENT) and len(raw.data) > 4:
+            if topic.endswith(EVENT_SUFFIX) and len(raw.data) > 4:
                 # The kind of event is the first byte behind the header of CDR.
                 (self.requests if raw.data[4] in REQUESTS else self.responses)[topic] += 1
 
@@ -119,8 +162,6 @@ class _Reading:
 def _head(info: BagInfo) -> list[str]:
     end = info.start + info.duration
     files = [each.path for each in info.files]
-    # Events of services do not count as messages.
-    events = sum(each.count for each in info.topics if part_of(each.name).owner != "topic")
     return [
         *_under("Files:", files),
         _row("Bag size:", _size(info.size)),
@@ -129,8 +170,13 @@ def _head(info: BagInfo) -> list[str]:
         _row("Duration:", f"{_seconds(info.duration)}s"),
         _row("Start:", _moment(info.start)),
         _row("End:", _moment(end)),
-        _row("Messages:", str(info.count - events)),
+        _row("Messages:", str(info.count - _count_of_owners(info))),
     ]
+
+
+def _count_of_owners(info: BagInfo) -> int:
+    """Return how many messages are of actions and services. ``ros2 bag info`` leaves these out."""
+    return sum(each.count for each in info.topics if part_of(each.name).owner != "topic")
 
 
 def _topics(info: BagInfo) -> list[str]:
@@ -182,7 +228,11 @@ def _events(topic: BagTopic | None, reading: _Reading | None) -> str:
 
 
 def _actions_of(info: BagInfo) -> list[_Action]:
-    """The actions of a bag by name. One name may have several types."""
+    """Return the actions in a bag, sorted by name.
+
+    If a part of an action has several topics, because its type changed, only the topic with the
+    most messages is used.
+    """
     found = dict[str, dict[str, BagTopic]]()
     types = dict[str, str]()
     for topic in info.topics:
@@ -196,7 +246,7 @@ def _actions_of(info: BagInfo) -> list[_Action]:
 
 
 def _remarks(bag: Bag) -> list[str]:
-    """Sentences about what is missing in the bag."""
+    """Return sentences about what is missing in the bag."""
     info, remarks = bag.info, list[str]()
     if not info.is_closed:
         remarks.append(
@@ -207,24 +257,12 @@ def _remarks(bag: Bag) -> list[str]:
         kind, _, topic = key.partition(":")
         if kind == "lost":
             remarks.append(f"Lost: {count} messages of {topic} were not recorded.")
-    silent = [each.name for each in _actions_of(info) if _lacks_goals(each)]
-    if silent:
-        remarks.append(
-            f"Missing: the goals and results of {', '.join(silent)}. No service events were "
-            "published; serve the actions with introspection to record them."
-        )
-    empty = [each.name for each in _actions_of(info) if _lacks_contents(bag, each)]
-    if empty:
-        remarks.append(
-            f"Missing: the goals and results of {', '.join(empty)}. Their service events have no "
-            "contents; serve the actions with 'turtleact serve --introspection contents' to record "
-            "them."
-        )
+    remarks += [f"Missing: {sentence}" for sentence in missing_goals(bag)]
     return ["", *remarks] if remarks else []
 
 
 def _lacks_contents(bag: Bag, action: _Action) -> bool:
-    """Whether the events of an action's goal requests have no contents, judged by the first few."""
+    """Return whether the first ``send_goal`` events of an action have no contents."""
     topic = action.parts.get("send_goal")
     if topic is None or not topic.count:
         return False
@@ -236,7 +274,7 @@ def _lacks_contents(bag: Bag, action: _Action) -> bool:
 
 
 def _lacks_goals(action: _Action) -> bool:
-    """Whether an action had goals, but none of them was recorded."""
+    """Return whether an action had goals, but none of them was recorded."""
     counts = {part: topic.count for part, topic in action.parts.items()}
     # One status of each server comes when the recorder subscribes, and may list no goal. A goal has
     # three: accepted, executing, ended.
@@ -253,13 +291,13 @@ def _row(name: str, value: str) -> str:
 
 
 def _under(name: str, values: list[str], indent: int = INDENT) -> list[str]:
-    """Lines with one value each; the name stands before the first value."""
+    """Return one line for each value. The first line begins with the name."""
     first, *others = values or [""]
     return [f"{name:<{indent - 1}} {first}", *(" " * indent + each for each in others)]
 
 
 def _size(size: int) -> str:
-    """A size in the largest fitting unit.
+    """Return a size in bytes as text, in the largest unit that fits.
 
     >>> _size(40858)
     '39.9 KiB'

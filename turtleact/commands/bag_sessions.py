@@ -1,10 +1,11 @@
-"""Implements ``bag record``, ``bag play`` and ``bag view``, which run until a signal or the end."""
+"""Implements ``bag record``, ``bag play`` and ``bag view``."""
 
 from __future__ import annotations
 
 import asyncio
 import os
 import sys
+from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,9 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import anyio
 
 from turtleact.commands import graph, runner
+from turtleact.commands.bag_contents import messages_told, missing_goals
 from turtleact.commands.output import counted, duration, note, printable, say
 from turtleact.recording import Bag, Played, Recording, Selection, play, record
-from turtleact.recording.metadata import read_qos_overrides
+from turtleact.recording.metadata import BagError, read_qos_overrides
 from turtleact.recording.spool import CAPACITY
 from turtleact.tasks import Background
 
@@ -50,16 +52,16 @@ FAILED = 1
 
 
 class RecordOrder(NamedTuple):
-    """What to record.
+    """What ``bag record`` records, and how.
 
     Attributes:
-        path: The folder to create.
-        selection: The topics, services and actions.
-        max_size: When to begin another file (bytes); 0 for never.
-        max_duration: When to begin another file (s); 0 for never.
+        path: The folder of the bag, which is created.
+        selection: The topics, services and actions to record.
+        max_size: The size after which the next file begins (bytes); 0 for no limit.
+        max_duration: The duration after which the next file begins (s); 0 for no limit.
         capacity: How many bytes may wait to be written; 0 for the default.
-        compression: How chunks are compressed.
-        overrides: The file with the quality of service of topics.
+        compression: How the chunks of each file are compressed.
+        overrides: The file that sets the quality of service of topics; None for no file.
     """
 
     path: Path
@@ -74,7 +76,8 @@ class RecordOrder(NamedTuple):
 def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> int:
     """Record until a signal comes, and return the exit status.
 
-    It is 0, as for ``ros2 bag record``, or 1 if a topic could not be recorded.
+    The exit status is 0 even after a signal, as for ``ros2 bag record``. It is 1 if a topic could
+    not be recorded.
 
     Raises:
         BagError: if the bag cannot be created, or the disk is full.
@@ -98,12 +101,12 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
             ) as recording:
                 recorded.append(recording)
                 interrupts.last_words = partial(_last_words, recording, interrupts)
-                closing = Background(_watch_closing(recording, interrupts), "closing the bag")
+                watch = Background(_watch_closing(recording, interrupts), "closing the bag")
                 note(f"recording to {order.path}; Ctrl-C ends it")
                 await tell(recording)
         finally:
             if recorded:
-                await closing.aclose()
+                await watch.aclose()
                 interrupts.last_words = str
                 _sum_up_recording(recorded[0])
         return 0
@@ -117,7 +120,10 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
 
 
 async def _watch_closing(recording: Recording, interrupts: Interrupts) -> None:
-    """After a signal, let the command go on as long as messages are written, and say so."""
+    """After a signal, let the command go on as long as it still writes messages.
+
+    Print notes on how many messages are still to be written.
+    """
     await interrupts.wait(1)
     before, looks = -1, 0
     while True:
@@ -132,7 +138,7 @@ async def _watch_closing(recording: Recording, interrupts: Interrupts) -> None:
 
 
 def _last_words(recording: Recording, interrupts: Interrupts) -> str:
-    """What to say if the process ends before the bag is closed."""
+    """Return the text to print if the process ends before the bag is closed."""
     is_forced = len(interrupts.received) > 1
     cause = "a second signal came" if is_forced else f"nothing was written for {PATIENCE:.0f} s"
     lost = counted(recording.waiting + recording.lost, "message")
@@ -146,7 +152,7 @@ def _last_words(recording: Recording, interrupts: Interrupts) -> str:
 async def tell(recording: Recording) -> None:
     """Print a note for each topic when its recording begins.
 
-    Return only if the recording ends early.
+    Return only if the recording ends by itself, for example because of an error.
     """
     told = 0
     while not recording.is_over:
@@ -157,13 +163,13 @@ async def tell(recording: Recording) -> None:
 
 
 class PlayOrder(NamedTuple):
-    """What to play.
+    """What ``bag play`` plays, and how.
 
     Attributes:
-        path: The bag.
+        path: The bag's folder, or a single file.
         options: The options of `turtleact.recording.play`.
         delay: How long to wait before playing (s).
-        overrides: The file with the quality of service of topics.
+        overrides: The file that sets the quality of service of topics; None for no file.
     """
 
     path: Path
@@ -173,10 +179,10 @@ class PlayOrder(NamedTuple):
 
 
 def play_bag(reach: Reach, order: PlayOrder, interrupts: Interrupts) -> int:
-    """Play, and return the exit status.
+    """Play a bag, and return the exit status.
 
     Raises:
-        BagError: if there is no bag, or a place in it is damaged.
+        BagError: if there is no bag, or a part of the bag is damaged.
         TurtleactError: if no graph is in reach.
     """
     interrupts.patience = PATIENCE
@@ -187,7 +193,7 @@ def play_bag(reach: Reach, order: PlayOrder, interrupts: Interrupts) -> int:
 
     async def play_on(node: Node) -> int:
         length = duration(bag.info.duration / 1e9)
-        note(f"playing {order.path}: {counted(bag.info.count, 'message')} of {length}")
+        note(f"playing {order.path}: {length}, {messages_told(bag.info)}")
         await node.clock.sleep(order.delay)
         options: PlayOptions = {**order.options, "qos": qos}
         return _sum_up_playing(await play(node, order.path, **options))
@@ -196,11 +202,11 @@ def play_bag(reach: Reach, order: PlayOrder, interrupts: Interrupts) -> int:
 
 
 def view_bag(path: Path, port: int, interrupts: Interrupts, *, is_opened: bool) -> int:
-    """Serve the page, and return the exit status.
+    """Serve a web page that shows a bag, until a signal comes. Return the exit status.
 
     Raises:
         BagError: if there is no bag.
-        InvalidOption: if the port cannot be bound.
+        InvalidOption: if the server cannot listen on the port.
     """
     import webbrowser
 
@@ -220,7 +226,7 @@ def view_bag(path: Path, port: int, interrupts: Interrupts, *, is_opened: bool) 
 
 
 def has_display() -> bool:
-    """Whether a browser would open a window instead of using the terminal."""
+    """Return whether a web browser would open a window, and not run in the terminal."""
     if sys.platform in ("win32", "darwin"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -230,7 +236,13 @@ def _sum_up_recording(recording: Recording) -> None:
     lost = recording.lost_by_topic
     if not recording.path.exists():
         return
-    note(f"{counted(recording.count, 'message')} recorded in {recording.path}")
+    told, missing = counted(recording.count, "message"), list[str]()
+    if recording.error is None:
+        with suppress(BagError), closing(Bag(recording.path)) as bag:
+            told, missing = messages_told(bag.info), missing_goals(bag)
+    note(f"{told} recorded in {recording.path}")
+    for sentence in missing:
+        note(f"missing: {sentence}")
     for topic, count in sorted(lost.items(), key=lambda each: -each[1])[:MOST_NAMED]:
         note(f"lost: {counted(count, 'message')} of topic '{topic}'")
     for topic, reason in sorted(recording.unrecorded.items()):
@@ -247,4 +259,4 @@ def _sum_up_playing(played: Played) -> int:
     note(f"played {counted(played.messages, 'message')}")
     if played.failed:
         return FAILED
-    return 0 if played.messages or played.goals or not played.skipped else FAILED
+    return 0 if played.messages or played.goals else FAILED

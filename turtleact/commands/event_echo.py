@@ -1,6 +1,6 @@
-"""Implements ``action echo`` and ``service echo``, which print others' requests and responses.
+"""Implements ``action echo`` and ``service echo``, which print requests and responses.
 
-A client or server publishes requests and responses only with service introspection
+A client or server publishes its requests and responses only if service introspection is on
 (`turtleact.introspection`). ``action echo`` also prints the feedback and the status, which every
 action server publishes.
 
@@ -20,8 +20,7 @@ from turtleact.commands.output import note, say_message
 from turtleact.interfaces import Action, Message, Service, implied
 from turtleact.interfaces.classes import event_message
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray, ServiceEventInfo
-from turtleact.introspection import event_topic
-from turtleact.names import action_names, resolve_name
+from turtleact.names import EVENT_SUFFIX, action_names, event_topic, resolve_name
 from turtleact.transports import QoS
 from turtleact.transports.base import STATUS_QOS
 
@@ -64,8 +63,8 @@ class Order(NamedTuple):
     """The user's choice of what to print.
 
     Attributes:
-        name: The action or service.
-        type_name: Its type; None for the type on the graph.
+        name: The name of the action or service.
+        type_name: The type of the action or service; None for the type on the graph.
         style: How messages are printed.
         parts: The parts of the action to print, by the names in `PARTS`.
     """
@@ -80,10 +79,10 @@ class Source(NamedTuple):
     """A topic to print.
 
     Attributes:
-        topic: The topic.
-        message_type: Its type.
-        heading: A line above each message; may be empty.
-        qos: The quality of service to ask for.
+        topic: The name of the topic.
+        message_type: The type of the topic's messages.
+        heading: A name to print above each message; empty for none.
+        qos: The quality of service of the subscription.
     """
 
     topic: str
@@ -96,8 +95,8 @@ async def echo_service(node: Node, order: Order) -> int:
     """Print the requests and responses of a service until the node is closed.
 
     Raises:
-        InvalidName: if the name breaks ROS 2's rules.
-        TurtleactError: if its type is unknown.
+        InvalidName: if the name breaks ROS 2's rules for names.
+        TurtleactError: if the type of the service is unknown.
     """
     name = resolve_name(order.name)
     service = chosen_class(node, "service", Service, name, order.type_name)
@@ -106,11 +105,11 @@ async def echo_service(node: Node, order: Order) -> int:
 
 
 async def echo_action(node: Node, order: Order) -> int:
-    """Print everything about the goals of an action until the node is closed.
+    """Print the requests, responses, feedback and status of an action until the node is closed.
 
     Raises:
-        InvalidName: if the name breaks ROS 2's rules.
-        TurtleactError: if its type is unknown.
+        InvalidName: if the name breaks ROS 2's rules for names.
+        TurtleactError: if the type of the action is unknown.
     """
     name = resolve_name(order.name)
     action = chosen_class(node, "action", Action, name, order.type_name)
@@ -143,7 +142,7 @@ async def _print_all(node: Node, sources: Sequence[Source], style: Style) -> int
                 for early in opened.drain():  # latched, so they came before the line above
                     show(source, early)
                 opened_all.append(stack.enter_context(closing(opened)))
-            topics = [each.topic for each in sources if each.topic.endswith(event_topic(""))]
+            topics = [each.topic for each in sources if each.topic.endswith(EVENT_SUFFIX)]
             if topics:
                 beside.start_soon(_note_silence, node, topics)
             beside.start_soon(_close_with, opened_all[0], send)
@@ -154,9 +153,9 @@ async def _print_all(node: Node, sources: Sequence[Source], style: Style) -> int
 
 
 async def _close_with(subscription: Subscription[Any], stream: Closeable) -> None:
-    """Close a stream when a subscription is closed.
+    """Close ``stream`` when ``subscription`` is closed.
 
-    The subscription's messages are taken elsewhere.
+    This function gets no messages, because the subscription passes them to its ``taker``.
     """
     async for _ in subscription:
         pass
@@ -164,7 +163,7 @@ async def _close_with(subscription: Subscription[Any], stream: Closeable) -> Non
 
 
 async def _note_silence(node: Node, topics: Sequence[str]) -> None:
-    """Print a note if nobody publishes any of the events."""
+    """Print a note if none of the event topics has a publisher."""
     async with within(UNHEARD, node.clock):
         while not any(node.count_publishers(each) for each in topics):
             await node.transport.wait_for_change()

@@ -1,11 +1,11 @@
 """Opens the graph that a verb uses, and explains what is missing on it.
 
-A verb is a coroutine function that takes a `Node` and returns the exit status. The node is hidden
-and opens nothing by itself.
+A verb is a coroutine function that takes a `Node` and returns the exit status. The node is hidden,
+and has no endpoints until the verb opens some.
 
 A command may find no router, an empty domain, or an action that nobody serves. To the command, a
-server that is off looks the same as a server in another domain. Messages about such a server
-therefore name the things that are in reach.
+server that is off looks the same as a server in another domain. Error messages therefore name the
+actions or domains that are in reach.
 """
 
 from __future__ import annotations
@@ -81,11 +81,13 @@ MOST_SHOWN = 10
 
 @asynccontextmanager
 async def open_transport(reach: Reach, mode: Mode | None = None) -> AsyncIterator[Transport]:
-    """Open the graph of other processes. The graph has been explored when the block begins.
+    """Open a transport to the graph of other processes.
+
+    When the block begins, the transport knows the nodes and endpoints on the graph.
 
     Args:
         reach: The graph to open.
-        mode: How to join the graph. The default is that of `mode_of`.
+        mode: Whether to join the graph as a peer or as a client. By default, `mode_of` decides.
 
     Raises:
         TurtleactError: if no graph is in reach.
@@ -103,7 +105,7 @@ async def open_transport(reach: Reach, mode: Mode | None = None) -> AsyncIterato
 
 @asynccontextmanager
 async def open_graph(reach: Reach, mode: Mode | None = None) -> AsyncIterator[Node]:
-    """Open a hidden node on the graph in reach. The errors are those of `open_transport`."""
+    """Open a hidden node on a graph. The errors are those of `open_transport`."""
     async with (
         open_transport(reach, mode) as transport,
         open_node(f"_turtleact_cli_{os.getpid()}", transport=transport) as node,
@@ -114,15 +116,15 @@ async def open_graph(reach: Reach, mode: Mode | None = None) -> AsyncIterator[No
 async def enter_if_there(
     stack: AsyncExitStack, reach: Reach, opened: AbstractAsyncContextManager[T]
 ) -> T | None:
-    """Enter a graph. If none is in reach and ``--connect`` names none, return None.
+    """Open a graph. Return None if no graph is in reach and ``--connect`` was not given.
 
     Args:
-        stack: Closes the graph.
-        reach: Which graph.
-        opened: The result of `open_transport` or `open_graph` for the graph.
+        stack: The stack that closes the graph.
+        reach: The graph to open.
+        opened: The context manager that opens the graph: `open_transport` or `open_graph`.
 
     Raises:
-        UsageError: if the ``--config`` file is at fault.
+        UsageError: if the ``--config`` file cannot be read, or has an invalid value.
         TurtleactError: if the graph that ``--connect`` names is not in reach.
     """
     try:
@@ -138,8 +140,9 @@ async def enter_if_there(
 def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
     """Run a verb on a graph until it ends or a signal cancels it, and return the exit status.
 
-    If the domain has no nodes, a note says so first, because then most verbs print nothing. A verb
-    may be stuck in its output when the signal comes. The process then ends after `PATIENCE`.
+    If the domain has no nodes, a note says so first, because then most verbs print nothing. If the
+    verb does not end after a signal, for example because its output is stuck, the process ends
+    after `PATIENCE`.
 
     Raises:
         TurtleactError: if no graph is in reach. Errors of the verb are raised, too.
@@ -159,17 +162,17 @@ async def until_interrupted(
     act: Callable[[T], Awaitable[int]],
     interrupts: Interrupts,
 ) -> int:
-    """Open something, and act on it until the act ends or a signal cancels it.
+    """Enter a context manager, call ``act`` with the result, and return the exit status.
 
     Args:
-        opened: A context manager. A signal also cancels its opening and closing. If the opening
-            ignores the cancellation, the process ends.
-        act: Called with the opened object. It returns the exit status.
-        interrupts: The signals.
+        opened: The context manager to enter, for example one that opens a node.
+        act: Called with the result of entering ``opened``. It returns the exit status.
+        interrupts: A signal cancels whatever runs: entering ``opened``, ``act``, or leaving
+            ``opened``. If entering ``opened`` ignores the cancellation, the process ends.
 
     Raises:
-        TurtleactError: if opening fails, unless a signal came first. Errors of ``act`` are raised,
-            too.
+        TurtleactError: if entering ``opened`` fails, unless a signal came first. Errors of ``act``
+            are raised, too.
     """
     status: int | None = None
     with interrupts.listening(asyncio.get_running_loop()):
@@ -189,18 +192,19 @@ async def until_interrupted(
 
 
 def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
-    """The class of a message, service or action that the user or the graph names.
+    """Return the class of a message, service or action that the user or the graph names.
 
     Args:
-        base: The kind that it must have: `Message`, `Service` or `Action`.
+        base: The expected kind of interface: `Message`, `Service` or `Action`.
         type_name: The name of the interface.
-        where: The endpoint on the graph that has this type; empty if the user typed the type.
+        where: The topic, service or action that has this type on the graph. The error names it. If
+            the user typed the type, ``where`` is empty.
 
     Raises:
         UnknownInterface: if the user typed an unknown name.
-        TurtleactError: if the type is on the graph but not known here. The text says how to make it
-            known.
-        InvalidInterface: if the interface is of another kind.
+        TurtleactError: if the graph has the type, but this process does not know it. The error says
+            how to make the type known.
+        InvalidInterface: if the interface is not of the expected kind.
     """
     try:
         found = get_interface(type_name)
@@ -219,18 +223,19 @@ def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
 def chosen_class(
     node: Node, kind: Kind, base: type[I], name: str, type_name: str | None
 ) -> type[I]:
-    """The class for a name, from the type that the user typed, or else from the graph.
+    """Return the class of the type that the user typed, or of the type of a name on the graph.
 
     Args:
         node: A node on the graph.
-        kind: The kind that has the name: an action, a service or a topic.
-        base: As for `interface_class`.
-        name: The full name.
-        type_name: The type that the user typed. If None, the first type on the graph counts.
+        kind: Whether ``name`` is that of an action, a service or a topic.
+        base: The expected kind of interface: `Message`, `Service` or `Action`.
+        name: The full name of the action, service or topic.
+        type_name: The type that the user typed. With None, the first type that ``name`` has on the
+            graph is used.
 
     Raises:
-        TurtleactError: if neither gives a type. The error suggests the nearest name. Other errors
-            are those of `interface_class`.
+        TurtleactError: if the user typed no type and the name is not on the graph. The error
+            suggests similar names. Other errors are those of `interface_class`.
     """
     if type_name is not None:
         return interface_class(base, type_name)
@@ -245,9 +250,10 @@ def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str
     """Print a note on nodes that do not hear each other because their definitions of a type differ.
 
     Args:
-        node: The node that looks. Its own endpoints are left out.
+        node: The node of this command. Its endpoints are not compared.
         endpoints: The endpoints to compare.
-        known: The type hashes of this process, by type name. They are compared, too.
+        known: The type hashes that this process has, by type name. Each type of the endpoints is
+            also compared with the definition in this process.
     """
     from turtleact.doctor.checks import differing_definitions
     from turtleact.doctor.snapshot import EndpointSeen, Snapshot
@@ -259,13 +265,13 @@ def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str
 
 
 def no_router(reach: Reach) -> str:
-    """Return the text for a missing router at the place where this machine's nodes look for one."""
+    """Return a text that says that no router answers at `ROUTER`."""
     rest = "answers" if reach.config is None else "answers, or lets in this --config,"
     return f"no router {rest} at {ROUTER} ('turtleact serve' starts one)"
 
 
 async def note_empty(transport: Transport, reach: Reach) -> None:
-    """Tell the user if a domain has no nodes, because most verbs then print nothing."""
+    """Print a note if a domain has no nodes, because most verbs then print nothing."""
     from turtleact.transports import ZenohTransport  # an embedded world does without Zenoh
 
     if isinstance(transport, ZenohTransport) and all(map(is_hidden_node, transport.nodes())):
@@ -273,12 +279,12 @@ async def note_empty(transport: Transport, reach: Reach) -> None:
 
 
 async def none_in_domain(transport: Transport, reach: Reach, what: str = "nodes") -> str:
-    """Return the text for a domain that lacks something. The text names domains that have nodes.
+    """Return a text that says what a domain lacks, and which other domains have nodes.
 
     Args:
-        transport: The graph.
-        reach: Which graph it is.
-        what: The thing that the domain lacks.
+        transport: The transport to the graph.
+        reach: The graph with the domain.
+        what: What the domain lacks, such as ``"nodes"``.
     """
     from turtleact.transports import ZenohTransport
 
@@ -292,22 +298,22 @@ async def none_in_domain(transport: Transport, reach: Reach, what: str = "nodes"
 
 
 def world_started(why: str = "") -> str:
-    """Return the text for a command that has started a world of its own.
+    """Return a text that says that the command has started an embedded world.
 
     Args:
-        why: Why the command has started it; empty if the user asked for a world.
+        why: Why the command has started the world; empty if the user asked for it.
     """
     reason = f", because {why}" if why else ""
     return f"started an embedded world, which ends with this command{reason}"
 
 
 def not_served(name: str, served: Iterable[str], where: str = "in reach") -> ServerUnavailable:
-    """The error for an action that nobody serves. The error names the actions that are served.
+    """Return the error for an action that nobody serves. The error suggests other actions.
 
     Args:
         name: The full name of the action.
-        served: The actions that are served.
-        where: Where these actions are.
+        served: The names of the actions that are served.
+        where: Where these actions are served, in words such as ``"in reach"``.
     """
     if near := nearest(name, served := sorted(set(served))):
         hint = f"is your server running, or did you mean '{near}'?"
@@ -316,8 +322,19 @@ def not_served(name: str, served: Iterable[str], where: str = "in reach") -> Ser
     return ServerUnavailable(name, "nobody serves it", hint=hint)
 
 
+def is_served(node: Node, name: str, type_name: str) -> bool:
+    """Whether a node on the graph serves the action of this full name with this type now."""
+    return type_name in types_by_name(node.transport.endpoints(), "action", hidden=True).get(
+        name, ()
+    )
+
+
 def not_in_world(name: str, served: Iterable[str]) -> ServerUnavailable:
-    """The error for an action that the embedded world lacks, if the user wanted that world."""
+    """Return the error for an action that the embedded world lacks.
+
+    The user has selected this world with ``--embedded``, ``--speed`` or ``--seed``, so the error
+    names these options.
+    """
     near = nearest(name, served := sorted(set(served)))
     there = f"did you mean '{near}'?" if near else f"it serves {_some(served)};"
     hint = f"{there} --embedded, --speed and --seed use no other server"

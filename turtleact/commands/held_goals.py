@@ -1,13 +1,14 @@
 """Lists, cancels, pauses, resumes and watches goals that others have sent.
 
-All of this uses the endpoints that an action has in any ROS 2: the status topic shows which goals a
-server holds, ``cancel_goal`` cancels them, and ``get_result`` waits for their end. Only pauses need
-a server of turtleact; see `turtleact.commands.pause_requests`.
+All of this except pausing and resuming works with any ROS 2 server: the status topic shows which
+goals a server holds, ``cancel_goal`` cancels them, and ``get_result`` waits for their end. Only
+servers of turtleact can pause goals; see `turtleact.commands.pause_requests`.
 
-A server publishes its status when a goal changes, and its last message is latched; a server that
-never had a goal may publish nothing. The commands therefore wait for latched messages, but not for
-long. A latched message may also arrive from a server that hangs. Therefore the commands ask each
-server to cancel a goal that does not exist. A working server answers that request.
+A server publishes its status when a goal changes, and its last status message is latched. A server
+that never had a goal may publish nothing. The commands therefore wait only a short time for latched
+messages. A latched message may also arrive from a server that hangs. To find such servers, the
+commands ask each server to cancel a goal that does not exist: a working server answers this
+request.
 
 Source: the ROS 2 design article "Actions"; action_msgs/srv/CancelGoal; rcl_action
 ``action_server.c`` for the contents and times of messages.
@@ -23,11 +24,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import anyio
 
 from turtleact.client import Outcome
+from turtleact.client.remote_goals import goal_lost
 from turtleact.clock import within
 from turtleact.commands.graph import interface_class, not_served
 from turtleact.commands.output import duration, note, say, say_names, say_table
 from turtleact.commands.pause_requests import follow_paused, paused_goals, set_paused
-from turtleact.commands.transcript import Followed
+from turtleact.commands.transcript import Followed, after_return, watch_command
 from turtleact.errors import (
     PauseRefused,
     ServerUnavailable,
@@ -93,12 +95,12 @@ class HeldGoal(NamedTuple):
     """A goal that a server holds.
 
     Attributes:
-        goal_id: The 16 bytes of its id.
+        goal_id: The goal's id, 16 bytes.
         action: The name of the action.
         type_name: The type of the action.
         status: The state of the goal.
-        stamp: When it was accepted (ns since the epoch, by the server's clock).
-        is_paused: Whether the goal is paused; False if that was not asked.
+        stamp: When the goal was accepted (ns since the epoch, by the server's clock).
+        is_paused: Whether the goal is paused; False if this is not known.
     """
 
     goal_id: bytes
@@ -110,11 +112,13 @@ class HeldGoal(NamedTuple):
 
 
 def served_actions(node: Node, name: str | None) -> dict[str, str]:
-    """The served actions with their types. With a name, only that action.
+    """Return the actions on the graph that have a server, with their types.
+
+    With ``name``, return only this action.
 
     Raises:
-        InvalidName: if the name breaks ROS 2's rules.
-        ServerUnavailable: if nobody serves an action of that name. The error suggests another name.
+        InvalidName: if ``name`` breaks ROS 2's rules for names.
+        ServerUnavailable: if nobody serves the action ``name``. The error suggests other names.
     """
     found = types_by_name(node.transport.endpoints(), "action", hidden=True)
     served = {each: types[0] for each, types in found.items()}
@@ -127,14 +131,15 @@ def served_actions(node: Node, name: str | None) -> dict[str, str]:
 
 
 async def held_goals(node: Node, actions: dict[str, str]) -> tuple[list[HeldGoal], list[str]]:
-    """The goals of some actions, and the servers that do not answer.
+    """Find the goals of some actions, and the servers that do not answer.
 
     Args:
         node: A node on the graph.
-        actions: The actions, with their types.
+        actions: The names of the actions, with their types.
 
     Returns:
-        The goals in the order of their acceptance, and the names of the silent nodes.
+        The goals in the order in which they were accepted, and the names of the nodes that do not
+        answer.
     """
     found: dict[tuple[str, bytes], HeldGoal] = {}
     silent: set[str] = set()
@@ -152,14 +157,14 @@ async def held_goals(node: Node, actions: dict[str, str]) -> tuple[list[HeldGoal
 
 
 def silence(silent: list[str]) -> str:
-    """A sentence with the names of servers that do not answer."""
+    """Return a text that says which servers do not answer."""
     if len(silent) == 1:
         return f"server {silent[0]} does not answer"
     return f"servers {', '.join(silent)} do not answer"
 
 
 def goals_in(message: GoalStatusArray, action: str, type_name: str) -> Iterable[HeldGoal]:
-    """The goals in a status message."""
+    """Yield the goals in a status message."""
     for each in message.status_list:
         info = each.goal_info
         status = status_of(each.status)
@@ -167,10 +172,10 @@ def goals_in(message: GoalStatusArray, action: str, type_name: str) -> Iterable[
 
 
 def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
-    """Find the goal with an id that begins with a text; None if there is none.
+    """Return the goal with an id that begins with ``wanted``; None if there is none.
 
     Raises:
-        UsageError: if there are several such goals.
+        UsageError: if the ids of several goals begin with ``wanted``.
     """
     found = [goal for goal in goals if goal.goal_id.hex().startswith(wanted)]
     if len(found) > 1:
@@ -180,15 +185,15 @@ def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
 
 
 async def find_goal(node: Node, wanted: str) -> HeldGoal:
-    """Find the goal on the graph with an id that begins with a text.
+    """Find the goal on the graph with an id that begins with ``wanted``.
 
-    If the text begins with a slash, find the only running goal of the action with this name. Print
-    a note if the goal's server does not answer.
+    If ``wanted`` begins with a slash, it is the name of an action, and the action's only running
+    goal is found. If the goal's server does not answer, a note is printed.
 
     Raises:
-        UsageError: if there are several.
-        ServerUnavailable: if nobody serves an action of that name.
-        TurtleactError: if there is none.
+        UsageError: if there are several such goals.
+        ServerUnavailable: if ``wanted`` is the name of an action that nobody serves.
+        TurtleactError: if there is no such goal.
     """
     is_name = wanted.startswith("/")
     goals, silent = await held_goals(node, served_actions(node, wanted if is_name else None))
@@ -231,15 +236,15 @@ SILENT = "the server does not answer"
 
 
 async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
-    """Print the goals that servers hold, as a table or as JSON.
+    """Print the goals that servers hold, and return the exit status.
 
     Args:
         node: A node on the graph.
-        name: The action; None for all actions.
-        as_json: Whether to print one JSON object per line.
+        name: The name of the action; None for all actions.
+        as_json: Whether to print one JSON object per line instead of a table.
 
     Raises:
-        ServerUnavailable: if nobody serves an action of that name.
+        ServerUnavailable: if nobody serves the action.
     """
     goals, silent = await held_goals(node, served_actions(node, name))
     now = node.clock.now()
@@ -260,10 +265,10 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
 
 
 async def cancel(node: Node, wanted: Sequence[str]) -> int:
-    """Cancel goals by the beginnings of their ids, and print the outcome for each.
+    """Cancel goals by the beginnings of their ids, and print the outcome of each.
 
     Raises:
-        UsageError: if a text fits several goals. No goal is then canceled.
+        UsageError: if several ids begin with the same text in ``wanted``. No goal is then canceled.
     """
     goals, silent = await held_goals(node, served_actions(node, None))
     status = DONE
@@ -281,15 +286,15 @@ async def cancel(node: Node, wanted: Sequence[str]) -> int:
 
 
 async def cancel_many(node: Node, name: str | None, before: int) -> int:
-    """Cancel all goals, or those accepted up to a moment, and print the outcome for each.
+    """Cancel all goals, or those accepted up to a moment, and print the outcome of each.
 
     Args:
         node: A node on the graph.
-        name: The action; None for all actions.
-        before: The moment (ns since the epoch, by the servers' clocks); 0 for all goals.
+        name: The name of the action; None for all actions.
+        before: The moment (ns since the epoch, by the servers' clocks); 0 to cancel all goals.
 
     Raises:
-        ServerUnavailable: if nobody serves an action of that name.
+        ServerUnavailable: if nobody serves the action.
     """
     goals, silent = await held_goals(node, served_actions(node, name))
     meant = [
@@ -318,19 +323,24 @@ async def cancel_many(node: Node, name: str | None, before: int) -> int:
 # watch, result
 
 
-async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedback: bool) -> int:
+async def follow(
+    node: Node, wanted: str, transcript: Transcript, options: str, *, hears_feedback: bool
+) -> int:
     """Wait for the end of a goal, print its result, and return the exit status.
 
     Args:
         node: A node on the graph.
         wanted: The beginning of the goal's id, or the full name of an action with one running goal.
-        transcript: Prints the goal.
+        transcript: The object that prints what happens to the goal.
+        options: The command-line options for the graph and the interfaces, with a space before each
+            option. If the server goes away, the error suggests a command with these options.
         hears_feedback: Whether to receive the goal's feedback.
 
     Raises:
-        UsageError: if the text fits several goals.
+        UsageError: if ``wanted`` selects several goals.
         ServerUnavailable: if the server goes away.
-        TurtleactError: if no server holds the goal, or the action's type is unknown here.
+        TurtleactError: if no server holds the goal, or this process does not know the action's
+            type.
     """
     goal = await find_goal(node, wanted)
     action_type = interface_class(Action, goal.type_name, f"action '{goal.action}'")
@@ -353,9 +363,7 @@ async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedb
                 heard = [feedback, statuses]
                 telling.start_soon(watched.hear_feedback, feedback, transcript)
                 telling.start_soon(watched.hear_statuses, statuses, goal)
-            response = await _call(
-                client, goal.action, kinds.get_result.Request(UUID(goal.goal_id))
-            )
+            response = await _result(client, goal, kinds.get_result, options)
             for each in heard:
                 await each.aclose()  # the tasks still print what has come, and then end
         status = watched.status = GoalStatus(response.status)
@@ -368,14 +376,24 @@ async def follow(node: Node, wanted: str, transcript: Transcript, *, hears_feedb
     return {GoalStatus.ABORTED: ABORTED, GoalStatus.CANCELED: CANCELED}.get(status, DONE)
 
 
+async def _result(client: Any, goal: HeldGoal, kind: Any, options: str) -> Any:  # noqa: ANN401  # of whatever type
+    """Wait for a goal's result, and return the response. The errors are those of `follow`."""
+    try:
+        return await client.call(kind.Request(UUID(goal.goal_id)), None)
+    except ServerUnavailable as error:
+        lost = goal_lost(goal.action, error)
+        lost.hint = after_return(watch_command(goal.goal_id, options))
+        raise lost from None
+
+
 class WatchedGoal:
-    """A goal that somebody else sent, kept up to date from its topics.
+    """A goal that somebody else sent. Messages on the action's topics keep it up to date.
 
     Attributes:
-        goal_id: The 16 bytes of its id.
-        status: Its last known state.
-        last_feedback: The newest feedback; None before the first.
-        is_paused: Whether the goal is paused, as far as its server says.
+        goal_id: The goal's id, 16 bytes.
+        status: The goal's last known state.
+        last_feedback: The newest feedback message; None before the first.
+        is_paused: Whether the goal is paused, as its server last reported.
     """
 
     def __init__(self, node: Node, goal: HeldGoal) -> None:
@@ -387,7 +405,7 @@ class WatchedGoal:
         self.last_feedback: Message | None = None
 
     async def hear_feedback(self, messages: Subscription[Any], transcript: Transcript) -> None:
-        """Record each feedback message. Print it if the user wants feedback."""
+        """Record each feedback message of the goal, and print it if the user wants feedback."""
         async for message in messages:
             if message.goal_id.uuid == self.goal_id:
                 self.last_feedback = message.feedback
@@ -396,14 +414,14 @@ class WatchedGoal:
                     await transcript.drained()
 
     async def hear_statuses(self, messages: Subscription[GoalStatusArray], goal: HeldGoal) -> None:
-        """Record each state."""
+        """Record each new state of the goal."""
         async for message in messages:
             for each in goals_in(message, goal.action, goal.type_name):
                 if each.goal_id == self.goal_id:
                     self.status = each.status
 
     async def hear_pauses(self) -> None:
-        """Record whether the goal is paused."""
+        """Record whether the goal is paused, at each change."""
         async for paused in follow_paused(self._node, self._action):
             self.is_paused = self.goal_id in paused
 
@@ -412,15 +430,16 @@ class WatchedGoal:
         await set_paused(self._node, self._action, self.goal_id, is_paused=True)
 
     async def resume(self) -> None:
-        """Let the goal go on. The errors are those of `set_paused`."""
+        """Resume the goal. The errors are those of `set_paused`."""
         await set_paused(self._node, self._action, self.goal_id, is_paused=False)
 
 
 async def switch(node: Node, wanted: Sequence[str], *, is_paused: bool, timeout: float) -> int:
-    """Pause or resume goals by the beginnings of their ids, and print the outcome for each.
+    """Pause or resume goals by the beginnings of their ids, and print the outcome of each.
 
     Raises:
-        UsageError: if a text fits several goals. No goal is then paused or resumed.
+        UsageError: if several ids begin with the same text in ``wanted``. No goal is then paused or
+            resumed.
     """
     goals, silent = await held_goals(node, served_actions(node, None))
     status = DONE
@@ -436,12 +455,12 @@ async def switch(node: Node, wanted: Sequence[str], *, is_paused: bool, timeout:
 
 
 async def switch_all(node: Node, name: str | None, *, is_paused: bool, timeout: float) -> int:
-    """Pause or resume all goals of an action, or of all actions, and print the outcome for each.
+    """Pause or resume all goals of an action, or of all actions, and print the outcome of each.
 
     The requests for all goals are sent at the same time.
 
     Raises:
-        ServerUnavailable: if nobody serves an action of that name.
+        ServerUnavailable: if nobody serves the action.
     """
     goals, silent = await held_goals(node, served_actions(node, name))
     goals = [goal for goal in goals if goal.status.is_active]
@@ -467,7 +486,7 @@ async def switch_all(node: Node, name: str | None, *, is_paused: bool, timeout: 
 async def _listen(
     node: Node, name: str, type_name: str, found: dict[tuple[str, bytes], HeldGoal]
 ) -> None:
-    """Receive the latched message of each server of an action."""
+    """Add the goals in the latched status messages of an action's servers to ``found``."""
     topic = action_names(name).status
     subscription = node.subscription(GoalStatusArray, topic, STATUS_QOS)
     servers = node.count_publishers(topic)
@@ -485,9 +504,9 @@ async def _listen(
 
 
 def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
-    """Find the nodes that serve these actions.
+    """Return the nodes that serve these actions.
 
-    Each node comes with one of its actions.
+    Each node is mapped to one of the actions that it serves.
     """
     services = {action_names(name).cancel_goal: name for name in actions}
     return {
@@ -498,7 +517,10 @@ def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
 
 
 async def _ask(node: Node, server: str, action: str, silent: set[str]) -> None:
-    """Ask a server to cancel a goal that does not exist. If it does not answer, record it."""
+    """Ask a server to cancel a goal that does not exist.
+
+    If the server does not answer, add its name to ``silent``.
+    """
     client = node.service_client(CancelGoal, action_names(action).cancel_goal)
     try:
         await client.call(CancelGoal.Request(GoalInfo(UUID(uuid.uuid4().bytes))), ANSWER)
@@ -535,7 +557,7 @@ def _as_json(node: Node, goal: HeldGoal, now: int) -> str:
 
 
 def _clients(node: Node, action: str) -> list[str]:
-    """The nodes that may have sent a goal. ROS 2 does not say which of them sent it."""
+    """Return the nodes that have a client of the action, because each may have sent the goal."""
     service = action_names(action).send_goal
     return sorted(
         {
@@ -547,7 +569,7 @@ def _clients(node: Node, action: str) -> list[str]:
 
 
 async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
-    """Ask a server to cancel one goal. Return why it is not canceled, or None if it is."""
+    """Ask a server to cancel one goal. Return why this fails, or None if it succeeds."""
     response = await _request(node, goal.action, goal.goal_id, 0)
     if response is None:
         return SILENT
@@ -580,8 +602,8 @@ def _tell(goal_id: str, action: str, problem: str | None) -> None:
     say_names(f"{who}: {f'not canceled: {problem}' if problem else 'canceling'}\n")
 
 
-async def _call(client: Any, action: str, request: Message, timeout: float | None = None) -> Any:  # noqa: ANN401  # of whatever type
-    """Call a service of an action. Errors name the action."""
+async def _call(client: Any, action: str, request: Message, timeout: float) -> Any:  # noqa: ANN401  # of whatever type
+    """Call a service of an action. If the server goes away, the error names the action."""
     try:
         return await client.call(request, timeout)
     except ServerUnavailable as error:
@@ -589,7 +611,7 @@ async def _call(client: Any, action: str, request: Message, timeout: float | Non
 
 
 async def _switch(node: Node, goal: HeldGoal, *, is_paused: bool, timeout: float) -> str:
-    """Pause or resume a goal, and print the outcome. Return why it failed, or an empty text."""
+    """Pause or resume a goal, and print the outcome. Return the problem; empty if there is none."""
     problem = ""
     if goal.status.is_terminal:
         problem = f"it has ended {goal.status.name}"

@@ -1,9 +1,9 @@
 """Implements the verbs of ``interface``, which list and show interfaces and print prototypes.
 
-These verbs need no graph. Interfaces ship with turtleact, are in the folder of ``--interfaces``,
-belong to the sourced ROS workspace, or are found near the working directory.
+These verbs need no graph. They know the interfaces that ship with turtleact, and those in the
+folder of ``--interfaces``, in the sourced ROS workspace, and near the working directory.
 
-Source: ros2cli ``ros2interface/verb/*.py`` for what is printed, with the words of Jazzy.
+Source: ros2cli ``ros2interface/verb/*.py`` (Jazzy), for the printed text.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from turtleact.interfaces import (
     Action,
     Service,
     get_interface,
-    interface_source,
     known_interfaces,
     load_interfaces,
     load_workspace,
     offer_interfaces,
     to_yaml,
 )
+from turtleact.interfaces.comments import commented_text
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.parse import Line, parse_member, without_comment
 from turtleact.workspace import find_interfaces
@@ -58,11 +58,11 @@ LONGEST_LINE: Final = 2**12
 
 
 def make_known(folder: str | None, *, is_silent: bool = False) -> None:
-    """Register all interfaces that a command may need: our own, and those of `make_found`.
+    """Register turtleact's own interfaces, and those that `make_found` registers.
 
     Args:
-        folder: As for `make_found`.
-        is_silent: As for `make_found`.
+        folder: A folder with interface files; None for no folder.
+        is_silent: Whether to print no note about where an interface was found.
 
     Raises:
         InvalidInterface: if the folder does not exist.
@@ -73,15 +73,17 @@ def make_known(folder: str | None, *, is_silent: bool = False) -> None:
 
 
 def make_found(folder: str | None, *, is_silent: bool = False) -> None:
-    """Register the interfaces in a folder, in the sourced workspace, and near this directory.
+    """Find and register interfaces: in ``folder``, the workspace, and near the working directory.
 
-    If there are several definitions, the first in this order counts. Built-in definitions come
-    last. When an interface near the working directory is first used, a line on stderr says where it
-    was found.
+    If an interface has several definitions, the first one in this order is used: the one in the
+    folder, in the sourced workspace, near the working directory, the built-in one. When the first
+    interface near the working directory is used, a note on stderr says where that interface was
+    found.
 
     Args:
-        folder: As for `turtleact.interfaces.load_interfaces`; None for no folder.
-        is_silent: Whether to leave out this line.
+        folder: The folder to search; see `turtleact.interfaces.load_interfaces`. None for no
+            folder.
+        is_silent: Whether to leave out the note on stderr.
 
     Raises:
         InvalidInterface: if the folder does not exist.
@@ -95,7 +97,7 @@ def make_found(folder: str | None, *, is_silent: bool = False) -> None:
 
 
 class _OneNote:
-    """Tells the user once in which folder an interface was found."""
+    """Prints a note that says where an interface was found, but only for the first interface."""
 
     def __init__(self) -> None:
         self._is_told = False
@@ -107,7 +109,7 @@ class _OneNote:
 
 
 def print_list(kinds: Sequence[str]) -> None:
-    """Print the names of all interfaces of some kinds, or of all kinds."""
+    """Print the names of all interfaces of these kinds. Without ``kinds``, print all names."""
     for kind in kinds or KINDS:
         names = [name for name in known_interfaces() if name.split("/")[1] == kind]
         say(
@@ -116,12 +118,12 @@ def print_list(kinds: Sequence[str]) -> None:
 
 
 def print_packages(kinds: Sequence[str]) -> None:
-    """Print the names of the packages that have interfaces of some kinds, or of any kind."""
+    """Print the names of the packages that have interfaces of these kinds, or of any kind."""
     say("".join(f"{package}\n" for package in _by_package(kinds)))
 
 
 def print_package(package: str, kinds: Sequence[str]) -> None:
-    """Print the names of the interfaces in a package, of some kinds or of all kinds.
+    """Print the names of a package's interfaces of these kinds. Without ``kinds``, print all names.
 
     Raises:
         TurtleactError: if there is no such package. The error suggests the nearest name.
@@ -131,7 +133,7 @@ def print_package(package: str, kinds: Sequence[str]) -> None:
 
 
 def print_prototype(type_name: str, *, quotes: bool) -> None:
-    """Print the first message of an interface, such as an action's goal, as YAML with defaults.
+    """Print an action's goal, a service's request or a message as YAML, with default values.
 
     Raises:
         UnknownInterface: if the name is unknown. The error suggests the nearest name.
@@ -141,7 +143,7 @@ def print_prototype(type_name: str, *, quotes: bool) -> None:
 
 
 def first_message(type_name: str) -> Message:
-    """The message of an interface that is sent first, such as an action's goal, with defaults.
+    """Return an action's goal, a service's request or a message, with default values.
 
     Raises:
         UnknownInterface: if the name is unknown. The error suggests the nearest name.
@@ -153,27 +155,27 @@ def first_message(type_name: str) -> Message:
 
 
 def show(type_name: str, *, comments: bool, nested_comments: bool) -> None:
-    """Print the definition of an interface, with the messages in it one tab deeper.
+    """Print the definition of an interface, with nested messages indented by one tab more.
 
     Args:
         type_name: The name of the interface.
-        comments: Whether to print its comments and empty lines.
-        nested_comments: Whether to print the comments and empty lines of the messages in it.
+        comments: Whether to print the interface's own comments and empty lines.
+        nested_comments: Whether to print the comments and empty lines of nested messages.
 
     Raises:
         UnknownInterface: if the name is unknown. The error suggests the nearest name.
-        InvalidInterface: if a file is malformed.
+        InvalidInterface: if the file of an interface is malformed.
     """
     lines = _lines(type_name, depth=0, comments=comments, nested_comments=nested_comments)
     say("".join(f"{line}\n" for line in lines))
 
 
 def read_type(type_name: str, interrupts: Interrupts) -> str:
-    """The name of a type. A dash stands for the first line of stdin.
+    """Return the type that the user named: ``type_name``, or the first line of stdin if it is "-".
 
     Raises:
         UsageError: if there is nothing to read.
-        KeyboardInterrupt: if a signal comes during the reading.
+        KeyboardInterrupt: if a signal comes while stdin is read.
     """
     if type_name != "-":
         return type_name
@@ -192,12 +194,13 @@ def write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> in
     The path of each written file is printed. Files that would not change are left alone.
 
     Args:
-        packages: Their names.
-        folder: The folder for ``PACKAGE/KIND.py``, which is created if it does not exist.
-        is_check: Whether to write nothing, and print the files that would change.
+        packages: The names of the packages.
+        folder: The folder into which files ``PACKAGE/KIND.py`` are written. It is created if it
+            does not exist.
+        is_check: Whether to write nothing, and only print which files would change.
 
     Returns:
-        The exit status: 1 if a check finds a file that would change.
+        The exit status: 1 if ``is_check`` is true and a file would change, otherwise 0.
 
     Raises:
         TurtleactError: if there is no such package. The error suggests the nearest name.
@@ -232,7 +235,7 @@ def write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> in
 
 
 def _read(path: Path) -> str | None:
-    """The text of a file; None if the file does not exist."""
+    """Return the text of a file; None if the file does not exist."""
     try:
         return path.read_text("utf-8")
     except FileNotFoundError:
@@ -242,7 +245,7 @@ def _read(path: Path) -> str | None:
 
 
 def _replace(path: Path, text: str | None) -> None:
-    """Write this text to a file. With None, remove the file."""
+    """Write ``text`` to a file. If ``text`` is None, remove the file."""
     try:
         if text is None:
             path.unlink()
@@ -254,7 +257,7 @@ def _replace(path: Path, text: str | None) -> None:
 
 
 def _check_package(package: str) -> None:
-    """Check that an interface of that package is known. The error suggests the nearest name."""
+    """Raise an error if no interface of a package is known. The error suggests the nearest name."""
     packages = _by_package(())
     if package not in packages:
         hint = did_you_mean(package, packages)
@@ -262,7 +265,7 @@ def _check_package(package: str) -> None:
 
 
 def _by_package(kinds: Sequence[str]) -> dict[str, list[str]]:
-    """The names of the interfaces of some kinds, or of all kinds, by package."""
+    """Return the names of the interfaces of these kinds, or of all kinds, by package."""
     packages: dict[str, list[str]] = {}
     for name in known_interfaces():
         package, kind, _ = name.split("/")
@@ -272,9 +275,10 @@ def _by_package(kinds: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _lines(type_name: str, *, depth: int, comments: bool, nested_comments: bool) -> Iterator[str]:
-    """The lines that `show` prints."""
-    package = get_interface(type_name).type_name.partition("/")[0]
-    for number, text in enumerate(interface_source(type_name).splitlines(), 1):
+    """Yield the lines that `show` prints."""
+    interface = get_interface(type_name)
+    package = interface.type_name.partition("/")[0]
+    for number, text in enumerate(commented_text(interface).splitlines(), 1):
         shown, said = text.rstrip(), without_comment(text).strip()
         if comments or said:
             kept = shown if comments else said

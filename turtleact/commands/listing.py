@@ -1,7 +1,8 @@
 """Implements ``list``, ``type``, ``find`` and ``info``, which print what exists, as ``ros2`` does.
 
-Actions, services and topics are listed alike (`Kind`). A name is hidden if one of its parts begins
-with an underscore. Hidden names are listed only on request, but found if you name them.
+The same functions list actions, services and topics; `Kind` says which. A name is hidden if a part
+between its slashes begins with an underscore. Hidden names are listed only on request. If you name
+a hidden action, service or topic, it is always found.
 
 Source: ros2cli ``ros2{action,node,service,topic}/verb/*.py`` for the order of the output;
 recordings of Jazzy for the words.
@@ -18,6 +19,7 @@ from turtleact.commands.output import note, say_names
 from turtleact.errors import TurtleactError, UnknownInterface
 from turtleact.graph import Kind, is_hidden_node, names_like, types_by_name
 from turtleact.interfaces import get_interface, type_hash
+from turtleact.interfaces.definition import nearest
 from turtleact.names import action_names, resolve_name
 
 if TYPE_CHECKING:
@@ -46,7 +48,7 @@ SIDES: dict[str, EndpointKind] = {"Publish": "publisher", "Subscrib": "subscript
 
 
 async def print_list(node: Node, kind: Kind, *, types: bool, count: bool, hidden: bool) -> int:
-    """Print all names of a kind, or their number."""
+    """Print the names of all actions, services or topics, or only how many there are."""
     found = types_by_name(node.transport.endpoints(), kind, hidden=hidden)
     if count:
         say_names(f"{len(found)}\n")
@@ -56,14 +58,17 @@ async def print_list(node: Node, kind: Kind, *, types: bool, count: bool, hidden
 
 
 async def print_type(node: Node, kind: Kind, name: str) -> int:
-    """Print the types of a name. If it does not exist, print nothing and return status 1."""
+    """Print the types of an action, service or topic.
+
+    If the name is not on the graph, print nothing and return the exit status 1.
+    """
     types = types_by_name(node.transport.endpoints(), kind, hidden=True).get(name, ())
     _say_lines(types)
     return FOUND if types else NOT_FOUND
 
 
 async def print_found(node: Node, kind: Kind, type_name: str, *, count: bool, hidden: bool) -> int:
-    """Print the names that have a type, or their number."""
+    """Print the names of the actions, services or topics of a type, or only how many there are."""
     found = types_by_name(node.transport.endpoints(), kind, hidden=hidden)
     names = [name for name, types in found.items() if type_name in types]
     _say_lines([str(len(names))] if count else names)
@@ -87,13 +92,19 @@ async def print_action_info(node: Node, name: str, *, types: bool, count: bool) 
         say_names(f"Action {side}: {len(nodes)}\n")
         if not count:
             _say_lines(f"    {_with_types(who, known if types else ())}" for who, known in nodes)
+    served = types_by_name(node.transport.endpoints(), "action", "service", hidden=True)
+    if full_name not in served and (near := nearest(full_name, served)):
+        note(f"nobody serves '{full_name}', did you mean '{near}'?")
     return FOUND
 
 
 def _nodes_of_action(
     node: Node, name: str, kind: EndpointKind
 ) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """The nodes at one end of an action, with the types. Two nodes may share a name."""
+    """Yield the names of an action's client nodes or server nodes, each with the action's types.
+
+    If several nodes share a name, the name is yielded several times.
+    """
     for who in sorted(set(node.transport.nodes())):
         own = _endpoints_of(node, who)
         types = types_by_name(own, "action", kind, hidden=True).get(name, ())
@@ -102,7 +113,7 @@ def _nodes_of_action(
 
 
 def _is_of(endpoint: Endpoint, action: str) -> bool:
-    """Whether an endpoint sends or takes the goals of an action."""
+    """Whether an endpoint belongs to the ``send_goal`` service of an action."""
     return endpoint.name == action_names(action).send_goal
 
 
@@ -128,7 +139,10 @@ async def print_service_info(node: Node, name: str) -> int:
 
 
 async def print_topics_in_full(node: Node, *, hidden: bool) -> int:
-    """Print the topics with publishers, and those with subscriptions."""
+    """Print the topics that have publishers, and then the topics that have subscriptions.
+
+    Each line says how many publishers or subscriptions the topic has.
+    """
     endpoints = node.transport.endpoints()
     topics = types_by_name(endpoints, "topic", hidden=hidden)
     for word, kind in SIDES.items():
@@ -143,7 +157,9 @@ async def print_topics_in_full(node: Node, *, hidden: bool) -> int:
 
 
 async def print_topic_info(node: Node, name: str, *, verbose: bool) -> int:
-    """Print the type of a topic and its number of endpoints, or all endpoints in full.
+    """Print the type of a topic, and how many publishers and subscriptions it has.
+
+    With ``verbose``, also describe each publisher and subscription in full.
 
     Raises:
         TurtleactError: if there is no such topic. The error suggests the nearest name.
@@ -162,7 +178,7 @@ async def print_topic_info(node: Node, name: str, *, verbose: bool) -> int:
 
 
 def _in_full(endpoint: Endpoint) -> str:
-    """Everything known about an endpoint, as ``ros2 topic info -v`` prints it."""
+    """Describe an endpoint in full, as ``ros2 topic info -v`` prints it."""
     namespace, _, name = endpoint.node.rpartition("/")
     gid = f"GID: {endpoint.gid.hex('.')}\n" if endpoint.gid else ""
     qos, times = endpoint.qos, endpoint.times
@@ -185,7 +201,7 @@ def _in_full(endpoint: Endpoint) -> str:
 
 
 def _duration(nanoseconds: int | None) -> str:
-    """A duration as rclpy prints it."""
+    """Return a duration as rclpy prints it."""
     return "Infinite" if nanoseconds is None else f"{nanoseconds} nanoseconds"
 
 
@@ -200,7 +216,7 @@ def _hash_of(type_name: str) -> str:
 
 
 async def print_nodes(node: Node, *, count: bool, hidden: bool) -> int:
-    """Print the names of all nodes, or their number. A note lists names that nodes share."""
+    """Print the names of all nodes, or their number. If nodes share a name, also print a note."""
     names = sorted(name for name in node.transport.nodes() if hidden or not is_hidden_node(name))
     shared = [name for name, number in Counter(names).items() if number > 1]
     if shared:
@@ -218,7 +234,7 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
     names = [each for each in node.transport.nodes() if hidden or not is_hidden_node(each)]
     name = _full(name)
     if name not in names:
-        raise TurtleactError(f"node '{name}': there is none of that name{names_like(name, names)}")
+        raise TurtleactError(f"there is no node '{name}'{names_like(name, names)}")
     if names.count(name) > 1:
         note(f"{names.count(name)} nodes have the name '{name}'; this list is for all of them")
     own = _endpoints_of(node, name)
@@ -244,7 +260,7 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
 
 
 def _full(name: str) -> str:
-    """A name with its leading slash."""
+    """Return a name with a slash at its beginning."""
     return name if name.startswith("/") else f"/{name}"
 
 
@@ -261,7 +277,7 @@ def _needed_types(endpoints: Iterable[Endpoint], kind: Kind, name: str) -> tuple
 
 
 def _as_said(types: tuple[str, ...]) -> str:
-    """The text of a name's types: a single type unchanged, several types as a list."""
+    """Return types as text: a single type unchanged, several types as a Python list."""
     return types[0] if len(types) == 1 else str(list(types))
 
 

@@ -1,13 +1,12 @@
-"""Draws the live displays on a terminal: of one goal, and of a server.
+"""Draws the live displays on a terminal: one of a goal, and one of a server.
 
-`LiveTranscript` redraws a region at the end of the screen while a goal runs. Permanent lines are
-printed above the region as plain text. When the goal ends, its last frame stays on the screen,
-above the result.
+`LiveTranscript` redraws a region at the end of the screen while a goal runs. Lines that must stay
+on the screen are printed above the region as plain text. When the goal ends, the last frame of the
+region stays on the screen, and the result follows below it.
 
 `Dashboard` shows a running ``serve``: the world, the goals and the log.
 
-The displays only observe. The goals, their bodies and the world know nothing of the displays, and
-never wait for the terminal.
+The goals, their bodies and the world know nothing of the displays, and never wait for the terminal.
 """
 
 from __future__ import annotations
@@ -75,7 +74,7 @@ LEFT_FREE = 2
 
 
 class LiveTranscript:
-    """A live display while the goal runs, with the plain transcript above it.
+    """Shows a running goal in a live display, and prints the plain transcript above the display.
 
     Args:
         stream: The terminal.
@@ -109,8 +108,12 @@ class LiveTranscript:
         """Called when the display starts to follow the goal."""
         self._picture = GoalPicture(goal)
 
+    def served(self, *, is_served: bool) -> None:
+        """Show whether the goal has a server."""
+        self._picture.is_served = is_served
+
     async def animate(self) -> None:
-        """Draw frames until the goal ends, and react to keys."""
+        """Draw frames and react to keys, until this is cancelled."""
         with redirect_stderr(_Above(self._region, sys.stderr)):
             async with anyio.create_task_group() as beside:
                 if self._has_keys:
@@ -118,7 +121,7 @@ class LiveTranscript:
                 await animate(self._region, self._picture.compose)
 
     async def _obey_keys(self) -> None:
-        """Pause and resume the goal when the user presses P."""
+        """Pause or resume the goal when the user presses P."""
         goal = self._picture.shown.handle
         async with aclosing(typed_keys(self._region)) as keys:
             async for key in keys:
@@ -142,14 +145,14 @@ class LiveTranscript:
         self._plain.canceling()
 
     def ended(self, outcome: Outcome[Message]) -> None:
-        """Print the last state of the goal, which stays on the screen, and the result below it."""
+        """Print the last frame, which stays on the screen, and then the result of the goal."""
         text = result_text(outcome)
         self._picture.has_ended = True
         print_last(self._region, self._picture.compose, below=text.count("\n") + LEFT_FREE)
         self._region.say(text)
 
     def note(self, text: str) -> None:
-        """Print a note that belongs to no goal."""
+        """Print a note on stderr, above the next frame."""
         self._region.clear()
         note(text)
 
@@ -158,16 +161,16 @@ class LiveTranscript:
         await self._region.drained()
 
     def close(self) -> None:
-        """Give the terminal back. Unless the goal has ended, remove the display."""
+        """Restore the terminal. If the goal has not ended, also remove the display."""
         self._region.restore()
 
 
 class _Above(io.TextIOBase):
-    """A stream that shares its terminal with a display. Written text appears above the display.
+    """A stream on the same terminal as a display. Written text appears above the display.
 
     Args:
         region: The region of the display.
-        stream: The stream.
+        stream: The stream to write to.
     """
 
     def __init__(self, region: Region, stream: TextIO) -> None:
@@ -176,7 +179,7 @@ class _Above(io.TextIOBase):
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """Write above the next frame."""
+        """Write a text, which appears above the next frame."""
         self._region.clear()
         return self._stream.write(text)
 
@@ -185,20 +188,22 @@ class _Above(io.TextIOBase):
         self._stream.flush()
 
     def fileno(self) -> int:
-        """The descriptor of the stream."""
+        """Return the file descriptor of the stream."""
         return self._stream.fileno()
 
 
 class GoalPicture:
-    """Composes the display of a goal.
+    """Composes the frames of a goal's display.
 
     Attributes:
-        shown: The goal.
-        has_ended: Whether the goal has ended. The display then says nothing about its progress.
+        shown: The goal to display.
+        has_ended: Whether the goal has ended. If so, the display leaves out the goal's progress.
+        is_served: Whether the goal's server is on the graph.
     """
 
     def __init__(self, shown: Followed) -> None:
         self.has_ended = False
+        self.is_served = True
         self.shown = shown
         self._clock = shown.node.clock
         self._began = self._clock.time() - shown.age
@@ -221,7 +226,7 @@ class GoalPicture:
             self._trails = PoseTrails(shown.node, self._leader)
 
     def compose(self, *, width: int, height: int) -> render.Picture:
-        """Compose the current picture."""
+        """Compose the current frame for a window of this many columns and lines."""
         handle = self.shown.handle
         world = None
         if self._trails is not None:
@@ -243,17 +248,21 @@ class GoalPicture:
             fraction=fraction,
             progress=progress,
             is_paused=handle.is_paused and not self.has_ended,
+            is_served=self.is_served or self.has_ended,
             motion=self._trails.motion.told() if is_moving and self._trails is not None else "",
         )
         return render.frame(goal, world, width=width, height=height)
 
     def _progress(self, now: float) -> tuple[float | None, str]:
-        """The progress, as a fraction and in words.
+        """Return the goal's progress as a fraction (0 to 1; None if unknown) and in words.
 
-        The progress comes from a feedback field such as ``remaining``, or else from the places that
-        the turtle has passed. Without either, the words say how old the last feedback is.
+        The progress comes from the first feedback field with ``remaining`` in its name. Without
+        such a field, the progress is the share of the goal's places that the turtle has passed. If
+        the goal has no places, the words say how old the last feedback is.
         """
-        values = {} if self._feedback is None else to_dict(self._feedback)
+        # Without the goal's message, nobody knows how much remained when the goal began.
+        feedback = self._feedback if self.shown.goal is not None else None
+        values = {} if feedback is None else to_dict(feedback)
         for name, value in values.items():
             if "remaining" in name and isinstance(value, float):
                 self._most_remaining = max(self._most_remaining, abs(value), 1e-9)
@@ -267,7 +276,7 @@ class GoalPicture:
 
 
 def _target(feedback: Message | None) -> list[render.Target]:
-    """The target in the feedback, if there is one."""
+    """Return the target in the feedback, as a list. The list is empty if there is no target."""
     values: Any = {} if feedback is None else to_dict(feedback)
     number = values.get("index", 0)
     places = places_in(values.get("target"))
@@ -294,9 +303,15 @@ MOST_ENDED: Final = 50
 MOST_TURTLES: Final = 50
 """The map shows and follows at most this many turtles."""
 
+FIRST_LOOK: Final = 0.1
+"""How often `Dashboard.run` looks for the first line of the log (s)."""
+
+NOT_READY: Final = "not ready yet"
+"""The heading until there is another one."""
+
 
 class Dashboard:
-    """The display of ``serve`` on a terminal.
+    """The live display of ``serve`` on a terminal.
 
     Args:
         stream: The terminal.
@@ -304,21 +319,26 @@ class Dashboard:
 
     def __init__(self, stream: TextIO) -> None:
         self._region = Region(stream)
-        self._heading: list[str] = []
+        self._heading: dict[str, str] = {}  # by subject
         self._log = LogLines()
         self._goals: dict[bytes, _Served] = {}
         self._ended: deque[bytes] = deque()
         self._followed = 0
         self._sim: Turtlesim | None = None
         self._has_said = anyio.Event()
+        self._is_shown = False
 
     def begin(self, sim: Turtlesim) -> None:
-        """Show this world."""
+        """Show this world from now on."""
         self._sim = sim
 
-    def say(self, line: str) -> None:
-        """Add a line to the heading, which is always shown."""
-        self._heading.append(line)
+    def say(self, line: str, subject: str = "") -> None:
+        """Add a line to the heading, which is always shown.
+
+        If the heading has a line about the same subject, the new line replaces that line. Without
+        ``subject``, the line replaces no other line.
+        """
+        self._heading[subject or line] = line
         self._has_said.set()
 
     def retell(self, subject: str, text: str) -> None:
@@ -326,13 +346,13 @@ class Dashboard:
         self._log.retell(subject, text)
 
     def tell(self, goal: Handle, new: GoalStatus, line: str, time: str) -> None:
-        """Record a change of a goal.
+        """Show a change of a goal's state.
 
         Args:
             goal: The goal.
-            new: Its new state.
+            new: The goal's new state.
             line: The line for the log.
-            time: The time that the line shows.
+            time: The time as it is written in ``line``. The dashboard shortens it to whole seconds.
         """
         goal_id = goal.goal_id
         if goal_id not in self._goals:
@@ -349,27 +369,35 @@ class Dashboard:
             del self._goals[self._ended.popleft()]
 
     def close(self) -> None:
-        """Give the terminal back. This never blocks."""
+        """Restore the terminal. This never blocks."""
         self._region.restore()
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """Redirect prints during a block to the log, or to stderr if the log is never shown."""
+        """During a block, add all printed lines to the log.
+
+        If the dashboard has not been shown by the end of the block, the log is printed on stderr.
+        """
         try:
             with self._log.listening():
                 yield
         finally:
-            if not self._has_said.is_set():
+            if not self._is_shown:
                 for line in self._log.lines():
                     print(line.full, file=sys.stderr)
 
     async def run(self) -> None:
-        """Draw frames, from the first heading line on.
+        """Wait for a line in the heading or the log, then draw frames until this is cancelled.
 
-        When cancelled, print the heading and the last lines of the log.
+        The display does not wait until the server is ready, because the log may say what the
+        server waits for. At the end, print the heading and the last lines of the log, which stay on
+        the screen.
         """
-        if not self._has_said.is_set():
-            await self._has_said.wait()
+        while not (self._heading or self._log.lines()):
+            # Any thread may print the first line of the log, so that line sets no event.
+            with anyio.move_on_after(FIRST_LOOK):
+                await self._has_said.wait()
+        self._is_shown = True
         with (
             suppress(OSError),
             self._region.held(),
@@ -378,12 +406,12 @@ class Dashboard:
                 await keep_drawing(self._region, self.compose)
             finally:
                 kept = [line.full for line in self._log.lines()[-MOST_LEFT:]]
-                self._region.say("".join(f"{line}\n" for line in (*self._heading, *kept)))
+                self._region.say("".join(f"{line}\n" for line in (*self._heading.values(), *kept)))
                 with anyio.move_on_after(PATIENCE, shield=True):
                     await self._region.drained()
 
     def compose(self, *, width: int, height: int) -> render.Picture:
-        """Compose the current picture."""
+        """Compose the current frame for a window of this many columns and lines."""
         sim = self._sim
         turtles = [] if sim is None else [_turtle(*each) for each in sim.turtles(MOST_TURTLES)]
         goals = self._in_order()
@@ -393,25 +421,26 @@ class Dashboard:
         log = [line.short for line in self._log.lines()]
         more = len(self._goals) - len(goals)
         paused = ["the world is paused"] if sim is not None and sim.is_paused else []
-        shown = render.Board([*self._heading, *paused], world, rows, more, log=log)
+        heading = list(self._heading.values()) or [NOT_READY]
+        shown = render.Board([*heading, *paused], world, rows, more, log=log)
         return render.board(shown, width=width, height=height)
 
     def _in_order(self) -> list[_Served]:
-        """The newest goals: first the running ones, then the ended ones."""
+        """Return the newest goals: first those that still run, then those that have ended."""
         newest = list(islice(reversed(self._goals.values()), MOST_GOALS))
         return sorted(newest, key=lambda goal: goal.ended_at is not None)
 
 
 class _Served:
-    """A goal that ``serve`` serves.
+    """A goal of the server, for the dashboard.
 
     Args:
         goal: The goal.
-        may_follow: Whether its turtle may be followed.
+        may_follow: Whether this object may subscribe to the pose of the goal's turtle.
 
     Attributes:
-        is_followed: Whether its turtle is followed.
-        ended_at: When the goal ended, by the clock of its node (s); None while it runs.
+        is_followed: Whether this object has subscribed to the pose of the goal's turtle.
+        ended_at: When the goal ended, by the clock of its node (s); None while the goal runs.
     """
 
     def __init__(self, goal: Handle, *, may_follow: bool) -> None:
@@ -432,7 +461,7 @@ class _Served:
             self._poses = goal.node.subscription(TurtlePose, leader, QoS(depth=POSES_A_FRAME))
 
     def change(self, status: GoalStatus) -> None:
-        """Record a change of state."""
+        """Record the goal's new state."""
         self._status = status
         if status.is_terminal:
             self.look()  # the last place is often reached after the last frame
@@ -441,7 +470,7 @@ class _Served:
                 self._poses.close()
 
     def look(self) -> None:
-        """Update the position of the goal's turtle."""
+        """Update the goal's progress with the new poses of its turtle."""
         if self._poses is None or self.ended_at is not None:
             return
         for pose in self._poses.drain():
@@ -449,9 +478,9 @@ class _Served:
             self._motion.follow(pose.x, pose.y, pose.theta)
 
     def row(self, turtles: set[str]) -> render.GoalRow:
-        """The goal's row in the table.
+        """Return the goal's row in the table.
 
-        The row names the goal's turtle only if it is one of ``turtles``.
+        The row names the goal's turtle only if ``turtles`` contains its name.
         """
         self.look()
         is_over = self.ended_at is not None
@@ -471,7 +500,7 @@ class _Served:
         )
 
     def _marks(self) -> Iterator[str]:
-        """The marks of the goal: resumed, and paused or else how its turtle moves."""
+        """Yield remarks: that the goal was resumed, that it is paused, or how its turtle moves."""
         if self._goal.resumed is not None:
             yield "resumed"
         if self._goal.is_paused:
@@ -481,13 +510,13 @@ class _Served:
 
 
 class _Drawn:
-    """The drawings of a world's turtles."""
+    """The lines that the turtles of a world have drawn."""
 
     def __init__(self, sim: Turtlesim) -> None:
         self._sim = sim
 
     def canvas(self, columns: int, rows: int) -> render.Braille:
-        """The drawing in dots."""
+        """Return the lines as dots, on a canvas of this many columns and rows of characters."""
         canvas = render.Braille(columns, rows)
         top = canvas.height - 1
         for row, pixels in enumerate(self._sim.thumbnail(canvas.width, canvas.height)):

@@ -41,7 +41,7 @@ Opening the graph blocks the event loop, which would delay the answer.
 
 
 class Order(NamedTuple):
-    """The user's choice of what to offer.
+    """What to offer to language models, and to whom.
 
     Attributes:
         reach: The graph to offer; None for an embedded world.
@@ -49,9 +49,9 @@ class Order(NamedTuple):
         services: The services to offer.
         topics: The topics to offer; None for all.
         address: The host and port of HTTP; None for stdin and stdout.
-        token: The token that clients of HTTP must send; None for the default.
-        hosts: Names of this machine that clients of HTTP may use.
-        read_only: Whether to offer only what changes nothing.
+        token: The token that HTTP clients must send; None for the default of `open_http`.
+        hosts: Host names that HTTP clients may use for this machine.
+        read_only: Whether to offer only tools that change nothing.
         confirm: Whether to ask the user before each goal.
     """
 
@@ -67,17 +67,17 @@ class Order(NamedTuple):
 
     @property
     def is_empty(self) -> bool:
-        """Whether the order names nothing to offer."""
+        """Whether the user has named nothing to offer."""
         names = self.actions, self.services, self.topics
         return not self.read_only and all(each is not None and not each for each in names)
 
 
 def run(order: Order, interrupts: Interrupts) -> int:
-    """Serve, and return the exit status.
+    """Serve until the client leaves or a signal comes, and return the exit status.
 
     Raises:
-        UsageError: if the order names nothing to offer. The text lists the existing actions.
-        TurtleactError: if the extra is missing, or no graph is in reach.
+        UsageError: if the user has named nothing to offer. The message lists the existing actions.
+        TurtleactError: if the MCP SDK is not installed, or no graph is in reach.
     """
     interrupts.patience = PATIENCE
     if not order.is_empty:
@@ -95,7 +95,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
 
 
 def _check_sdk() -> None:
-    """Check that the extra is installed, without importing it."""
+    """Check that the MCP SDK is installed, without importing it."""
     if find_spec("mcp") is None:
         problem = "turtleact mcp needs one more package: pip install 'mcp>=2.3,<3'"
         raise TurtleactError(problem)
@@ -103,7 +103,13 @@ def _check_sdk() -> None:
 
 @asynccontextmanager
 async def _open(order: Order) -> AsyncIterator[tuple[Node, Wire | None]]:
-    """Open stdin and then the graph. Meanwhile, greet the client and import the SDK."""
+    """Open stdin and then a node on the graph.
+
+    If the clients use HTTP, or the user has named nothing to offer, stdin is not opened.
+
+    If the client's first message on stdin comes at once, the client is answered before the graph is
+    opened. While the graph is being opened, a thread imports the MCP SDK.
+    """
     async with AsyncExitStack() as stack:
         wire: Wire | None = None
         if not order.is_empty:
@@ -121,7 +127,7 @@ async def _open(order: Order) -> AsyncIterator[tuple[Node, Wire | None]]:
 
 
 async def _quietly(act: Callable[[], None]) -> None:
-    """Run a function in a thread, and ignore its failure."""
+    """Run a function in a thread, and ignore its exceptions."""
     with suppress(Exception):
         await anyio.to_thread.run_sync(act)
 
@@ -170,7 +176,7 @@ async def _serve_http(
 
 
 async def _what_there_is(node: Node) -> str:
-    """Explain that nothing is offered, and name what could be offered."""
+    """Return the error message for a user who has named nothing to offer."""
     await find_server(node.transport, lambda: node.graph().actions or None)
     seen = ", ".join(node.graph().actions) or "none"
     return f"name what to offer: --actions NAME,… or --all; the actions here are: {seen}"
@@ -182,12 +188,12 @@ async def _warn_of_missing(node: Node, actions: tuple[str, ...]) -> None:
     await find_server(node.transport, lambda: names <= node.graph().actions.keys() or None)
     missing = sorted(names - node.graph().actions.keys())
     if missing:
-        note(f"nobody serves {', '.join(missing)} yet: the tool comes with the server")
+        note(f"nobody serves {', '.join(missing)} yet: the tool appears when a server does")
 
 
 @asynccontextmanager
 async def _open_node(reach: Reach | None) -> AsyncIterator[Node]:
-    """A node on the graph in reach, or in an embedded world if there is none."""
+    """Open a node on the user's graph or, if there is no graph, in an embedded world."""
     async with AsyncExitStack() as stack:
         there = None
         if reach is not None:

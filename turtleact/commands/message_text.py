@@ -1,8 +1,9 @@
 """Reads messages that the user writes, and prints messages.
 
-A message is written on the command line, or read from stdin or a file. The ``echo`` verbs print it
-as YAML or comma-separated, in full or in part (`Style`). ``topic pub`` and ``service call`` print
-it as rclpy's ``repr`` does. Arrays of fixed length look as in numpy, but are always on one line.
+The user writes a message on the command line, in a file or to stdin. The ``echo`` verbs print
+messages as YAML or comma-separated values, in full or in part (`Style`). ``topic pub`` and
+``service call`` print messages as rclpy's ``repr`` does. In that notation, arrays of fixed length
+look as in numpy, but are always on one line.
 
 Source: rosidl_runtime_py ``convert.py``; rosidl_generator_py ``resource/_msg.py.em`` for the
 notation of ``repr``; recordings of ROS 2 Jazzy.
@@ -45,8 +46,8 @@ class GoalText(NamedTuple):
     """The text of a goal, a request or a message.
 
     Attributes:
-        text: YAML or JSON.
-        source: The name of the text in errors, before line and column.
+        text: The text, in YAML or JSON.
+        source: What error messages call the text, before its line and column.
     """
 
     text: str
@@ -62,13 +63,15 @@ class GoalText(NamedTuple):
         interrupts: Interrupts,
         what: str = "goal",
     ) -> GoalText:
-        """Read the text from an argument, stdin or a file. If nothing was given, it is ``{}``.
+        """Read the text from an argument, stdin or a file.
+
+        If there is none of these, the text is ``{}``.
 
         Args:
-            given: The argument.
+            given: The text from the command line; None if there is none.
             stdin: Whether to read stdin.
-            path: The file to read.
-            interrupts: The signals, which end the reading.
+            path: The file to read; None for no file.
+            interrupts: The program's signals. A signal ends the reading.
             what: The kind of text: "goal", "request" or "message".
 
         Raises:
@@ -90,7 +93,7 @@ def read_text_file(path: str, what: str) -> str:
 
     Args:
         path: The path of the file.
-        what: How errors begin: with the option and the file.
+        what: The beginning of error messages: the option and the file.
 
     Raises:
         UsageError: if the file cannot be read, is longer than `MOST` bytes, or is not UTF-8.
@@ -115,7 +118,7 @@ DTYPES = {"byte": "uint8", "char": "uint8"}
 
 
 def python_text(message: Message) -> str:
-    """A message as rclpy's ``repr`` prints it.
+    """Return a message as text, in the notation of rclpy's ``repr``.
 
     >>> from turtleact.interfaces.standard import Time
     >>> python_text(Time(sec=1))
@@ -129,7 +132,10 @@ def python_text(message: Message) -> str:
 
 
 def yaml_lines(value: object) -> list[str]:
-    """A plain value as lines of block YAML. As in ros2, a scalar is printed as in Python."""
+    """Return a dict, list or single value as lines of YAML in block style.
+
+    As in ros2, a single value is printed as in Python, such as ``True``.
+    """
     if isinstance(value, dict) and value:
         return block(value)
     if isinstance(value, list | bytes) and value:
@@ -143,7 +149,7 @@ class Style(NamedTuple):
     Attributes:
         csv: Whether to print comma-separated values instead of YAML.
         flow: Whether to print YAML on one line.
-        longest: The length to which lists and strings are cut; None to cut nothing.
+        longest: How many elements of a list or characters of a string are printed; None for all.
         arrays: Whether to print the elements of lists, or only their type.
         strings: Whether to print strings, or only their length.
     """
@@ -155,14 +161,17 @@ class Style(NamedTuple):
     strings: bool = True
 
     def values(self, message: Message) -> dict[str, object]:
-        """A message as plain values. Fields that are not printed are only described."""
+        """Convert a message to a dict.
+
+        Lists and strings that are not printed become texts such as ``<string length: <5>>``.
+        """
         values = to_dict(message)
         if self.arrays and self.strings:
             return values
         return self._described(type(message), values)
 
     def text(self, value: object) -> str:
-        """The text of plain values. A YAML document ends with three dashes."""
+        """Return a dict or a single value as text. YAML ends with a line of three dashes."""
         if self.longest is not None:
             value = _cut(value, self.longest)
         if self.csv:
@@ -191,7 +200,7 @@ def _read(path: str | None, source: str, interrupts: Interrupts, what: str) -> b
     except OSError as error:
         raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
     if len(data) > MOST:
-        raise UsageError(f"{source}: is longer than {MOST} bytes; no {what} is")
+        raise UsageError(f"{source}: is longer than {MOST} bytes; no {what} is that long")
     return data
 
 
@@ -252,7 +261,7 @@ def _kind_of_list(kind: FieldType, length: int) -> str:
 
 
 def _cut(value: object, longest: int) -> object:
-    """A value with its lists and strings cut. Three dots stand for the rest."""
+    """Shorten lists and strings of more than ``longest`` items, and append three dots to them."""
     if isinstance(value, dict):
         return {name: _cut(item, longest) for name, item in value.items()}
     if isinstance(value, str):

@@ -1,4 +1,4 @@
-"""Implements ``pkg create``, which writes a package that runs and is tested without a build.
+"""Implements ``pkg create``, which writes a package that can be run and tested without a build.
 
 The package follows the layout of ROS 2, so that colcon can build it as well. ROS 2 generates
 interfaces only in packages of the build type ``ament_cmake``. turtleact reads interfaces in any
@@ -38,12 +38,12 @@ class NewPackage(NamedTuple):
         name: The name of the package.
         folder: The folder in which the package's folder is created.
         build_type: One of `BUILD_TYPES`. A package of the type ``ament_cmake`` has only interfaces.
-        node_name: The name of its executable and of the module that contains it.
-        dependencies: Other packages that it needs.
-        description: What it is for.
-        licence: Its licence.
-        maintainer: The maintainer's name. If None, it is the user's login name.
-        email: The maintainer's address. If None, it is a placeholder.
+        node_name: The name of the package's executable, and of the module with its code.
+        dependencies: Other packages that this package needs.
+        description: What the package is for.
+        licence: The licence of the package.
+        maintainer: The maintainer's name; None for the user's login name.
+        email: The maintainer's e-mail address; None for a placeholder.
     """
 
     name: str
@@ -58,13 +58,13 @@ class NewPackage(NamedTuple):
 
 
 def create(package: NewPackage) -> None:
-    """Write the files of a package, print their names, and say how to run and test it.
+    """Write the files of a package, print their names, and print how to run and test the package.
 
     Args:
         package: A package that has passed `check`.
 
     Raises:
-        TurtleactError: if the folder exists already, or a file cannot be written.
+        TurtleactError: if the package's folder exists already, or a file cannot be written.
     """
     root = package.folder / package.name
     if root.exists():
@@ -83,14 +83,15 @@ def create(package: NewPackage) -> None:
 
 
 def check(package: NewPackage, *, has_node_name: bool) -> None:
-    """Check the names of a package.
+    """Check the names and the build type of a package.
 
     Args:
         package: The package to create.
         has_node_name: Whether the user named an executable.
 
     Raises:
-        UsageError: if a name cannot be used, or there is no such build type.
+        UsageError: if a name or the build type is not allowed, or if the user named an executable
+            for a package that has only interfaces.
     """
     if package.build_type not in BUILD_TYPES:
         raise UsageError(f"--build-type is {' or '.join(BUILD_TYPES)}: turtleact compiles nothing")
@@ -111,13 +112,13 @@ def check(package: NewPackage, *, has_node_name: bool) -> None:
 
 
 def _is_module(name: str) -> bool:
-    """Whether Python has a module of that name. A mere folder does not count."""
+    """Whether Python has a module of that name. A folder without ``__init__.py`` does not count."""
     spec = None if name in sys.modules else find_spec(name)
     return name in sys.modules or (spec is not None and spec.origin is not None)
 
 
 def _next_steps(package: NewPackage, *, python: bool) -> list[str]:
-    """The commands that the user can type next."""
+    """Return lines with the commands that the user can type next."""
     here = Path()
     is_near = package.folder.resolve() in (here.resolve(), (here / "src").resolve())
     cd = "" if is_near else f"cd {shlex.quote(str(package.folder))} && "
@@ -133,7 +134,7 @@ def _next_steps(package: NewPackage, *, python: bool) -> list[str]:
 
 
 def _python_files(package: NewPackage) -> dict[str, str]:
-    """The files of a package that has a program, by their path in the package."""
+    """Return the text of each file of a package with a program, by path in the package."""
     name, node = package.name, package.node_name
     texts = {
         "package.xml": _package_xml(package, ("<exec_depend>python3</exec_depend>",), ()),
@@ -156,7 +157,7 @@ def _python_files(package: NewPackage) -> dict[str, str]:
 
 
 def _cmake_files(package: NewPackage) -> dict[str, str]:
-    """The files of a package that has only interfaces, by their path in the package."""
+    """Return the text of each file of a package with only interfaces, by path in the package."""
     needed = [each for each in package.dependencies if _INTERFACES.fullmatch(each)]
     uses = f"  DEPENDENCIES {' '.join(needed)}\n" if needed else ""
     found = "".join(f"find_package({each} REQUIRED)\n" for each in package.dependencies)
@@ -236,7 +237,11 @@ async def countdown(goal):
 
 def main():
     """Serve the actions of this module until Ctrl-C."""
-    cli.serve("NAME.NODE", node="NODE")
+    cli.serve(__file__, node="NODE")
+
+
+if __name__ == "__main__":
+    main()
 '''
 
 _TEST: Final = '''\

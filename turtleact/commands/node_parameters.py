@@ -1,16 +1,16 @@
-"""Implements the verbs of ``param``, and reads the first values of parameters for ``serve``.
+"""Implements the verbs of ``param``, and reads the initial values of parameters for ``serve``.
 
-A node serves its parameters with six services. The answers of these services are printed as in
+A node offers its parameters through six services. The answers of these services are printed as in
 ``ros2``.
 
-``serve`` takes first values from ``-p NAME:=VALUE`` and ``--params-file FILE``. As in ROS 2,
-``NAME`` may begin with the name of a node (``lab:max_speed``), a file has a block for each node,
-and ``/**`` stands for all nodes. Values in files are set first, in the order of the files, and then
-the values of ``-p``.
+``serve`` takes initial values from ``-p NAME:=VALUE`` and ``--params-file FILE``. As in ROS 2,
+``NAME`` may begin with the name of a node (``lab:max_speed``), and a file has a block for each
+node. The node name ``/**`` stands for all nodes. If a parameter is given several times, ``-p`` wins
+over files, and later options win over earlier ones.
 
 Source: ros2cli ``ros2param/verb/*.py`` and recordings of ROS 2 Jazzy for the order and the words of
 the output; rclpy ``parameter.py`` for the parsing of text, and for the file format; the ROS 2
-article "ROS Command Line Arguments" and rcl_yaml_param_parser for first values.
+article "ROS Command Line Arguments" and rcl_yaml_param_parser for initial values.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from turtleact.interfaces.standard import (
     SetParametersResult,
 )
 from turtleact.interfaces.text import Document, block, tree_of
-from turtleact.parameters import message_of, out_of_range, value_of
+from turtleact.parameters import flattened, message_of, out_of_range, value_of
 
 if TYPE_CHECKING:
     import re
@@ -91,8 +91,8 @@ class Owner(NamedTuple):
 
     Attributes:
         name: The name of the node, with or without its leading slash.
-        hidden: Whether the node may be hidden.
-        timeout: How long to wait for the node (s, by the clock of the graph).
+        hidden: Whether to find the node even if it is hidden.
+        timeout: How long to wait until the node appears (s, by the clock of the graph).
     """
 
     name: str
@@ -109,15 +109,17 @@ async def print_names(
     types: bool,
     hidden: bool,
 ) -> int:
-    """Print the names of the parameters of a node, or of all nodes that have some.
+    """Print the names of the parameters of a node, or of all nodes that have parameters.
 
-    If ``name`` is None, a node that does not answer leads only to a note and the exit status 1.
+    If ``name`` is None and a node does not answer, print a note and go on with the next node. The
+    exit status is then 1.
 
     Args:
-        node: A node on the graph.
-        name: The node; None for all nodes.
-        pattern: Matches the beginning of the names to print; None for all names.
-        prefixes: The groups to print; empty for all groups.
+        node: The node of this process, which sends the requests.
+        name: The node to ask; None for all nodes.
+        pattern: Print only names that match this pattern at their beginning; None for all names.
+        prefixes: Print only names in these groups, such as ``camera`` for ``camera.rate``; empty
+            for all names.
         types: Whether to print the types too.
         hidden: Whether to include hidden nodes.
 
@@ -153,7 +155,7 @@ async def print_names(
 
 
 async def names_of(node: Node, name: str) -> list[str]:
-    """The names of a node's parameters. The errors are those of `print_names`."""
+    """Return the names of a node's parameters. Raise the same errors as `print_names`."""
     return await _names(node, await _find(node, Owner(name, hidden=True, timeout=0)), ())
 
 
@@ -172,7 +174,7 @@ async def print_value(node: Node, owner: Owner, name: str, *, hide_type: bool) -
 
 
 async def set_value(node: Node, owner: Owner, name: str, value: ParameterValue) -> int:
-    """Set a parameter. The exit status says whether the node accepted the value.
+    """Set a parameter. Return the exit status 0 if the node accepts the value, otherwise 1.
 
     Raises:
         TurtleactError: if there is no such node.
@@ -181,13 +183,13 @@ async def set_value(node: Node, owner: Owner, name: str, value: ParameterValue) 
 
 
 async def delete(node: Node, owner: Owner, name: str) -> int:
-    """Delete a parameter. The exit status says whether the node agreed."""
+    """Delete a parameter. Return the exit status 0 if the node agrees, otherwise 1."""
     done = "Deleted parameter successfully"
     return await _set_one(node, owner, name, ParameterValue(), done, "Deleting")
 
 
 async def describe(node: Node, owner: Owner, names: Sequence[str]) -> int:
-    """Print the purpose of parameters, and their allowed values.
+    """Print the type, the description and the constraints of each parameter.
 
     Raises:
         TurtleactError: if there is no such node or parameter. The error suggests the nearest name.
@@ -199,7 +201,7 @@ async def describe(node: Node, owner: Owner, names: Sequence[str]) -> int:
 
 
 async def dump(node: Node, owner: Owner) -> int:
-    """Print all parameters of a node as a file that `load` takes.
+    """Print all parameters of a node as YAML that `read_file` can read.
 
     Raises:
         TurtleactError: if there is no such node.
@@ -216,13 +218,15 @@ async def dump(node: Node, owner: Owner) -> int:
 async def load(
     node: Node, owner: Owner, parameters: Mapping[str, Mapping[str, ParameterValue]], source: str
 ) -> int:
-    """Set a node's parameters from a file. The exit status says whether all were accepted.
+    """Set a node's parameters to the values of a file.
+
+    Return the exit status 0 if the node accepts all values, otherwise 1.
 
     Args:
-        node: A node on the graph.
-        owner: The node to set them on.
+        node: The node of this process, which sends the requests.
+        owner: The node that has the parameters.
         parameters: The result of `read_file`.
-        source: The name of the file in errors.
+        source: The name of the file, for error messages.
 
     Raises:
         UsageError: if the file has no parameters for that node.
@@ -300,11 +304,14 @@ ARRAY: Final = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
 
 
 def parameter_value(text: str) -> ParameterValue:
-    """Read a value from a text: a bool, a number, a list of one type, or else the text itself.
+    """Parse the text of a parameter's value.
+
+    The value is a bool, a number, text, or a list of values of one of these types. A YAML mapping
+    counts as text.
 
     Raises:
-        UsageError: if the text is a list of mixed types, or an empty list.
-        InvalidMessage: if it is not YAML.
+        UsageError: if the value is null, or if a list mixes types or has items of another type.
+        InvalidMessage: if the text is not YAML.
 
     >>> parameter_value("150").integer_value, parameter_value("it: is").string_value
     (150, 'it: is')
@@ -314,15 +321,15 @@ def parameter_value(text: str) -> ParameterValue:
 
 
 def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, ParameterValue]]:
-    """The parameters in a file, by the node names in that file.
+    """Return the values in a file of parameters, keyed by node name and then by parameter name.
 
     Args:
-        path: A YAML file such as `dump` prints.
-        use_wildcard: Whether to include the parameters for all nodes (``/**``).
+        path: A YAML file in the format that `dump` prints.
+        use_wildcard: Whether to include the block ``/**``, which is for all nodes.
 
     Raises:
-        UsageError: if the file cannot be read, or is not in that form.
-        InvalidMessage: if it is not YAML.
+        UsageError: if the file cannot be read, or does not have that format.
+        InvalidMessage: if the file is not YAML.
     """
     if not path:
         raise UsageError("FILE: the path is empty")
@@ -337,28 +344,28 @@ def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, Parameter
         if not isinstance(values, dict):
             raise UsageError(f"{path}: {name} has no {BELOW}: 'param dump' prints such a file")
         if use_wildcard or name != WILDCARD:
-            found[name] = {key: _message(each, f"{path}: {key}") for key, each in _flat(values)}
+            found[name] = {key: _message(each, f"{path}: {key}") for key, each in flattened(values)}
     return found
 
 
 def plain(value: ParameterValue) -> object:
-    """A parameter's value as a Python object; None if it is not set."""
+    """Return a parameter's value as a Python object; None if the parameter is not set."""
     found = value_of(value)
     return list(found) if isinstance(found, bytes) else found
 
 
 def kind_name(number: int) -> str:
-    """The name of a type of parameter."""
+    """Return the name of a parameter type, which is given by its number."""
     kind = KINDS.get(number)
     return "not set" if kind is None else kind.name
 
 
 def read_overrides(files: Sequence[str], assignments: Sequence[str]) -> list[Override]:
-    """Read files of parameters, then single assignments.
+    """Read initial values of parameters: first those in files, then those in assignments.
 
     Raises:
-        UsageError: if a file cannot be read or is not such as `dump` prints, or if an assignment is
-            malformed.
+        UsageError: if a file cannot be read or does not have the format of `dump`, or if an
+            assignment is malformed.
         InvalidMessage: if a value is not YAML.
     """
     found: list[Override] = []
@@ -369,10 +376,12 @@ def read_overrides(files: Sequence[str], assignments: Sequence[str]) -> list[Ove
 
 
 def of_node(overrides: Iterable[Override], node: str) -> dict[str, object]:
-    """The values for a node, by the names of the parameters. Later values replace earlier ones.
+    """Return the values for one node, keyed by parameter name.
+
+    If a parameter has several values, the last one counts.
 
     Args:
-        overrides: The values for all nodes.
+        overrides: The values, for this node and for others.
         node: The fully qualified name of the node.
 
     >>> of_node([Override("/**", "a", 1), Override("lab", "a", 2), Override("arm", "a", 3)], "/lab")
@@ -383,12 +392,15 @@ def of_node(overrides: Iterable[Override], node: str) -> dict[str, object]:
 
 
 def unheard(overrides: Iterable[Override], node: str, declared: Iterable[str]) -> list[str]:
-    """Messages for the user about values that set nothing.
+    """Return messages for the user about values that have no effect.
+
+    A value has no effect if no module declares its parameter. If all values are for other nodes,
+    there is a message about that, too.
 
     Args:
-        overrides: The values for all nodes.
+        overrides: The values, for this node and for others.
         node: The fully qualified name of the node.
-        declared: The parameters that the user's modules declare.
+        declared: The names of the parameters that the user's modules declare.
     """
     known, own = set(declared), of_node(overrides, node)
     said = [
@@ -413,7 +425,7 @@ async def _find(node: Node, owner: Owner) -> str:
             await node.transport.wait_for_change()
     known = _nodes(node, hidden=owner.hidden)
     if name not in known:
-        raise TurtleactError(f"node '{name}': there is none of that name{names_like(name, known)}")
+        raise TurtleactError(f"there is no node '{name}'{names_like(name, known)}")
     if not _has_parameters(node, name):
         raise TurtleactError(
             f"node '{name}' has no parameters: nobody serves {name}/get_parameters"
@@ -431,7 +443,7 @@ def _has_parameters(node: Node, name: str) -> bool:
 
 
 async def _ask(node: Node, service_type: ServiceType[Req, Res], owner: str, request: Req) -> Res:
-    """Call one of a node's parameter services, which are named after their types."""
+    """Call one of a node's parameter services. The name of the service follows from its type."""
     words = service_type.type_name.rpartition("/")[2].removesuffix("Parameters").lower()
     client = node.service_client(service_type, f"{owner}/{words}_parameters")
     try:
@@ -447,7 +459,7 @@ async def _names(node: Node, owner: str, prefixes: Sequence[str]) -> list[str]:
 
 
 async def _values(node: Node, owner: str, names: Sequence[str]) -> list[ParameterValue]:
-    """Return the values of parameters. An unknown parameter is an error."""
+    """Return the values of parameters. Raise an error if the node lacks one of them."""
     response = await _ask(node, GetParameters, owner, GetParameters.Request(list(names)))
     if len(response.values) < len(names):
         await _refuse_unknown(node, owner, names)
@@ -455,7 +467,7 @@ async def _values(node: Node, owner: str, names: Sequence[str]) -> list[Paramete
 
 
 async def _described(node: Node, owner: str, names: Sequence[str]) -> list[ParameterDescriptor]:
-    """Return the descriptions of parameters. An unknown parameter is an error."""
+    """Return the descriptions of parameters. Raise an error if the node lacks one of them."""
     request = DescribeParameters.Request(list(names))
     response = await _ask(node, DescribeParameters, owner, request)
     if len(response.descriptors) < len(names):
@@ -464,7 +476,10 @@ async def _described(node: Node, owner: str, names: Sequence[str]) -> list[Param
 
 
 async def _refuse_unknown(node: Node, owner: str, names: Sequence[str]) -> None:
-    """Check that a node has all of these parameters. The error suggests a name."""
+    """Raise an error for the first of these parameters that a node lacks.
+
+    The error suggests the nearest name.
+    """
     known = await _names(node, owner, ())
     for name in names:
         if name not in known:
@@ -488,7 +503,11 @@ async def _set_one(
 async def _set(
     node: Node, owner: str, parameters: Sequence[Parameter]
 ) -> list[SetParametersResult]:
-    """Set parameters. A refusal also names the allowed range or the nearest name."""
+    """Set parameters, and return the node's answers.
+
+    If the node refuses a value, the reason in the answer also names the allowed range or the
+    nearest name.
+    """
     request = SetParameters.Request(list(parameters))
     results = list((await _ask(node, SetParameters, owner, request)).results)
     refused = [place for place, result in enumerate(results) if not result.successful]
@@ -505,7 +524,7 @@ async def _set(
 async def _set_again(
     node: Node, owner: str, parameter: Parameter, refusal: SetParametersResult
 ) -> SetParametersResult:
-    """Set the parameter to the same value in the parameter's type, or explain the refusal."""
+    """Convert a refused value to the parameter's type and set it again, or explain the refusal."""
     # ROS 2 refuses an integer for a double, although ``2`` can mean nothing else. The node is asked
     # for the parameter's type only after it has refused, so all other cases cost one call.
     [known] = await _described(node, owner, [parameter.name])
@@ -523,7 +542,8 @@ async def _set_again(
 def _of_type(value: ParameterValue, kind: int) -> ParameterValue:
     """Convert a value to its parameter's type if nothing is lost; otherwise return it unchanged.
 
-    An integer can become a double or byte, and an empty list can become an array of any type.
+    An integer can become a double. A list of integers from 0 to 255 can become a byte array. An
+    empty list can become an array of any type.
     """
     plain: object = value_of(value)
     if value.type == kind or plain is None:
@@ -538,7 +558,10 @@ def _of_type(value: ParameterValue, kind: int) -> ParameterValue:
 
 
 def _quoted(value: ParameterValue, kind: int) -> str:
-    """A hint on how to quote a number or bool given for a text parameter; empty in other cases."""
+    """Return a hint on how to quote a number or bool that was given for a text parameter.
+
+    For all other values, return an empty string.
+    """
     plain = value_of(value)
     if kind != ParameterType.PARAMETER_STRING or not isinstance(plain, bool | int | float):
         return ""
@@ -567,9 +590,9 @@ def _description(known: ParameterDescriptor) -> Iterator[str]:
 
 
 def _insert(tree: dict[str, object], name: str, value: object) -> None:
-    """Insert a value at the path that its dotted name gives.
+    """Insert a value into nested dicts, so that ``a.b`` is the key ``b`` in the dict of ``a``.
 
-    If the path leads through another value, the name keeps its dots.
+    If ``a`` has a value of its own, the key is ``a.b`` instead.
     """
     first, _, rest = name.partition(".")
     inner = tree.setdefault(first, {}) if rest else None
@@ -580,7 +603,7 @@ def _insert(tree: dict[str, object], name: str, value: object) -> None:
 
 
 def _message(value: object, where: str) -> ParameterValue:
-    """Convert a plain value to a message."""
+    """Convert a Python value to a ``ParameterValue``."""
     items = value if isinstance(value, list) else [value]
     kinds = {type(item) for item in items} or {bool}  # as rclpy takes an empty list
     number = SINGLE.get(kinds.pop())
@@ -590,15 +613,6 @@ def _message(value: object, where: str) -> ParameterValue:
     if isinstance(value, list):
         number += ARRAY
     return msgspec.structs.replace(ParameterValue(number), **{KINDS[number].field: value})
-
-
-def _flat(tree: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield each value of a nested mapping with its dotted name, such as ``a.b.c``."""
-    for name, value in tree.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 def _assignment(text: str) -> Override:

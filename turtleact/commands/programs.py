@@ -1,13 +1,14 @@
 """Runs a user's program, after ``turtleact run`` has found it.
 
 `turtleact.commands.packages` finds the programs of packages. This module knows nothing of packages.
-It gets a file, or a module and a function, and runs it as Python itself would.
+It runs a file, or a function of a module, as Python itself would.
 """
 
 from __future__ import annotations
 
 import ast
 import importlib
+import inspect
 import os
 import runpy
 import subprocess
@@ -43,7 +44,16 @@ DECLARING = (
     ast.AugAssign,
     ast.Pass,
 )
-"""The kinds of statements in a file that declares actions but runs nothing."""
+"""The kinds of statements in a file that only declares something."""
+
+FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
+"""The parts of a file that do not run when the file does."""
+
+PREPARING = ("load_interfaces", "basicConfig")
+"""A file that calls these functions, and no others, runs nothing either."""
+
+MAIN = "main"
+"""By convention, the function that runs a file's program."""
 
 SHEBANG = 200
 """This many bytes at the beginning of a file are searched for ``python``."""
@@ -54,8 +64,8 @@ class Program(NamedTuple):
 
     Attributes:
         name: The name that the program sees as its own, ``sys.argv[0]``.
-        file: A Python file to run as ``__main__``, or a program in machine code. None if there is
-            a module.
+        file: A Python file to run as ``__main__``, or another executable file. None if there is a
+            module.
         module: The module to import, if there is no file.
         function: The function in that module, such as ``main`` or ``App.main``.
         folders: The folders that the program needs at the beginning of ``sys.path``.
@@ -76,26 +86,26 @@ def run_program(
 ) -> int:
     """Run a program to its end in this process, and return its exit status.
 
-    All users' programs begin here. Everything that they need in the process, such as modules that
-    turtleact provides, is set up here before their first import.
+    Every Python program of a user is started here. This function prepares the process first,
+    because the program's first imports may need modules that turtleact provides.
 
-    The program finds what it would find under ``python``: its arguments in ``sys.argv``, its
-    folders in ``sys.path``, Python's own signal handlers, and ``__main__`` if it is a file. A
-    function's result becomes the exit status, as in a script that pip installs. A program in
-    machine code replaces this process.
+    The program gets what ``python`` would give it: its arguments in ``sys.argv``, its folders in
+    ``sys.path``, and Python's own signal handlers. A file runs as the module ``__main__``. The
+    return value of a function becomes the exit status, as in a script that pip installs. An
+    executable file that is not a Python program replaces this process, except on Windows.
 
     Args:
         program: What to run.
         arguments: The words that the user typed after the program's name.
-        interrupts: The signals, which are given back to Python.
-        options: Which rclpy the program imports, and which graph it then joins.
+        interrupts: The signals, for which Python's own handlers are restored.
+        options: Which rclpy the program imports, and which graph it joins. None for the defaults.
 
     Returns:
         The exit status: that of `sys.exit`, 1 after an exception, 130 after Ctrl-C.
 
     Raises:
-        UsageError: if the module has no such function.
-        TurtleactError: if the program raises one. The text names the line.
+        UsageError: if ``program.module`` has no function ``program.function``.
+        TurtleactError: if the program raises one. The message begins with the file and the line.
     """
     if program.file is not None and not is_python(program.file):
         return _start(program.file, arguments)
@@ -110,7 +120,7 @@ def run_program(
         if program.file is not None:
             sys.path.insert(0, str(program.file.absolute().parent))
             names = runpy.run_path(str(program.file), run_name="__main__")
-            _tell_how_to_serve(program.file, names)
+            _tell_what_is_missing(program.file, names)
             return 0
         return _status(_function(program)())
     except SystemExit as end:
@@ -130,7 +140,7 @@ def run_program(
 
 
 def is_python(file: Path) -> bool:
-    """Whether a file is a Python program: by its ending, or by its first line."""
+    """Whether a file is a Python program, judging by its ending and its first line."""
     if file.suffix == ".py":
         return True
     try:
@@ -141,36 +151,76 @@ def is_python(file: Path) -> bool:
     return first.startswith(b"#!") and b"python" in first
 
 
-def _tell_how_to_serve(file: Path, names: Mapping[str, object]) -> None:
-    """Tell the user how to serve a file that only declares actions.
+def _tell_what_is_missing(file: Path, names: Mapping[str, object]) -> None:
+    """If a file only declares actions or a ``main``, tell the user what to do.
 
     Args:
         file: The file, which has run to its end.
-        names: Its global names.
+        names: The global variables of the file.
     """
-    from turtleact.body import ActionDeclaration  # help does without it
+    declares = _declares(names)
+    has_main = getattr(names.get(MAIN), "__module__", "") == "__main__"
+    if not (declares or has_main):
+        return
+    statements = ast.parse(file.read_bytes()).body
+    if not all(map(_only_declares, statements)) or any(map(_uses_main, statements)):
+        return
+    if declares:
+        note(f"{file} declares {declares}, but runs nothing: use 'turtleact serve {file}'")
+        return
+    is_async = inspect.iscoroutinefunction(names[MAIN])
+    call = f"asyncio.run({MAIN}())" if is_async else f"{MAIN}()"
+    imports = (
+        "'import asyncio' at its beginning and " if is_async and "asyncio" not in names else ""
+    )
+    lines = f"{imports}'if __name__ == \"__main__\": {call}'"
+    note(f"{file} defines {MAIN}, but runs nothing: add {lines} at its end")
 
-    declared = [each for each in names.values() if isinstance(each, ActionDeclaration)]
-    own = [each.name for each in declared if each.execute.__module__ == "__main__"]
-    if own and all(map(_only_declares, ast.parse(file.read_bytes()).body)):
-        actions = f"action {own[0]}" if len(own) == 1 else f"actions {', '.join(own)}"
-        note(f"{file} declares {actions}, but runs nothing: use 'turtleact serve {file}'")
+
+def _declares(names: Mapping[str, object]) -> str:
+    """Return what a file declares for ``turtleact serve``, as text; empty if there is nothing.
+
+    Background functions are mentioned only if the file declares no action.
+    """
+    from turtleact.body import ActionDeclaration, BackgroundDeclaration  # help does without them
+
+    actions, tasks = list[str](), list[str]()
+    for each in names.values():
+        if isinstance(each, ActionDeclaration) and each.execute.__module__ == "__main__":
+            actions.append(each.name)
+        elif isinstance(each, BackgroundDeclaration) and each.run.__module__ == "__main__":
+            tasks.append(each.run.__name__)
+    kind, found = ("action", actions) if actions else ("background function", tasks)
+    if not found:
+        return ""
+    return f"{kind}{'s' * (len(found) > 1)} {', '.join(found)}"
 
 
 def _only_declares(statement: ast.stmt) -> bool:
     """Whether a top-level statement of a file only declares something, and runs nothing."""
     if isinstance(statement, ast.Expr):
-        return isinstance(statement.value, ast.Constant)
+        value = statement.value
+        called = ast.unparse(value.func) if isinstance(value, ast.Call) else ""
+        return isinstance(value, ast.Constant) or called.rpartition(".")[2] in PREPARING
     if isinstance(statement, ast.If):
         return all(map(_only_declares, [*statement.body, *statement.orelse]))
     return isinstance(statement, DECLARING)
+
+
+def _uses_main(node: ast.AST) -> bool:
+    """Whether ``main`` is called or passed on outside functions, as in ``code = main()``."""
+    if isinstance(node, FUNCTIONS):
+        return False
+    if isinstance(node, ast.Name):
+        return node.id == MAIN and isinstance(node.ctx, ast.Load)
+    return any(map(_uses_main, ast.iter_child_nodes(node)))
 
 
 def _function(program: Program) -> Callable[[], object]:
     """Import the module of a program and return its function.
 
     Raises:
-        UsageError: if the module has no such function.
+        UsageError: if ``program.module`` has no function ``program.function``.
     """
     found: object = importlib.import_module(program.module)
     for attribute in program.function.split("."):
@@ -184,9 +234,10 @@ def _function(program: Program) -> Callable[[], object]:
 
 
 def _start(file: Path, arguments: Sequence[str]) -> int:
-    """Run a program in machine code.
+    """Run an executable file that is not a Python program.
 
-    On POSIX, the program takes over this process and its terminal.
+    On POSIX, the program replaces this process. On Windows, wait until it ends, and return its exit
+    status.
     """
     command = [str(file), *arguments]
     try:
@@ -202,7 +253,10 @@ def _become(command: list[str]) -> NoReturn:
 
 
 def _status(code: object) -> int:
-    """The exit status for the argument of `sys.exit`. A text is printed, as in Python."""
+    """Return the exit status for the argument of `sys.exit`.
+
+    As in Python, an argument that is neither None nor an integer is printed on stderr.
+    """
     if code is None:
         return 0
     if isinstance(code, int):
@@ -217,16 +271,16 @@ def _told(error: BaseException) -> int:
     while trace is not None and _is_ours(trace.tb_frame.f_code.co_filename):
         trace = trace.tb_next
     error.__traceback__ = trace
-    from turtleact.summaries import field_hint  # help does without it
+    from turtleact.summaries import field_hint, syntax_hint  # help does without it
 
-    if hint := field_hint(error):
+    if hint := field_hint(error) or syntax_hint(error):
         error.add_note(hint)
     traceback.print_exception(error)
     return FAILED
 
 
 def _place_of(error: BaseException) -> str:
-    """The last line of the user's own code before an error; empty if there is none."""
+    """Return the file and line of the user's code that led to an error; empty if there is none."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [
         each for each in frames if not _is_ours(each.filename) and not _is_library(each.filename)

@@ -1,12 +1,12 @@
-"""Implements ``serve --reload``, which serves the user's modules again when their files change.
+"""Implements ``serve --reload``, which imports the user's modules again when their files change.
 
-Only the user's actions and parameters are replaced. The process, the graph and the world live on,
-so turtles stay where they are and clients stay connected. Running goals of the old actions end
-ABORTED with the reason "reloading". With a journal that resumes goals, the goals go on with the new
-actions instead.
+Only the user's actions, parameters and background tasks are replaced. The process, the graph and
+the world go on, so turtles stay where they are and clients stay connected. Running goals of the old
+actions end ABORTED with the reason "reloading". With a journal that resumes goals, the goals go on
+with the new actions instead.
 
-The new modules are imported first. If the import fails, the error is logged, and the old actions go
-on until the next change.
+The new modules are imported before the old actions end. If the import fails, the error is logged,
+and the old actions go on until the next change.
 
 Source: uvicorn ``supervisors/statreload.py`` for polling (uvicorn restarts the process instead).
 """
@@ -14,6 +14,7 @@ Source: uvicorn ``supervisors/statreload.py`` for polling (uvicorn restarts the 
 from __future__ import annotations
 
 import logging
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
@@ -25,7 +26,7 @@ from turtleact.summaries import summary
 from turtleact.tasks import GRACE, Background
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Awaitable, Callable, Iterable
 
     from turtleact.body import BackgroundDeclaration
     from turtleact.commands.interrupts import Interrupts
@@ -52,7 +53,7 @@ Stamps: TypeAlias = dict[Path, tuple[int, int, int] | None]
 
 
 class Kept(TypedDict, total=False):
-    """The options of servers that keep their goals. They are empty without a journal."""
+    """The options for servers that keep their goals in a journal; empty without a journal."""
 
     journal: Journal
     on_restart: OnRestart
@@ -62,7 +63,7 @@ class Watch:
     """Finds the user's files that have changed since they were imported.
 
     Args:
-        modules: The user's modules, not yet imported.
+        modules: The user's modules, before their first import.
     """
 
     def __init__(self, modules: Modules) -> None:
@@ -71,10 +72,11 @@ class Watch:
         self._last = self._seen
 
     def look(self) -> list[Path]:
-        """Check the files once. List the files that have changed, unless they are still changing.
+        """Check the files once, and return those that have changed.
 
         An editor may write a file in parts, remove it and rename another, or save several files in
-        a row. A change therefore counts only after two checks in a row have found the same state.
+        a row. Therefore a change is returned only after two checks in a row have found all files in
+        the same state.
         """
         stamps = self._stamps()
         is_at_rest = stamps == self._last
@@ -101,11 +103,11 @@ class Reloader:
     """Replaces the actions and parameters of the user's modules when their files change.
 
     Args:
-        node: The node.
+        node: The node that serves the actions.
         modules: The user's modules.
-        watch: Watches their files.
-        interrupts: The signals. A signal during an import ends the program.
-        say: A function that tells the user what happens.
+        watch: Watches the files of these modules.
+        interrupts: Receives the signals. A signal during an import ends the program.
+        say: A function that prints a line for the user.
 
     Attributes:
         node: The argument ``node``.
@@ -130,6 +132,7 @@ class Reloader:
         self._options: Kept = {}
         self._parameters: list[Parameter[Any]] = []
         self._tasks: list[Background] = []
+        self._watching: Background | None = None
         self._stale: set[Path] = set()  # changed, and not imported successfully since
 
     def adopt(
@@ -138,12 +141,12 @@ class Reloader:
         servers: Iterable[ActionServer[Any, Any, Any]],
         options: Kept | None = None,
     ) -> None:
-        """Take over the actions that the node serves already.
+        """Take charge of the actions that the node already serves, and start the background tasks.
 
         Args:
             found: The actions, parameters and background functions found in the modules.
-            servers: The servers of its actions.
-            options: How to serve the actions from now on, besides their own options.
+            servers: The servers of these actions.
+            options: More options with which to serve the actions after a reload.
         """
         self._found = found
         self._servers = list(servers)
@@ -151,24 +154,39 @@ class Reloader:
         self._start(found)
         self._parameters = [self.node.parameter(each) for each in found.parameters]
 
-    async def aclose(self) -> None:
-        """End the background tasks. The node closes everything else."""
+    async def aclose(self, others: Iterable[ActionServer[Any, Any, Any]] = ()) -> None:
+        """Close the servers of the user's actions, and end the background tasks and any reload.
+
+        The node itself closes the parameters.
+
+        Args:
+            others: More servers to close at the same time.
+        """
+        watching = [] if self._watching is None else [self._watching.aclose]
+        await _together([*watching, *self._ends("shutdown"), *(each.aclose for each in others)])
+
+    def _ends(self, reason: str) -> list[Callable[[], Awaitable[None]]]:
+        """Return functions that end the background tasks and close the servers."""
         tasks, self._tasks = self._tasks, []
-        # All at once, so that tasks that ignore their cancellation cost `GRACE` seconds together.
-        # Shielded: a child that is cancelled before its first step would not cancel its task.
-        with anyio.CancelScope(shield=True):
-            async with anyio.create_task_group() as closing:
-                for task in tasks:
-                    closing.start_soon(task.aclose, GRACE)
+        servers, self._servers = self._servers, []
+        # The tasks come first. So a task that waits for a goal is cancelled before the goal ends.
+        return [
+            *(partial(task.aclose, GRACE) for task in tasks),
+            *(partial(server.aclose, reason) for server in servers),
+        ]
+
+    def start(self) -> None:
+        """Replace the actions whenever the files change, until `aclose`."""
+        self._watching = Background(self.run(), "the reloading")
 
     async def run(self) -> None:
-        """Watch the files and replace the actions, until cancelled."""
+        """Watch the files and replace the actions, until this is cancelled."""
         while True:
             await anyio.sleep(INTERVAL)
             await self.look()
 
     async def look(self) -> None:
-        """Look at the files once, and reload if they have changed."""
+        """Check the files once, and reload the modules if a file has changed."""
         if not (changed := self.watch.look()):
             return
         try:
@@ -196,7 +214,7 @@ class Reloader:
         self._say(f"reloaded: {', '.join(names) or 'background tasks'}")
 
     def _import(self, changed: list[Path]) -> Found | None:
-        """Import the modules again. Return None if that fails, or a signal has come."""
+        """Import the modules again. Return None if the import fails, or if a signal has come."""
         known = REGISTRY.state()
         self._stale.update(changed)
         for name, file in _interface_files().items():
@@ -218,9 +236,10 @@ class Reloader:
         return found
 
     def _serve(self, found: Found) -> None:
-        """Declare the parameters, and serve the actions.
+        """Declare the parameters, serve the actions, and start the background tasks.
 
-        If another node serves an action by now, the action is served once that node has gone.
+        If another node has begun to serve one of the actions, that action is served once the other
+        node stops serving it.
         """
         for declaration in found.parameters:
             self._parameters.append(self.node.parameter(declaration))
@@ -235,15 +254,30 @@ class Reloader:
             self._tasks.append(Background(_run(each, self.node), name))
 
     async def _close(self) -> None:
-        """End tasks and goals, and remove actions and parameters from the node."""
-        await self.aclose()
-        async with anyio.create_task_group() as closing:
-            for server in self._servers:
-                closing.start_soon(server.aclose, REASON)
-        self._servers.clear()
+        """End the background tasks and the goals, and remove the actions and parameters."""
+        await _together(self._ends(REASON))
         for parameter in self._parameters:
             parameter.undeclare()
         self._parameters.clear()
+
+
+async def _together(calls: Iterable[Callable[[], Awaitable[None]]]) -> None:
+    """Call functions that end tasks and servers, all at the same time, and wait for all of them.
+
+    Tasks that ignore their cancellation thus cost `GRACE` seconds together, and no server accepts a
+    goal meanwhile.
+    """
+    # Shielded: a child that is cancelled before its first step would not cancel its task.
+    with anyio.CancelScope(shield=True):
+        async with anyio.create_task_group() as closing:
+            for call in calls:
+                closing.start_soon(_shielded, call)
+
+
+async def _shielded(call: Callable[[], Awaitable[None]]) -> None:
+    # `asyncio.Task.cancel` breaks the shield of `_together`, and then cancels its task group.
+    with anyio.CancelScope(shield=True):
+        await call()
 
 
 async def _run(declared: BackgroundDeclaration[Any], node: Node) -> None:
@@ -251,7 +285,7 @@ async def _run(declared: BackgroundDeclaration[Any], node: Node) -> None:
 
 
 def _interface_files() -> dict[str, Path]:
-    """The interface files that may be used, by type name."""
+    """Return the interface files that the modules may use, keyed by type name."""
     files = REGISTRY.nearby | REGISTRY.files
     return {name: Path(file) for name, file in files.items()}
 

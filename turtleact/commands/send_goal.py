@@ -1,7 +1,7 @@
 """Implements ``send-goal``, which sends one goal, follows it, and returns the exit status.
 
 This module decides when a goal is sent, canceled or abandoned. `turtleact.commands.transcript` and
-`turtleact.commands.live` print it.
+`turtleact.commands.live` print what happens to the goal.
 
 Source: ros2cli ``ros2action/verb/send_goal.py`` for the order of the output.
 """
@@ -33,6 +33,8 @@ from turtleact.commands.transcript import (
     Sent,
     Transcript,
     View,
+    after_return,
+    watch_command,
 )
 from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError, UsageError
 from turtleact.goal import GoalStatus
@@ -83,16 +85,18 @@ class Order(NamedTuple):
     """The goal to send, and how to follow it.
 
     Attributes:
-        name: The action.
-        type_name: Its type; None for the type with which it is served.
-        text: The goal.
-        place: Where to send it.
+        name: The name of the action.
+        type_name: The action's type; None for the type with which the action is served.
+        text: The goal, as text.
+        place: Where to send the goal.
         feedback: Whether to print each feedback message.
-        timeout: When to cancel the goal, or to give up if no server has accepted it (s, wall
-            clock). With 0, leave once it is accepted.
+        timeout: If the goal has not ended this long after its acceptance (s, wall clock), the goal
+            is canceled. The command also waits this long for the acceptance, but at least
+            `PATIENCE`. With 0, the command ends once the goal is accepted. None for no limit.
         view: How the goal is shown: ``auto`` is a live display on a terminal and plain lines
             elsewhere.
-        reattach: How long to wait for a server that has gone, or that has not started yet (s).
+        reattach: How long to wait for a server that has gone, or that has not started yet (s, event
+            loop time).
     """
 
     name: str
@@ -138,7 +142,7 @@ def choose_transcript(
     Args:
         view: The view that the user wants.
         wants_feedback: Whether to print each feedback message.
-        wants_feedback_live: Whether to print feedback messages on a live display too. If left out,
+        wants_feedback_live: Whether to print feedback messages on a live display too. If None,
             ``wants_feedback`` decides.
     """
     if view == "json":
@@ -155,14 +159,17 @@ def choose_transcript(
 
 
 def embedded_world(speed: float | str, seed: int) -> AbstractAsyncContextManager[Node]:
-    """Open the embedded world. Slow modules such as numpy are imported only here."""
+    """Open the embedded world.
+
+    Only this function imports modules that load slowly, such as numpy.
+    """
     from turtleact.app import open_world
 
     return open_world(speed=speed, seed=seed)
 
 
 class Sending:
-    """Sends one goal, from the opening of the graph to the exit status."""
+    """Opens the graph, sends one goal, follows it, and determines the exit status."""
 
     def __init__(
         self,
@@ -179,11 +186,12 @@ class Sending:
         self._interrupts = interrupts
         self._sent: Sent | None = None
         self._canceled_by: int | None = None
+        self._awaits_cancel = False
         self._is_embedded = False
         self._is_silent = False
 
     async def run(self) -> int:
-        """Open the graph or a world, and send the goal."""
+        """Open the graph or an embedded world, send the goal, and return the exit status."""
         order = self._order
         # The loop may be stuck in a body or in its output, and would never come to the signal.
         self._interrupts.patience = 2 * CANCEL_TIMEOUT
@@ -195,18 +203,18 @@ class Sending:
                     node = await stack.enter_async_context(self._find_node())
                 if self._interrupts.received:
                     return self._interrupted()
-                await _is_served(node, self._name)
+                await _find_served(node, self._name)
                 action_type = self._find_action(node)
                 goal = self._goal or _read_goal(action_type, order.text)
                 return await self._send(node, action_type, goal)
 
     @asynccontextmanager
     async def _find_node(self) -> AsyncIterator[Node]:
-        """Open a node on the graph in reach or, if the graph has no actions, in an embedded world.
+        """Open a node on the user's graph or, if there is none with actions, in an embedded world.
 
         Raises:
-            TurtleactError: if no server is in reach, but the user waits for one (``--reattach``) or
-                the goal must outlive this command.
+            TurtleactError: if there is no graph with actions, but the user waits for a server
+                (``--reattach``) or the goal must outlive this command (a timeout of 0).
         """
         order, place, reach = self._order, self._order.place, self._order.place.reach
         why = ""
@@ -215,7 +223,7 @@ class Sending:
                 there = await self._enter_graph(stack, reach)
                 why = no_router(reach)
                 if there is not None:
-                    if reach.connect or await _is_served(there):
+                    if reach.connect or await _find_served(there):
                         yield there
                         return
                     why = await none_in_domain(there.transport, reach, "actions")
@@ -232,10 +240,11 @@ class Sending:
             yield node
 
     async def _enter_graph(self, stack: AsyncExitStack, reach: Reach) -> Node | None:
-        """Enter the graph in reach. With ``--reattach``, wait for the graph and for the action.
+        """Join the user's graph, and return a node on it; None if there is no graph.
 
-        If the router is off, the connection fails at once, so this function tries again until the
-        time of ``--reattach`` is over.
+        With ``--reattach``, wait for the graph and then for the action. If the router is off, an
+        attempt to connect fails at once. So this function tries again until the time of
+        ``--reattach`` is over.
         """
         patience = self._order.reattach
         due = anyio.current_time() + patience
@@ -256,9 +265,9 @@ class Sending:
     async def _try_graph(
         self, stack: AsyncExitStack, reach: Reach, *, is_last: bool
     ) -> Node | None:
-        """Enter the graph, or return None if that fails.
+        """Try to join the graph, and return a node on it; None if that fails.
 
-        The last attempt raises an error instead.
+        If this is the last attempt, raise the error instead.
         """
         try:
             return await graph.enter_if_there(stack, reach, graph.open_graph(reach))
@@ -270,11 +279,13 @@ class Sending:
             return None
 
     def _find_action(self, node: Node) -> type[Action]:
-        """The class of the action.
+        """Return the class of the action.
 
         Raises:
-            ServerUnavailable: if nobody serves it. The text says what is in reach.
-            TurtleactError: as for `_find_class`.
+            ServerUnavailable: if nobody serves the action, or only with another type. If nobody
+                serves the action, the message suggests a similar action, or lists the actions that
+                are served.
+            TurtleactError: if the type is unknown in this process, or is not an action.
         """
         actions = node.graph().actions
         if self._name in actions:
@@ -311,14 +322,20 @@ class Sending:
                     raise
                 self._transcript.note(str(error))
                 if self._sent.handle.done:
-                    self._transcript.note(f"if its server lives, {self._way_back(self._sent)}")
+                    self._transcript.note(self._way_back(self._sent))
                 status = FAILED if self._canceled_by is None else self._canceled_by
             except GoalRejected as error:
                 self._transcript.rejected(error.reason)
-                self._transcript.note(str(error))
+                self._transcript.note(self._why_rejected(error))
                 status = REJECTED
             beside.cancel_scope.cancel()
         return self._interrupted() if status is None else status
+
+    def _why_rejected(self, error: GoalRejected) -> str:
+        """Return the note to print after a rejection."""
+        if self._order.view == "json":
+            return str(error)
+        return f"reason: {error.reason}" if error.reason else "the server gave no reason"
 
     async def _follow(self, sent: Sent, beside: TaskGroup) -> int:
         handle, transcript = sent.handle, self._transcript
@@ -334,6 +351,8 @@ class Sending:
         beside.start_soon(transcript.animate)
         if not self._is_embedded:
             beside.start_soon(self._tell_of_pause, sent.node)
+        if self._order.reattach:
+            beside.start_soon(self._tell_of_server, sent)
         if transcript.wants_feedback:
             async for feedback in handle:
                 transcript.feedback(feedback)
@@ -347,7 +366,7 @@ class Sending:
         return self._exit_status(outcome)
 
     async def _tell_of_pause(self, node: Node) -> None:
-        """Tell the user if the world is paused: the clock of its graph stands, so goals wait."""
+        """Tell the user if the world is paused: its clock then stands still, and goals wait."""
         services = {each.name for each in node.transport.endpoints() if each.kind == "service"}
         if WORLD_STATE not in services:
             return
@@ -361,6 +380,23 @@ class Sending:
         if response.state.state in (SimulationState.STATE_PAUSED, SimulationState.STATE_STOPPED):
             self._transcript.note(f"the world is paused; {RESUMES} resumes it")
 
+    async def _tell_of_server(self, sent: Sent) -> None:
+        """Tell the user when the goal's server goes away, and when it is back.
+
+        This method runs only with ``--reattach``. Without that option, the command soon ends with
+        an error that says that the server has gone.
+        """
+        waits = f"waiting for it for up to {self._order.reattach:g} s"
+        was_served = True
+        while True:
+            is_served = graph.is_served(sent.node, sent.name, sent.type_name)
+            if is_served is not was_served:
+                self._transcript.served(is_served=is_served)
+                has = "is back" if is_served else f"has gone: {waits}"
+                self._transcript.note(f"the server of {self._name} {has}")
+            was_served = is_served
+            await sent.node.transport.wait_for_change()
+
     def _exit_status(self, outcome: Outcome[Message]) -> int:
         if outcome.status is GoalStatus.CANCELED:
             return CANCELED if self._canceled_by is None else self._canceled_by
@@ -369,11 +405,11 @@ class Sending:
     # signals, timeouts and servers that do not answer
 
     async def _heed_interrupts(self, sending: anyio.CancelScope, beside: TaskGroup) -> None:
-        """At the first signal, cancel the goal or its sending. At the second, give up waiting.
+        """Cancel the goal, or stop sending it, at the first signal. Stop waiting at the second.
 
-        The server's answer and the goal's end are uncertain. A body may swallow its cancellation,
-        and a server may refuse to cancel, hang, or be gone. One signal is therefore enough to end
-        the program, `CANCEL_TIMEOUT` seconds later.
+        The server may never answer, and the goal may never end: a body may ignore its cancellation,
+        and a server may refuse to cancel, hang, or be gone. Therefore this method stops waiting
+        after `CANCEL_TIMEOUT` seconds, even without a second signal.
         """
         await self._interrupts.wait(1)
         if self._sent is None:
@@ -384,11 +420,16 @@ class Sending:
         with anyio.move_on_after(CANCEL_TIMEOUT) as waiting:
             await self._interrupts.wait(2)
         if waiting.cancelled_caught:
-            self._transcript.note(f"the goal has not ended within {CANCEL_TIMEOUT:g} s")
+            what = "the goal has not ended" if self._has_server(sent) else "the server is not back"
+            self._transcript.note(f"{what} within {CANCEL_TIMEOUT:g} s")
         self._let_go(sent, self._interrupts.status)
 
     async def _withdraw(self, sending: anyio.CancelScope) -> None:
-        """Stop sending. The client waits for the server's answer, so that no goal is orphaned."""
+        """Stop sending the goal.
+
+        The server may have accepted the goal already. The client therefore waits for the server's
+        answer, and cancels a goal that was accepted.
+        """
         sending.cancel()
         self._transcript.note("waiting for the server's answer; Ctrl-C again exits at once")
         with anyio.move_on_after(CANCEL_TIMEOUT):
@@ -399,7 +440,10 @@ class Sending:
             leave(self._interrupted())
 
     async def _heed_silence(self, sending: anyio.CancelScope) -> None:
-        """Report that no server has accepted the goal in time. If there is a timeout, give up."""
+        """Tell the user if no server has accepted the goal in time.
+
+        If the user gave a timeout, also stop sending the goal.
+        """
         limit = self._order.timeout
         seconds = max(limit or 0.0, PATIENCE)
         await anyio.sleep(seconds)
@@ -415,13 +459,14 @@ class Sending:
 
     async def _obey(self, sent: Sent, status: int) -> None:
         self._transcript.canceling()
-        self._transcript.note("waiting for the goal's end; Ctrl-C again exits at once")
+        awaited = "the goal's end" if self._has_server(sent) else "the server, which has gone"
+        self._transcript.note(f"waiting for {awaited}; Ctrl-C again exits at once")
         # Beside the task that waits for the second signal: the server may never answer this.
         if not await self._cancel(sent, status):
             self._transcript.note("the server refuses to cancel the goal, which goes on")
 
     async def time_out(self, sent: Sent, seconds: float) -> None:
-        """Cancel the goal after some seconds, unless it has ended by then."""
+        """Cancel the goal after ``seconds``, unless the goal has ended by then."""
         await anyio.sleep(seconds)
         if sent.handle.status.is_terminal:  # it ended in the same moment
             return
@@ -435,12 +480,13 @@ class Sending:
         self._let_go(sent, TIMEOUT)
 
     async def _cancel(self, sent: Sent, reason: int) -> bool:
-        """Ask the server to cancel the goal. Return False if it refuses."""
-        self._canceled_by = reason
+        """Ask the server to cancel the goal. Return False if the server refuses."""
+        self._canceled_by, self._awaits_cancel = reason, True
         try:
             await sent.handle.cancel()
         except ServerUnavailable:
             return True  # the server is gone; the task that waits for the goal raises that too
+        self._awaits_cancel = False
         status = sent.handle.status
         self._transcript.status(status)
         return status is GoalStatus.CANCELING or status.is_terminal
@@ -451,22 +497,36 @@ class Sending:
         leave(status)
 
     def _way_back(self, sent: Sent) -> str:
-        """A sentence on what becomes of the goal and, if it goes on, how to follow it."""
+        """Return a sentence that says whether the goal goes on and how to follow it again."""
         if self._is_embedded:
             return ENDED_WITH_WORLD
-        command = f"turtleact watch {sent.handle.goal_id.hex()}{self._order.place.options}"
+        command = watch_command(sent.handle.goal_id, self._order.place.options)
+        if not self._has_server(sent):
+            return after_return(command)
+        if self._awaits_cancel:
+            return (
+                "the server has not answered, so it is not known whether the goal was canceled; "
+                f"once the server answers again, '{command}' shows the goal"
+            )
         return f"the goal goes on; '{command}' follows it again"
+
+    def _has_server(self, sent: Sent) -> bool:
+        """Whether the goal's server is in this process or on the graph."""
+        return self._is_embedded or graph.is_served(sent.node, self._name, sent.type_name)
 
     def _interrupted(self) -> int:
         may_come = self._is_silent and not self._is_embedded
-        rest = "the server may still accept it" if may_come else "there is none"
+        rest = "the server may still accept it" if may_come else "it does not run"
         how = "interrupted" if self._interrupts.received else "given up"
         self._transcript.note(f"{how} before the goal was accepted; {rest}")
         return self._interrupts.status if self._interrupts.received else TIMEOUT
 
 
-async def _is_served(node: Node, name: str | None = None) -> bool:
-    """Whether an action, or any action, is served. This waits while the graph is discovered."""
+async def _find_served(node: Node, name: str | None = None) -> bool:
+    """Whether the action ``name`` is served. Without a name, any served action counts.
+
+    If there is no server yet, wait for one until the graph has been discovered.
+    """
 
     def found() -> bool | None:
         actions = node.graph().actions
@@ -476,12 +536,15 @@ async def _is_served(node: Node, name: str | None = None) -> bool:
 
 
 def _find_class(node: Node, name: str, type_name: str | None) -> type[Action]:
-    """The class of a served action. If it has several types, the first one is used.
+    """Return the class of a served action.
+
+    If the user typed no type and the action has several types, the first type is used.
 
     Raises:
-        ServerUnavailable: if nobody serves it with that type. The text says what is served.
+        ServerUnavailable: if nobody serves the action with that type. The message names the
+            action's types.
         UnknownInterface: if the type that the user typed is unknown.
-        TurtleactError: if the type on the graph is unknown here.
+        TurtleactError: if the type on the graph is unknown in this process.
     """
     types = node.graph().actions[name]
     if type_name is None:

@@ -1,8 +1,9 @@
-"""Implements ``serve``: a world, the built-in actions and the user's own, until a signal comes.
+"""Implements ``serve``, which serves a world, the built-in actions and the user's own actions.
 
-By default the server is the router that the nodes of this machine look for. If there is a router
-already, the server joins its graph as a peer. One line on stdout says when goals can be sent. After
-that, each change of a goal gets a line. A terminal shows a dashboard instead.
+By default, the server is the router that the nodes of this machine look for. If this machine
+already has a router, the server joins that router's graph as a peer. The server prints a line on
+stdout once goals can be sent, and then a line for each change of a goal's state. On a terminal, it
+shows a dashboard instead of lines. The server runs until a signal comes.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from contextlib import AsyncExitStack, aclosing, asynccontextmanager, contextman
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack, cast
 
 import anyio
 
@@ -30,7 +31,7 @@ from turtleact.commands.terminal import can_move
 from turtleact.errors import ActionConflict, InvalidOption, TurtleactError, UsageError
 from turtleact.goal import GoalStatus
 from turtleact.graph import types_by_name
-from turtleact.node import Node, open_node
+from turtleact.node import Node, close_withdrawn, open_node, resources_of
 from turtleact.tasks import Background
 from turtleact.transports import open_zenoh
 
@@ -59,6 +60,9 @@ Zenoh's own lease is 10 s."""
 
 STANDBY = 0.2
 """The interval at which a standby tries to open the journal of another process (s)."""
+
+READY = "ready"
+"""The subject of the dashboard's line that says the server is ready."""
 
 MOST_LISTED = 12
 """The ready line names at most this many actions."""
@@ -92,7 +96,7 @@ def run(service: Service, interrupts: Interrupts) -> int:
 
 
 def _dashboard(service: Service) -> Dashboard | None:
-    """Make the dashboard, if the user wants one and the terminal can show it."""
+    """Return a dashboard, if the user wants one and the terminal can show it; otherwise None."""
     is_live = service.is_live and service.watched.log_format != "json"
     if not (is_live and can_move(sys.stdout)):
         return None
@@ -102,7 +106,11 @@ def _dashboard(service: Service) -> Dashboard | None:
 
 
 def _find(modules: Modules, service: Service, log: ServerLog) -> Found:
-    """Import the modules. With ``--reload``, only report a module that fails."""
+    """Import the user's modules, and return what they declare.
+
+    With ``--reload``, an error in a module is only printed, and nothing from the user's modules is
+    served until a file changes.
+    """
     if not service.reload:
         return modules.find()
     sys.dont_write_bytecode = True  # a change within the same second could be taken for no change
@@ -119,9 +127,9 @@ class Work(NamedTuple):
     """The part of a server that comes from the user's modules.
 
     Attributes:
-        modules: The modules of the targets.
-        watch: Watches their files.
-        found: The actions, parameters and tasks in them.
+        modules: The modules that the targets name.
+        watch: Watches the files of these modules.
+        found: The actions, parameters and background tasks in these modules.
     """
 
     modules: Modules
@@ -131,10 +139,10 @@ class Work(NamedTuple):
 
 async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Interrupts) -> int:
     opened: list[tuple[ZenohTransport, str]] = []
-    # The stack closes in reverse. First nobody reloads or connects any more, then the background
-    # tasks end, then the node ends its goals, and then the journal, the exporters and the dashboard
-    # close, because they tell of the ends of goals. `listening` is outside, so that a second signal
-    # is heard during all of this.
+    # The stack closes in reverse. First the goals, the background tasks and the reloads end, all at
+    # the same time. The web page, the node, the journal, the exporters and the dashboard close
+    # after that, because they tell of the ends of goals. `listening` is outside, so that a second
+    # signal is heard during all of this.
     with interrupts.listening(asyncio.get_running_loop()):
         async with AsyncExitStack() as stack:
             if log.board is not None:
@@ -146,20 +154,21 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
             with interrupts.beginning(0):
                 on_node = await stack.enter_async_context(observing(service.watched, log.say))
                 options = await stack.enter_async_context(_open_journal(service, log))
-                opening = _open_node(service, graph, log, options, on_node)
+                nodes: list[Node] = []
+                opening = _open_node(service, graph, log, options, _both(nodes.append, on_node))
                 node = await stack.enter_async_context(opening)
             if interrupts.received:
                 return 0
+            # The web page is opened last, once there is something to show, but the goals end while
+            # it is still there. So its place in the stack is taken here.
+            pages = await stack.enter_async_context(AsyncExitStack())
             reloader = Reloader(node, work.modules, work.watch, interrupts, log.reload)
-            await stack.enter_async_context(aclosing(reloader))
+            stack.push_async_callback(_end_goals, nodes, reloader)
             await _until_signal(interrupts, _begin(service, work.found, reloader, options, log))
             if interrupts.received:
                 return 0
-            if service.reload:
-                reloading = Background(reloader.run(), "the reloading")
-                await stack.enter_async_context(aclosing(reloading))
             if service.page is not None:
-                url = await stack.enter_async_context(_open_web(service.page, node))
+                url = await pages.enter_async_context(_open_web(service.page, node))
                 log.say(f"web page, and rosbridge, at {url}")
             (transport, where), *_ = opened
             if service.keeping is not None:
@@ -170,15 +179,48 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
                 watching = watching_disk(transport, at, file, "journal", check)
                 await stack.enter_async_context(watching)
             await transport.flush()
-            actions = listed(list(types_by_name(transport.local_endpoints(), "action")))
-            log.say(f"ready at {where}, domain {service.reach.domain}: {actions}")
+            log.ready(partial(_ready_line, transport, where, service.reach.domain))
+            if service.reload:
+                reloader.start()
             await interrupts.wait(1)
             log.note(f"no more goals are accepted; running goals {_fate(service, options)}")
     return 0
 
 
+def _ready_line(transport: Transport, where: str, domain: int) -> str:
+    """Return the line that says where the server is ready, and for which actions."""
+    actions = listed(list(types_by_name(transport.local_endpoints(), "action")))
+    return f"ready at {where}, domain {domain}: {actions}"
+
+
+def _both(
+    first: Callable[[Node], object], second: Callable[[Node], object]
+) -> Callable[[Node], None]:
+    def call(node: Node) -> None:
+        first(node)
+        second(node)
+
+    return call
+
+
+async def _end_goals(nodes: list[Node], reloader: Reloader) -> None:
+    """End all goals and the user's background tasks, and serve no more goals.
+
+    Actions that web clients serve on the same node are left alone. They end when the connections of
+    these clients close.
+    """
+    built_in: list[ActionServer[Any, Any, Any]] = []
+    with anyio.CancelScope(shield=True):
+        for node in nodes:
+            # A withdrawn built-in action would serve again as soon as the user's action has closed.
+            await close_withdrawn(node)
+            if node is not reloader.node:
+                built_in += cast("Any", resources_of(node).action_servers())
+        await reloader.aclose(built_in)
+
+
 def _fate(service: Service, options: Kept) -> str:
-    """What becomes of running goals when the server ends."""
+    """Return words for what happens to running goals when the server ends."""
     if service.keeping is None or not service.keeping.resumes:
         return "are ended"
     if problem := options["journal"].problem():
@@ -188,9 +230,10 @@ def _fate(service: Service, options: Kept) -> str:
 
 @asynccontextmanager
 async def _open_journal(service: Service, log: ServerLog) -> AsyncIterator[Kept]:
-    """Open the journal. The block gets the options for servers that use it.
+    """Open the journal for a ``with`` block, and yield the options for action servers that use it.
 
-    With ``--wait``, wait until no other process writes the journal.
+    Without a journal, the options are empty. With ``--wait``, wait until no other process writes to
+    the journal.
 
     Raises:
         JournalError: if the journal cannot be opened.
@@ -218,7 +261,7 @@ async def _open_journal(service: Service, log: ServerLog) -> AsyncIterator[Kept]
                 if not service.wait:
                     raise
                 if not told:
-                    log.note(f"{held}: waiting until that has gone")
+                    log.note(f"{held}: waiting until that process has gone")
                 told = True
                 await anyio.sleep(STANDBY)
         yield {"journal": journal, "on_restart": keeping.on_restart}
@@ -229,7 +272,7 @@ async def _begin(
 ) -> None:
     """Serve the user's actions, declare the parameters, and start the background tasks."""
     node = reloader.node
-    node.first_values |= of_node(service.overrides, node.fully_qualified_name)
+    node.initial_values |= of_node(service.overrides, node.fully_qualified_name)
     for declaration in found.parameters:
         node.parameter(declaration)
     declared = [each.name for each in found.parameters]
@@ -248,23 +291,25 @@ async def serve_declared(
 ) -> list[ActionServer[Any, Any, Any]]:
     """Serve actions, and return once all of them are on the graph.
 
-    Only one node serves an action name; `turtleact.node.conflicts` has the rules. A node with this
-    node's own name may be its predecessor, which was killed a moment ago. This function waits for
-    such a node even without ``wait``. But the node may also belong to another ``turtleact serve``
-    that still runs, so without ``wait`` this function waits at most `LEASE` seconds.
+    Only one node can serve an action name; see `turtleact.node.conflicts`. If a node with the same
+    name as ``node`` still serves an action, that node may be an earlier run that was killed a
+    moment ago. Therefore this function waits for that node to disappear, even without ``wait``.
+    Without ``wait``, this function waits for at most `LEASE` seconds, because that node may also be
+    another ``turtleact serve`` that is still running.
 
     Args:
         node: The node that serves the actions.
-        declared: The actions. Several types may share a name.
-        wait: Whether to wait for other nodes too, for as long as it takes.
-        **options: Options that replace declared ones; see `Node.action_server`.
+        declared: The actions to serve. Actions of different types may have the same name.
+        wait: Whether to wait, without a time limit, until no other node serves any of these
+            actions.
+        **options: Options that replace those in the declarations; see `Node.action_server`.
 
     Returns:
-        Their servers.
+        The action servers, in the order of ``declared``.
 
     Raises:
-        TurtleactError: if another node serves an action. The text names the node.
-        UsageError: if an action is given twice.
+        TurtleactError: if another node serves one of the actions. The message names that node.
+        UsageError: if ``declared`` contains an action twice.
     """
     try:
         on_conflict: OnConflict = "wait" if wait else "refuse"
@@ -287,7 +332,7 @@ async def serve_declared(
 
 
 def _refused(taken: ActionConflict) -> TurtleactError:
-    """Return the error with a hint that names the command-line option."""
+    """Return the error for an action that another node serves, with a hint at ``--wait``."""
     return TurtleactError(
         f"action '{taken.action}' is served by node {taken.node} already: choose another name, or "
         "give --wait to serve it once that node has gone"
@@ -295,7 +340,7 @@ def _refused(taken: ActionConflict) -> TurtleactError:
 
 
 async def _until_signal(interrupts: Interrupts, running: Awaitable[None]) -> None:
-    """Run something to its end, or cancel it when a signal comes."""
+    """Await ``running``, but cancel it when a signal comes."""
     async with anyio.create_task_group() as beside:
         beside.start_soon(interrupts.cancel_at_signal, beside.cancel_scope)
         await running
@@ -304,11 +349,13 @@ async def _until_signal(interrupts: Interrupts, running: Awaitable[None]) -> Non
 
 @asynccontextmanager
 async def _open_web(page: Page, node: Node) -> AsyncIterator[str]:
-    """Open the page and rosbridge. The block gets their address.
+    """Serve the web page and rosbridge during a block, and yield their address.
+
+    The message of an error names the command-line option to correct.
 
     Raises:
-        UsageError: if a token is missing.
-        TurtleactError: if the port cannot be opened. Both errors name the option.
+        UsageError: if the token is missing or invalid.
+        TurtleactError: if the port cannot be opened.
     """
     from turtleact.web import open_web
 
@@ -332,9 +379,10 @@ async def _open_node(
     options: Kept,
     on_node: Callable[[Node], None],
 ) -> AsyncIterator[Node]:
-    """Open the node that serves the targets, on a graph with or without a world.
+    """Open the node that serves the targets and, unless ``service.fleet`` is None, a world.
 
-    ``options`` holds the journal for the built-in actions. ``on_node`` is called with each node.
+    The servers of the built-in actions get ``options``, which may contain a journal. ``on_node`` is
+    called with each node that is opened.
     """
     async with AsyncExitStack() as stack:
         if service.fleet is not None:
@@ -367,11 +415,14 @@ async def _open_node(
 async def _open_graph(
     service: Service, opened: list[tuple[ZenohTransport, str]], clock: Clock
 ) -> AsyncIterator[Transport]:
-    """Open the graph that the user wants. By default, be its router, or else a peer of the router.
+    """Open the graph that the user asked for.
+
+    By default, this process becomes the router of this machine. If there is a router already, this
+    process joins that router's graph as a peer.
 
     Args:
-        service: What to serve, and at which endpoints.
-        opened: A list to which the graph and its endpoints are appended.
+        service: The options of ``serve``.
+        opened: A list to which this function appends the graph and a text with its endpoints.
         clock: The clock of the graph.
     """
     connect, domain, _ = service.reach
@@ -410,28 +461,34 @@ async def _open_graph(
 
 
 def listed(names: list[str]) -> str:
-    """List names in one line, but not too many of them."""
+    """Join names with commas.
+
+    If there are more than `MOST_LISTED` names, the last ones are replaced by their number.
+    """
     some = names if len(names) <= MOST_LISTED else names[: MOST_LISTED - 1]
     more = [f"and {len(names) - len(some)} more"] if some is not names else []
-    return ", ".join([*some, *more]) or "nothing"
+    return ", ".join([*some, *more]) or "no actions"
 
 
 class _Escaping(logging.Formatter):
-    """Formats records as usual, but escapes control characters, which an exception may contain."""
+    """Formats log records as usual, but escapes control characters.
+
+    An exception in a record may contain such characters.
+    """
 
     def format(self, record: logging.LogRecord) -> str:
         return printable(super().format(record))
 
 
 class _Told(logging.Handler):
-    """Passes the text of each record to a function."""
+    """Passes the text of each log record to a function."""
 
     def __init__(self, tell: Callable[[str], object]) -> None:
         super().__init__()
         self._tell = tell
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Pass the text of a record to the function."""
+        """Pass the text of a log record to the function."""
         self._tell(printable(record.getMessage()))
 
 
@@ -439,18 +496,19 @@ class ServerLog:
     """Tells the user what happens, in lines on stdout or on a dashboard.
 
     Args:
-        board: The dashboard; None for lines.
+        board: The dashboard; None to print lines on stdout.
         is_json: Whether each line is a JSON object.
     """
 
     def __init__(self, board: Dashboard | None, *, is_json: bool = False) -> None:
         self.board = board
         self._is_json = is_json
+        self._ready: Callable[[], str] | None = None
 
     def tell(
         self, goal: ServerGoalHandle[Any, Any, Any], _old: GoalStatus, new: GoalStatus
     ) -> None:
-        """Print a line for a change of a goal."""
+        """Report a change of a goal's state."""
         is_resumed = goal.resumed is not None and new is GoalStatus.EXECUTING
         reason = (
             " (resumed)" if is_resumed else f": {printable(goal.reason)}" if goal.reason else ""
@@ -476,9 +534,10 @@ class ServerLog:
             note(text)
 
     def say(self, line: str, **members: str) -> None:
-        """Print a line at once. If stdout is closed, the server goes on without it.
+        """Print a line on stdout at once, or add it to the heading of the dashboard.
 
-        ``members`` are further members of the line if it is JSON.
+        If stdout is closed, nothing is printed, and the server goes on. If each line is a JSON
+        object, ``members`` are added to that object.
         """
         if self.board is not None:
             self.board.say(line)
@@ -494,17 +553,35 @@ class ServerLog:
             why = getattr(error, "strerror", None) or "it was closed by your code"
             note(f"stdout cannot be written ({why}), so goals are no longer listed")
 
+    def ready(self, line: Callable[[], str]) -> None:
+        """Print that the server is ready.
+
+        Args:
+            line: A function that returns the line to print. On a dashboard, the function is called
+                again at each reload, because the line names the actions.
+        """
+        self._ready = line
+        if self.board is None:
+            self.say(line())
+        else:
+            self.board.say(line(), READY)
+
     def reload(self, line: str) -> None:
-        """Print a line about a reload. On a dashboard, it replaces the line of the last reload."""
+        """Print a line about a reload.
+
+        On a dashboard, the new line replaces the line about the last reload.
+        """
         if self.board is None:
             self.say(line)
         else:
+            if self._ready is not None:
+                self.board.say(self._ready(), READY)
             self.board.retell("reload", f"{datetime.now():%H:%M:%S} {line}")
 
     def complain(self, problem: str) -> None:
-        """Print a problem of modules that cannot be served yet.
+        """Print why the user's modules cannot be served yet.
 
-        On a dashboard, the line of the next reload replaces it.
+        On a dashboard, the line about the next reload replaces this one.
         """
         if self.board is None:
             self.note(problem)
@@ -513,7 +590,10 @@ class ServerLog:
 
     @contextmanager
     def hearing_reloads(self) -> Iterator[None]:
-        """During a block, print reload errors with `reload`: a dashboard keeps only the newest."""
+        """During a block, pass the errors of reloads to `reload`.
+
+        On a dashboard, each error replaces the line about the last reload.
+        """
         logger, told = logging.getLogger("turtleact.reload"), _Told(self.reload)
         logger.addHandler(told)
         try:

@@ -1,11 +1,12 @@
 """Finds what ``serve`` serves: the user's modules, and the actions and parameters in them.
 
 A target is a module (``lab``, ``lab.robot``), a file (``lab.py``, ``./src/lab.py``), or one object
-in either (``lab:fibonacci``, ``lab.py:Robot.drive``). A file is imported as a module: its folder,
-or the folder above its package, goes to the beginning of ``sys.path``.
+in a module or file (``lab:fibonacci``, ``lab.py:Robot.drive``). A file is imported as a module. For
+that, the folder of the file is put at the beginning of ``sys.path``. If the file belongs to a
+package, the folder that contains the package is put there instead.
 
-`Modules` can import everything again. It forgets only the user's modules that the targets have
-imported. Modules in site-packages stay loaded.
+`Modules` can import the targets again, after the user has edited them. Only the user's own modules
+are then imported again. Modules in site-packages stay loaded.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import importlib
 import linecache
 import logging
 import os
+import re
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -31,7 +33,7 @@ from turtleact.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.graph import names_like
 from turtleact.parameters import ParameterDeclaration
-from turtleact.summaries import summary
+from turtleact.summaries import summary, syntax_hint
 
 __all__ = ["Found", "Modules", "Target", "read_target"]
 
@@ -40,14 +42,26 @@ logger = logging.getLogger("turtleact.serve")
 OURS = Path(__file__).parents[1]
 """The folder of turtleact's own modules."""
 
+NOT_SERVED = ("setup.py", "conftest.py", "noxfile.py", "__init__.py")
+"""Files that tools use. No error suggests to serve them."""
+
+DECLARES = re.compile(rb"^\s*@(?:\w+\.)*action\(", re.MULTILINE)
+"""What the line above a body looks like."""
+
+MOST_READ = 50
+"""An error about a folder reads at most this many files."""
+
 
 class Found(NamedTuple):
-    """The actions and parameters that the targets name.
+    """The actions, parameters and background functions that the targets contain.
 
     Attributes:
-        actions: The actions to serve, in the order of the targets and of their declaration.
-        parameters: The parameters that the modules of the targets have.
-        tasks: The background functions of these modules.
+        actions: The actions to serve, in the order of the targets. The actions of one module are in
+            the order
+            of their declaration.
+        parameters: The parameters in the modules of the targets, and in the user's modules that
+            these import.
+        tasks: The background functions in the same modules.
     """
 
     actions: list[ActionDeclaration[..., object]]
@@ -59,10 +73,10 @@ class Target(NamedTuple):
     """One target on the command line.
 
     Attributes:
-        text: The text.
+        text: The target as the user wrote it.
         module: The name of the module to import.
-        path: The dotted path of an object in it; empty for all actions.
-        file: The file, if one was named.
+        path: The dotted path of an action in the module; empty for all actions of the module.
+        file: The file that the target names; None if the target names a module.
     """
 
     text: str
@@ -72,7 +86,7 @@ class Target(NamedTuple):
 
     @property
     def folder(self) -> Path:
-        """The folder that goes to the beginning of ``sys.path``."""
+        """The folder to put at the beginning of ``sys.path``."""
         if self.file is None:
             return Path.cwd()
         package = self.file.parent if self.file.name == "__init__.py" else self.file
@@ -80,7 +94,7 @@ class Target(NamedTuple):
 
 
 def read_target(text: str) -> Target:
-    """Read a target.
+    """Parse a target of the command line.
 
     Raises:
         UsageError: if the text is not a target, or names a file that does not exist.
@@ -96,13 +110,16 @@ def read_target(text: str) -> Target:
 
 
 def _has_object(text: str) -> bool:
-    r"""Whether a text names an object after a colon. The colon in ``C:\lab.py`` does not count."""
+    r"""Whether a text names an object after a colon.
+
+    The colon after a drive's letter, as in ``C:\lab.py``, does not count.
+    """
     _, colon, after = text.rpartition(":")
     return bool(colon) and after[:1] not in ("/", "\\")
 
 
 def _file_of(name: str) -> Path | None:
-    """The file that a name stands for; None if it is the name of a module.
+    """The file that a name refers to; None if the name is that of a module.
 
     Raises:
         UsageError: if the name is a path, but the file does not exist.
@@ -119,12 +136,39 @@ def _file_of(name: str) -> Path | None:
     folder = path if path.is_dir() else path.parent
     if not folder.is_dir():
         raise UsageError(f"'{name}': there is no folder '{folder}'")
-    there = sorted(each.name for each in folder.glob("*.py"))
     if path.is_dir():
-        shown = ", ".join(str(Path(name, each)) for each in there) or "it has none"
-        raise UsageError(f"'{name}' is a folder: name a file in it ({shown})")
+        raise UsageError(f"'{name}' is a folder: {_files_to_name(Path(name))}")
+    there = [each.name for each in folder.glob("*.py") if each.name not in NOT_SERVED]
     wanted = path.name if path.suffix == ".py" else f"{path.name}.py"
     raise UsageError(f"there is no file '{name}'{names_like(wanted, there)}")
+
+
+def _files_to_name(folder: Path) -> str:
+    """Advise which file of a folder to name.
+
+    The advice names the files that seem to declare actions. If no file does, the advice names all
+    Python files that are directly in the folder, except tests and files for tools, such as
+    ``setup.py``.
+    """
+    files = [
+        each
+        for pattern in ("*.py", "*/*.py")
+        for each in sorted(folder.glob(pattern))
+        if each.name not in NOT_SERVED and not each.name.startswith("test_")
+    ]
+    declaring = [each for each in files[:MOST_READ] if _declares(each)]
+    named = declaring or [each for each in files if each.parent == folder]
+    if not named:
+        return "it has no file with actions"
+    return f"name a file in it ({', '.join(map(str, named))})"
+
+
+def _declares(file: Path) -> bool:
+    """Whether a file seems to declare an action. The file is only read, not imported."""
+    try:
+        return bool(DECLARES.search(file.read_bytes()))
+    except OSError:
+        return False
 
 
 def _module_name(file: Path) -> str:
@@ -140,17 +184,17 @@ def _module_name(file: Path) -> str:
 
 
 class Modules:
-    """The modules of the targets.
+    """Imports the modules of the targets, and finds the actions in them.
 
     Args:
-        targets: The targets as on the command line.
+        targets: The targets as the user wrote them.
 
     Attributes:
-        files: The files of the user's modules, and files that an import has not found. If one of
-            these files changes, the modules must be imported again.
+        files: The files of the user's modules, and files that a failed import looked for. If one of
+            these files changes or appears, the modules must be imported again.
 
     Raises:
-        UsageError: if a text is not a target.
+        UsageError: if a text is not a target, or names a file that does not exist.
     """
 
     def __init__(self, targets: Sequence[str]) -> None:
@@ -162,13 +206,16 @@ class Modules:
         self._folders = tuple(dict.fromkeys(each.folder for each in self.targets))
 
     def find(self) -> Found:
-        """Import the modules, and find the actions and parameters in them.
+        """Import the modules, and find the actions, parameters and background functions in them.
 
-        Modules are looked for in the working directory first, as by ``python -m``.
+        Modules are looked for in the folder of the target's file, then in the working directory,
+        then in the rest of ``sys.path``.
 
         Raises:
-            UsageError: if a target has no action. The text lists the actions that exist.
-            TurtleactError: if a module fails when it is imported. The text names the line.
+            UsageError: if a target's module or object does not exist, or if there is nothing to
+                serve in it.
+            TurtleactError: if a module raises an error while it is imported. The error text names
+                the file and the line.
         """
         try:
             actions = [each for target in self.targets for each in _actions_of(target)]
@@ -184,10 +231,10 @@ class Modules:
         return Found(actions, parameters, tuple(tasks))
 
     def find_again(self) -> Found:
-        """Import the user's modules again. If that fails, `sys.modules` stays unchanged.
+        """Import the user's modules again. If that fails, restore ``sys.modules``.
 
         Raises:
-            BaseException: the errors of `find`, and `SystemExit` if a module raises it.
+            BaseException: if `find` raises it. A module may raise `SystemExit`, for example.
         """
         before = self._own()
         for name in before:
@@ -208,13 +255,17 @@ class Modules:
             raise
 
     def _own(self) -> dict[str, ModuleType]:
-        """The user's modules that the targets have imported."""
+        """The user's modules that were imported for the targets, keyed by name."""
         names = [name for name in sys.modules if name not in self._others]
         files = {name: _file(sys.modules[name]) for name in names}
         return {name: sys.modules[name] for name, file in files.items() if file and self.has(file)}
 
     def has(self, file: Path) -> bool:
-        """Whether a file is the user's own: in a target's folder, and not installed there."""
+        """Whether a file is the user's own.
+
+        The user's own files are in the folder of a target, but neither in site-packages nor in
+        turtleact itself.
+        """
         if file.is_relative_to(OURS):
             return False
         if not {"site-packages", "dist-packages"}.isdisjoint(file.parts):
@@ -225,14 +276,17 @@ class Modules:
         return {file for module in self._own().values() if (file := _file(module)) is not None}
 
     def _named_files(self) -> set[Path]:
-        """The files of the targets themselves, which may not have been imported."""
+        """The files of the targets, even of those that have not been imported."""
         return {
             each.file or each.folder.joinpath(*each.module.split(".")).with_suffix(".py")
             for each in self.targets
         }
 
     def _files_in(self, error: BaseException | None) -> set[Path]:
-        """The user's files in the traceback of an error, and files that an import did not find."""
+        """The user's files to watch after a failed import, because the error may be in them.
+
+        These are the files in the traceback of the error, and the files that the import looked for.
+        """
         found: set[Path] = set()
         while error is not None:
             found |= {Path(frame.filename) for frame in traceback.extract_tb(error.__traceback__)}
@@ -284,8 +338,7 @@ def _nothing_in(module: ModuleType, target: Target) -> str:
     """Explain why a module has nothing to serve, and what to do about it."""
     what = f"module '{target.module}'" if target.file is None else f"'{target.text}'"
     if _file(module) is None and hasattr(module, "__path__"):
-        there = ", ".join(str(each) for each in sorted(Path(target.module).glob("*.py")))
-        return f"{what} is a folder: name a file in it{f' ({there})' if there else ''}"
+        return f"{what} is a folder: {_files_to_name(Path(*target.module.split('.')))}"
     if imported := [each.execute.__module__ for each in _declared_in(module)]:
         others = ", ".join(dict.fromkeys(imported))
         return f"{what} declares no action, but imports some: serve {others}"
@@ -318,7 +371,7 @@ def _look_up(module: ModuleType, target: Target) -> object:
 
 
 def _members(found: object) -> Iterable[tuple[str, object]]:
-    """The public attributes of a module or class. Properties are not run."""
+    """The names and values of an object's public attributes. Properties are not evaluated."""
     members = getattr(found, "__dict__", {})
     return [(name, each) for name, each in members.items() if not name.startswith("_")]
 
@@ -338,7 +391,8 @@ def _import_module(target: Target) -> ModuleType:
             module = importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name is not None and f"{name}.".startswith(f"{error.name}."):
-            raise UsageError(_no_module(error.name)) from error
+            missing = _no_module(error.name) if target.file is None else _no_file(target.file)
+            raise UsageError(missing) from error
         raise _import_error(target, error) from error
     except (KeyboardInterrupt, SystemExit):
         raise
@@ -352,11 +406,10 @@ def _import_module(target: Target) -> ModuleType:
 
 @contextmanager
 def _programs_skipped() -> Iterator[None]:
-    """During a block, make ``asyncio.run`` and ``anyio.run`` only warn.
+    """During a block, make ``asyncio.run`` and ``anyio.run`` log a warning and do nothing else.
 
-    A file with actions often ends with ``asyncio.run(main())``. If such a file is served, importing
-    it would run that program, perhaps for ever. At a reload, it would even run inside the event
-    loop.
+    A file with actions often ends with ``asyncio.run(main())``. Without this function, importing
+    the file would start ``main``, which might never return.
     """
     is_importing = True
 
@@ -396,7 +449,7 @@ def _is_same_file(one: Path | None, other: Path) -> bool:
 def _no_module(missing: str) -> str:
     """Return the error text for a missing module.
 
-    The text suggests a similar module in this directory.
+    The text suggests a module with a similar name in the working directory.
     """
     here = [path.stem for path in Path().glob("*.py")]
     here += [path.parent.name for path in Path().glob("*/__init__.py")]
@@ -404,12 +457,19 @@ def _no_module(missing: str) -> str:
     return f"there is no module '{missing}' here, or on the path{hint}"
 
 
+def _no_file(file: Path) -> str:
+    """Return the error text for a file that has been removed since the target was parsed."""
+    return f"there is no file '{_nearby(str(file))}' any more"
+
+
 def _import_error(target: Target, error: BaseException) -> TurtleactError:
-    """The error for a module that fails, with the place in the user's own file."""
+    """The error for a module whose import fails, with the file and line in the user's code."""
     where = _place_of(error)
     if isinstance(error, TurtleactError):  # it says what is wrong
         return TurtleactError(f"{where}: {error}")
     what = f"SyntaxError: {error.msg}" if isinstance(error, SyntaxError) else summary(error)
+    if hint := syntax_hint(error):
+        what += f": {hint}"
     if isinstance(error, ModuleNotFoundError) and error.name == "rclpy":
         file = _nearby(str(target.file)) if target.file else f"{target.module.replace('.', '/')}.py"
         what += f"; to run a program with rclpy: turtleact run {file}"
@@ -417,7 +477,7 @@ def _import_error(target: Target, error: BaseException) -> TurtleactError:
 
 
 def _place_of(error: BaseException) -> str:
-    """Where in the user's own files an error was raised, such as ``lab.py:10``."""
+    """The file and line of the user's code that raised an error, such as ``lab.py:10``."""
     if isinstance(error, SyntaxError):
         return f"{_nearby(error.filename)}:{error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)

@@ -1,9 +1,10 @@
 """Implements ``teleop``, which drives a turtle with the keys of ``turtle_teleop_key``.
 
-The turtle belongs to the graph in reach, or to an embedded world if there is none. The event loop
-reads the keys, without a thread.
+The command drives a turtle on the graph. If no graph or no turtle is in reach, the command starts
+an embedded world with a turtle. The event loop reads the keys, without a thread.
 
-Source: turtlesim 1.8.2, ``tutorials/teleop_turtle_key.cpp``, for the keys, speeds and words.
+Source: turtlesim 1.8.2, ``tutorials/teleop_turtle_key.cpp``, for the keys, the speeds and the
+wording of the output.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from turtleact.commands.send_goal import embedded_world
 from turtleact.commands.terminal import LogLines, Region, can_move, keep_drawing, typed_keys
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.goal import GoalStatus
+from turtleact.graph import SEND_GOAL
 from turtleact.interfaces.standard import RotateAbsolute, Twist, Vector3
 from turtleact.node import Node, open_node
 from turtleact.transports import QoS
@@ -76,17 +78,23 @@ OK: Final = 0
 GONE: Final = 2.0
 """A turtle counts as gone if it is missing for this time (s, wall clock). A reset takes less."""
 
+END_ITS_GOAL: Final = (
+    "cancel its goal: 'turtleact goals' lists the goals, 'turtleact cancel ID' cancels one"
+)
+"""What to do about a node that drives the turtle for a goal."""
+
 
 class Order(NamedTuple):
-    """What to drive, and how: the options of the command.
+    """The options of the command: which turtle to drive, and how.
 
     Attributes:
-        turtle: The turtle to drive; None for turtle1, or for the only turtle.
+        turtle: The name of the turtle to drive; None for turtle1 or, if there is no turtle1, for
+            the only turtle.
         remaps: Other names for ``turtle1/cmd_vel`` and ``turtle1/rotate_absolute``.
-        linear: The speed (m/s).
-        angular: The turn rate (rad/s).
+        linear: The linear speed (m/s).
+        angular: The angular speed (rad/s).
         is_plain: Whether to leave out the map, even on a terminal.
-        reach: Where to look for turtles. With None, only an embedded world is used.
+        reach: The graph on which to look for turtles; None to start an embedded world.
     """
 
     turtle: str | None
@@ -98,11 +106,11 @@ class Order(NamedTuple):
 
 
 def run(order: Order, interrupts: Interrupts) -> int:
-    """Drive until Q, a signal or the end of the turtle, and return the exit status.
+    """Drive a turtle until the user presses Q or a signal arrives, and return the exit status.
 
     Raises:
         UsageError: if stdin is not a terminal.
-        TurtleactError: if no such turtle is in reach.
+        TurtleactError: if the turtle is not in reach, or goes away while it is driven.
     """
     if sys.stdin is None or not sys.stdin.isatty():
         raise UsageError("teleop reads keys, but stdin is not a terminal: run it in a terminal")
@@ -123,9 +131,9 @@ def run(order: Order, interrupts: Interrupts) -> int:
 
 @asynccontextmanager
 async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
-    """Open a node on the graph in reach or in an embedded world.
+    """Open a node on the graph, or in an embedded world if no turtle is in reach.
 
-    The block gets the node and the turtle's name.
+    The context manager yields the node and the name of the turtle to drive.
     """
     why = ""
     async with AsyncExitStack() as stack:
@@ -144,7 +152,7 @@ async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
                 why = await none_in_domain(transport, order.reach, "turtles")
                 await stack.aclose()
         if _wanted(order) not in ("", "turtle1"):
-            raise TurtleactError(f"no turtle '{_wanted(order)}' is in reach, nor any other")
+            raise TurtleactError(f"no turtle '{_wanted(order)}' is in reach, and no other turtle")
         world = await stack.enter_async_context(embedded_world(1.0, 0))
         node = await stack.enter_async_context(
             open_node("teleop_turtle", transport=world.transport)
@@ -154,16 +162,20 @@ async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
 
 
 def _choose(order: Order, node: Node) -> str | None:
-    """The name of the turtle to drive. None if there are no turtles, so that a world can start.
+    """The name of the turtle to drive; None if no turtle is in reach.
 
     Raises:
-        TurtleactError: if the turtle does not exist, or if it is not clear which one is meant.
+        TurtleactError: if the turtle that the user named is not in reach, or if several turtles are
+            in reach and it is not clear which one to drive. Also raised if the user named a graph
+            that has no turtles.
     """
     wanted, turtles = _wanted(order), turtles_in_reach(node)
     if not turtles:
         if order.reach is not None and order.reach.connect:
             where = ", ".join(order.reach.connect)
-            raise TurtleactError(f"no turtle is in reach at {where}: nobody reads a cmd_vel")
+            raise TurtleactError(
+                f"no turtle is in reach at {where}: no node subscribes to a cmd_vel"
+            )
         return None
     if wanted in turtles:
         return wanted
@@ -184,7 +196,10 @@ def _wanted(order: Order) -> str:
 
 
 def turtles_in_reach(node: Node) -> list[str]:
-    """The sorted names of all turtles; whatever subscribes to a ``cmd_vel`` is one."""
+    """The names of all turtles in reach, sorted.
+
+    A turtle counts as in reach if a node subscribes to its topic ``cmd_vel``.
+    """
     return sorted(
         {
             each.name.removesuffix(f"/{COMMANDS}").strip("/")
@@ -201,9 +216,9 @@ class _Driving:
 
     Args:
         order: The options of the command.
-        node: The node that drives it.
+        node: The node that sends the commands.
         turtle: The name of the turtle.
-        region: The terminal.
+        region: The part of the terminal that shows the map.
         is_live: Whether to show a map.
     """
 
@@ -220,13 +235,14 @@ class _Driving:
         self._rotation: ClientGoalHandle[Any, Any] | None = None
         self._tasks = anyio.create_task_group()
         self._log = LogLines()
+        self._rivals = set[str]()
         self._has_lost = False
 
     async def run(self) -> None:
         """Drive until the user quits.
 
         Raises:
-            TurtleactError: if the turtle goes away.
+            TurtleactError: if the turtle leaves the graph.
         """
         with self._region.held():
             say(HELP)
@@ -242,14 +258,14 @@ class _Driving:
             raise TurtleactError(f"turtle '{self._turtle}' has gone: nobody reads {topic} any more")
 
     def _name(self, what: str) -> str:
-        """The name of a topic or action of the turtle, remapped if the user wants that."""
+        """The name of a topic or action of the turtle, with the user's remappings applied."""
         named = f"/{self._turtle}/{what}" if self._turtle else f"/{what}"
         return self._order.remaps.get(f"turtle1/{what}", named)
 
     # keys
 
     async def _read(self) -> None:
-        """Act on keys until a key quits."""
+        """Read keys and act on them, until the user presses Q or the terminal is closed."""
         async with aclosing(typed_keys(self._region)) as keys:
             async for key in keys:
                 self._press(key)
@@ -268,7 +284,7 @@ class _Driving:
             self._rotation.cancel_nowait()
 
     async def _rotate(self, theta: float) -> None:
-        """Turn the turtle to a heading (rad). Report only a failure."""
+        """Turn the turtle to a heading (rad). Tell the user only about failures."""
         try:
             async with self._rotations.send_goal(RotateAbsolute.Goal(theta)) as handle:
                 handle.detach()  # it goes on when the user quits
@@ -283,10 +299,14 @@ class _Driving:
     # output
 
     async def _watch(self) -> None:
-        """Quit when the turtle is gone."""
+        """Report other nodes that drive the turtle.
+
+        Stop driving when the turtle has left the graph.
+        """
         # A reset takes the turtle off the graph for a moment. So it has gone only if it is missing
         # and nothing else changes on the graph for `GONE` seconds.
         while True:
+            self._report_rivals()
             with anyio.move_on_after(math.inf if self._is_there() else GONE) as missing:
                 await self._node.transport.wait_for_change()
             if missing.cancelled_caught:
@@ -297,6 +317,28 @@ class _Driving:
         topic = self._commands.topic
         endpoints = self._node.transport.endpoints()
         return any(each.kind == "subscription" and each.name == topic for each in endpoints)
+
+    def _report_rivals(self) -> None:
+        """Say which other nodes begin or stop driving the turtle."""
+        topic = self._commands.topic
+        endpoints = self._node.transport.endpoints()
+        drivers = [
+            each.node for each in endpoints if each.kind == "publisher" and each.name == topic
+        ]
+        if self._node.fully_qualified_name in drivers:  # another teleop may have the same name
+            drivers.remove(self._node.fully_qualified_name)
+        for node in sorted(self._rivals.difference(drivers)):
+            self._rivals.remove(node)
+            self._tell(f"node '{node}' no longer publishes {topic}")
+        for node in sorted({*drivers} - self._rivals):
+            self._rivals.add(node)
+            serves = any(
+                each.node == node and each.kind == "service" and each.name.endswith(SEND_GOAL)
+                for each in endpoints
+            )
+            what = END_ITS_GOAL if serves else "stop the other one"
+            obeys = f"so {self._turtle or 'the robot'} obeys both of you"
+            self._tell(f"node '{node}' publishes {topic} too, {obeys}. To drive alone, {what}")
 
     def _tell(self, line: str) -> None:
         if self._is_live:

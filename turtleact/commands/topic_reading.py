@@ -1,10 +1,12 @@
 """Implements ``topic echo``, ``hz``, ``bw`` and ``delay``, which print or measure messages.
 
-``echo`` prints messages. The others print how many come, how large they are, and how old. ``hz``
-and ``delay`` report a silent topic each second, as ROS 1 did. All of them report when the last
-publisher goes.
+``echo`` prints messages. ``hz`` prints how many messages arrive per second, ``bw`` prints how many
+bytes arrive per second, and ``delay`` prints the age of messages at their arrival. While no
+messages arrive, ``hz`` and ``delay`` say so each second, as in ROS 1. All four verbs print a note
+when the topic's last publisher has gone.
 
-Source: ros2cli ``ros2topic/verb/{echo,hz,bw,delay}.py``; recordings of Jazzy for the words.
+Source: ros2cli ``ros2topic/verb/{echo,hz,bw,delay}.py``; recordings of ROS 2 Jazzy for the wording
+of the output.
 """
 
 from __future__ import annotations
@@ -56,16 +58,17 @@ class Order(NamedTuple):
     """The topic to read, and how to print its messages.
 
     Attributes:
-        name: The topic.
-        type_name: The type of the topic; None for the type on the graph.
-        path: The names that lead to the field to print; empty for the whole message.
+        name: The topic's name.
+        type_name: The name of the topic's type; None to look it up on the graph.
+        path: The names of the fields that lead to the field to print, the outermost first; empty to
+            print the whole message.
         once: Whether to exit after the first message.
-        style: How messages are printed.
-        timeout: When to exit (s, by the clock of the graph); None for never.
-        wanted: A Python expression that is true for the messages ``m`` to print; None for all
-            messages.
+        style: The format in which messages are printed.
+        timeout: After how long to exit (s, by the clock of the graph); None for no limit.
+        wanted: The user's filter: a Python expression in which ``m`` is the message or the field to
+            print. Only messages for which it is true are printed. None to print all messages.
         raw: Whether to print messages as CDR bytes.
-        policies: The quality of service to ask for.
+        policies: The quality of service to request.
     """
 
     name: str
@@ -80,12 +83,17 @@ class Order(NamedTuple):
 
 
 async def echo(node: Node, order: Order) -> int:
-    """Print the messages of a topic until the node is closed or the order's limit is reached.
+    """Print the messages of a topic, and return the exit status.
+
+    This function returns when the node is closed, when ``order.timeout`` has passed, or, with
+    ``order.once``, after the first message.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
-        TurtleactError: if the topic's type is unknown, or differs from the type in the order.
-        UsageError: if its messages do not have the field, or the filter fails.
+        TurtleactError: if the topic's type is unknown, or if all publishers have another type than
+            ``order.type_name``.
+        UsageError: if the messages have no field at ``order.path``, or if the user's filter raises
+            an exception.
     """
     name = resolve_name(order.name)
     message_type = chosen_class(node, "topic", Message, name, order.type_name)
@@ -124,7 +132,7 @@ async def _wait_for_publishers(node: Node, name: str) -> None:
 async def _print(
     node: Node, subscription: Subscription[Message], message_type: type[Message], order: Order
 ) -> int:
-    """Print messages until the order's limit is reached."""
+    """Print the messages that the order asks for, and return the exit status."""
     count = missed = 0
     async with within(order.timeout, node.clock):
         async for message in subscription:
@@ -143,7 +151,7 @@ async def _print(
 
 
 def _durability(node: Node, name: str) -> Durability:
-    """The durability to ask for: ``transient_local`` if a publisher latches its messages."""
+    """Choose the durability to request: ``transient_local`` if a publisher offers it."""
     endpoints = node.transport.endpoints()
     publishers = [each for each in endpoints if each.kind == "publisher" and each.name == name]
     is_latched = any(each.qos.durability == "transient_local" for each in publishers)
@@ -151,17 +159,17 @@ def _durability(node: Node, name: str) -> Durability:
 
 
 def _check_type(node: Node, name: str, message_type: type[Message]) -> None:
-    """Check that a publisher of the topic has this type, if the topic has publishers."""
+    """Raise an error if the topic has publishers, but none of this type."""
     endpoints = node.transport.endpoints()
     types = types_by_name(endpoints, "topic", "publisher", hidden=True).get(name, ())
     others = [each for each in types if each != message_type.type_name]
     if others and len(others) == len(types):
         problem = f"it is of type {' and '.join(others)}, not {message_type.type_name}"
-        raise TurtleactError(f"topic '{name}': {problem}; the type may be left out")
+        raise TurtleactError(f"topic '{name}': {problem}; leave out the type or correct it")
 
 
 def _is_wanted(message: Message, wanted: CodeType, path: Sequence[str]) -> bool:
-    """Whether the user's filter is true for a message, or for the field to print."""
+    """Whether the user's filter is true for a message, or for the field at ``path``."""
     value: object = message
     for name in path:
         value = getattr(value, name)
@@ -172,7 +180,7 @@ def _is_wanted(message: Message, wanted: CodeType, path: Sequence[str]) -> bool:
 
 
 def _check_path(message_type: type[Message], path: Sequence[str]) -> None:
-    """Check that the messages have the field."""
+    """Raise an error if messages of this type have no field at ``path``."""
     cls: type[Message] | None = message_type
     for depth, name in enumerate(path):
         where = ".".join(path[: depth + 1])
@@ -188,14 +196,14 @@ def _check_path(message_type: type[Message], path: Sequence[str]) -> None:
 
 
 def _note_missed(subscription: Subscription[Message], noted: int) -> int:
-    """Print a note if more than ``noted`` messages have been dropped. Return the new total."""
+    """Print a note if more than ``noted`` messages were lost so far. Return how many were lost."""
     if subscription.missed > noted:
         note(f"{subscription.missed - noted} messages were lost: they came too fast")
     return subscription.missed
 
 
 def _text(message: Message, order: Order) -> str:
-    """The text of a message."""
+    """The text to print for a message."""
     if order.raw:
         return f"{encode(message)!r}\n---\n"
     value: object = order.style.values(message)
@@ -218,20 +226,23 @@ class Meter(Protocol):
     """Measures the messages of a topic."""
 
     def begin(self, name: str, message_type: type[Message]) -> str:
-        """Return the text to print first. Raise an error if the messages cannot be measured."""
+        """Return the heading to print, which may be empty.
+
+        Raise an error if messages of this type cannot be measured.
+        """
 
     def add(self, now: int, message: Message) -> None:
-        """Add a message that came at this time (ns)."""
+        """Add a message that arrived at the time ``now`` (ns)."""
 
     def line(self, now: int) -> str:
-        """Return the line to print at this time (ns); empty if there is nothing to print."""
+        """Return the line to print at the time ``now`` (ns); empty if there is nothing to print."""
 
 
 class Rate:
-    """Measures the times between messages, and their rate.
+    """Measures the intervals between messages, and how many messages arrive per second.
 
     Args:
-        window: How many of these times to keep.
+        window: How many of the latest intervals to keep.
     """
 
     def __init__(self, window: int) -> None:
@@ -240,11 +251,14 @@ class Rate:
         self._is_news = False
 
     def begin(self, name: str, message_type: type[Message]) -> str:  # noqa: ARG002  # of any type
-        """Return "", because this prints no heading."""
+        """Return "", because ``hz`` prints no heading."""
         return ""
 
     def add(self, now: int, message: Message) -> None:  # noqa: ARG002  # only its arrival counts
-        """Add a message that came at this time (ns). If time goes back, start over."""
+        """Add a message that arrived at the time ``now`` (ns).
+
+        If the clock has gone back, forget all earlier messages.
+        """
         if self._last is not None and now < self._last:
             self._between.clear()
         elif self._last is not None:
@@ -253,7 +267,10 @@ class Rate:
         self._last = now
 
     def line(self, now: int) -> str:  # noqa: ARG002  # only the times between messages count
-        """The rate; empty before the second message."""
+        """The rate, or a note if no message has arrived since the last line.
+
+        Empty before the second message.
+        """
         if not self._between:
             return ""
         if not self._is_news:
@@ -266,27 +283,27 @@ class Rate:
 
 
 class Bandwidth:
-    """Measures how many bytes per second arrive in messages, counted as CDR.
+    """Measures how many bytes of messages arrive per second, with each message encoded as CDR.
 
     Args:
-        window: How many messages to keep.
+        window: How many of the latest messages to keep.
     """
 
     def __init__(self, window: int) -> None:
         self._came: deque[tuple[int, int]] = deque(maxlen=window)
 
     def begin(self, name: str, message_type: type[Message]) -> str:  # noqa: ARG002  # of any type
-        """Return the first line that ros2 prints."""
+        """Return the same heading as ``ros2 topic bw``."""
         return f"Subscribed to [{name}]\n"
 
     def add(self, now: int, message: Message) -> None:
-        """Add the size of a message. If time goes back, start over."""
+        """Add the size of a message. If the clock has gone back, forget all earlier messages."""
         if self._came and now < self._came[-1][0]:
             self._came.clear()
         self._came.append((now, len(encode(message))))
 
     def line(self, now: int) -> str:
-        """The bandwidth since the first message of the window; empty before the second message."""
+        """The bandwidth since the oldest kept message; empty before the second message."""
         if len(self._came) < 2 or now <= self._came[0][0]:
             return ""
         sizes = [size for _, size in self._came]
@@ -300,10 +317,10 @@ class Bandwidth:
 
 
 class Delay:
-    """Measures how old messages are when they arrive, by the stamp in their header.
+    """Measures the age of messages at their arrival, by the stamp in their header.
 
     Args:
-        window: How many messages to keep.
+        window: How many of the latest messages to keep.
     """
 
     def __init__(self, window: int) -> None:
@@ -311,7 +328,7 @@ class Delay:
         self._is_news = False
 
     def begin(self, name: str, message_type: type[Message]) -> str:
-        """Return "", because this prints no heading.
+        """Return "", because ``delay`` prints no heading.
 
         Raises:
             TurtleactError: if the messages have no header.
@@ -329,7 +346,10 @@ class Delay:
         self._is_news = True
 
     def line(self, now: int) -> str:  # noqa: ARG002  # the age on arrival counts
-        """The mean age; empty before the first message."""
+        """The mean age of messages, or a note if no message has arrived since the last line.
+
+        Empty before the first message.
+        """
         if not self._delays:
             return ""
         if not self._is_news:
@@ -375,7 +395,7 @@ async def _wait_for_topic(node: Node, name: str) -> None:
 
 
 def _spread(seconds: list[float]) -> str:
-    """The line about the spread of the times between messages."""
+    """The line with the minimum, maximum and standard deviation of ``seconds``."""
     mean = math.fsum(seconds) / len(seconds)
     deviation = math.sqrt(math.fsum((each - mean) ** 2 for each in seconds) / len(seconds))
     return (

@@ -1,4 +1,4 @@
-"""Follows turtles on the graph, their trails, and the places to which a goal sends them."""
+"""Tracks the turtles on the graph: their poses, their trails, and the targets of goals."""
 
 from __future__ import annotations
 
@@ -56,11 +56,12 @@ POSE: Final = "/pose"
 
 
 class PoseTrails:
-    """The turtles of a graph and their trails, from the poses that they publish.
+    """Follows the turtles of a graph and their trails, by the poses that the turtles publish.
 
     Args:
         node: A node on the graph.
-        leader: The pose topic of the most important turtle, if there is one.
+        leader: The pose topic of the leader, the turtle whose motion is observed; empty if there is
+            none.
 
     Attributes:
         motion: How the leader moves.
@@ -79,7 +80,8 @@ class PoseTrails:
         """Read the new poses, and return the map.
 
         Args:
-            course: The course of the leader, which is updated.
+            course: The places that the leader has to pass. This method records the leader's new
+                poses in ``course``.
         """
         self._looks += 1
         if self._looks % LOOKS == 0:
@@ -100,7 +102,7 @@ class PoseTrails:
         return MapView(SIDE, turtles, self._trails, () if course is None else course.targets())
 
     def _search(self) -> None:
-        """Follow new turtles, and forget those that are gone."""
+        """Subscribe to the poses of new turtles, and unsubscribe from turtles that are gone."""
         topics = pose_topics(self._node)
         for gone in self._poses.keys() - topics.keys():
             self._poses.pop(gone).close()
@@ -113,15 +115,15 @@ class PoseTrails:
 
 
 def colour_of(turtle: str) -> str:
-    """The colour of a turtle on a terminal."""
+    """The colour of a turtle on a terminal, as ``#rrggbb``."""
     return "#" + bytes(shades_of(turtle).mark).hex()
 
 
 class Motion:
-    """Infers from poses how a turtle moves, because turtlesim's speeds have no sign.
+    """Infers from poses how a turtle moves, because turtlesim publishes speeds without a sign.
 
     Attributes:
-        is_reversing: Whether it has just moved against its heading.
+        is_reversing: Whether the turtle moved backwards between its last two poses.
     """
 
     def __init__(self) -> None:
@@ -135,16 +137,16 @@ class Motion:
         self.is_reversing = -JUMP < along < -STILL
 
     def told(self) -> str:
-        """Return the motion in words; empty unless the turtle reverses."""
+        """Return ``reversing`` if the turtle moves backwards, and otherwise an empty string."""
         return "reversing" if self.is_reversing else ""
 
 
 class Course:
-    """The places that a goal leads to, and how many of them its turtle has passed.
+    """The places to which a goal sends a turtle, and how many of them the turtle has passed.
 
     Attributes:
-        stops: How many places there are, counting all rounds.
-        passed: How many of these places the turtle has passed, in order.
+        stops: How many places the turtle has to pass. Each place counts once for each round.
+        passed: How many of these places the turtle has passed. The places must be passed in order.
     """
 
     def __init__(self, goal: Message) -> None:
@@ -155,14 +157,17 @@ class Course:
         self._last: tuple[float, float] | None = None
 
     def follow(self, x: float, y: float) -> None:
-        """Record that the turtle has moved straight to a point (m)."""
+        """Record that the turtle has moved in a straight line to the point ``x``, ``y`` (m)."""
         here, self._last = self._last or (x, y), (x, y)
         if self.passed < self.stops:
             place = self._places[self.passed % len(self._places)]
             self.passed += offset(place, here, (x, y)) <= self._near
 
     def targets(self) -> list[Target]:
-        """The places of this round, numbered as in the goal."""
+        """The places of the goal, numbered from 1.
+
+        The places that the turtle has passed in this round are marked as reached.
+        """
         count = len(self._places)
         passed = count if self.passed >= self.stops else self.passed % count
         return [
@@ -171,12 +176,12 @@ class Course:
         ]
 
     def told(self) -> str:
-        """Return the progress in words; empty if there are no places."""
-        return f"{self.passed} of {self.stops} places" if self.stops else ""
+        """Return how many places the turtle has passed, in words; empty if there are no places."""
+        return f"{self.passed} of {self.stops} targets" if self.stops else ""
 
 
 def pose_topics(node: Node) -> dict[str, str]:
-    """The topics on which turtles publish their poses, sorted, with their types."""
+    """The topics on which turtles publish their poses, sorted by name, and the type of each."""
     return {
         each.name: each.type_name
         for each in sorted(node.transport.endpoints(), key=lambda each: each.name)
@@ -185,7 +190,7 @@ def pose_topics(node: Node) -> dict[str, str]:
 
 
 def places_in(value: object) -> Iterator[tuple[float, float]]:
-    """All pairs of x and y in the plain values of a message, in order."""
+    """Yield the pair ``x``, ``y`` of each place in a message's plain values, in order."""
     if isinstance(value, dict):
         if isinstance(value.get("x"), float) and isinstance(value.get("y"), float):
             yield value["x"], value["y"]
@@ -199,10 +204,12 @@ def places_in(value: object) -> Iterator[tuple[float, float]]:
 def sends_a_turtle(name: str, goal: Message) -> tuple[bool, str]:
     """Whether a goal seems to drive a turtle, and that turtle's pose topic.
 
+    If neither the goal nor the action's name contains the name of a turtle, a goal with places is
+    assumed to drive ``turtle1``.
+
     Args:
-        name: The action's name: ``/turtle1/rotate_absolute`` drives ``turtle1``.
-        goal: The goal. If neither the goal nor the action's name has a turtle, a goal with places
-            drives ``turtle1``.
+        name: The action's name, such as ``/turtle1/rotate_absolute``, which contains ``turtle1``.
+        goal: The goal.
     """
     named = str(getattr(goal, "turtle", "")) or name.rpartition("/")[0].strip("/")
     has_places = any(True for _ in places_in(to_dict(goal)))
@@ -212,7 +219,7 @@ def sends_a_turtle(name: str, goal: Message) -> tuple[bool, str]:
 def offset(
     place: tuple[float, float], start: tuple[float, float], end: tuple[float, float]
 ) -> float:
-    """The distance of a place from a line segment (m)."""
+    """The distance (m) of a place from the line segment between two points."""
     length = distance(*start, *end)
     if not length:
         return distance(*place, *end)

@@ -1,6 +1,7 @@
-"""Prints what happens to a goal, as ``ros2 action send_goal`` does or as JSON.
+"""Prints what happens to a goal, in the format of ``ros2 action send_goal`` or as JSON.
 
-Each block is flushed, so that a pipe gets it at once.
+Stdout is flushed after each block of text, so that a program that reads it through a pipe gets the
+block at once.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ __all__ = [
     "Sent",
     "Transcript",
     "View",
+    "after_return",
     "result_text",
+    "watch_command",
 ]
 
 View = Literal["auto", "plain", "json"]
@@ -38,7 +41,7 @@ WAITING = "Waiting for an action server to become available...\n"
 
 
 class Transcript(Protocol):
-    """Tells the user about a goal, from its sending to its end."""
+    """Tells the user what happens to a goal, from its sending to its end."""
 
     @property
     def wants_feedback(self) -> bool:
@@ -48,7 +51,7 @@ class Transcript(Protocol):
         """Called when the goal is about to be sent."""
 
     def rejected(self, reason: str) -> None:
-        """Called when the server has rejected the goal. The reason is noted separately."""
+        """Called when the server has rejected the goal. `note` is called with the reason, too."""
 
     def accepted(self, sent: Sent) -> None:
         """Called when the server has accepted the goal."""
@@ -56,8 +59,11 @@ class Transcript(Protocol):
     def follows(self, goal: Followed) -> None:
         """Called when the transcript starts to follow a goal that somebody else sent."""
 
+    def served(self, *, is_served: bool) -> None:
+        """Called when the goal's server has gone or has come back. `note` is called, too."""
+
     async def animate(self) -> None:
-        """Run while the goal runs. This is cancelled when the goal ends."""
+        """Animate the display. When the goal ends, the caller cancels this coroutine."""
 
     def feedback(self, feedback: Message) -> None:
         """Called with each feedback message."""
@@ -72,13 +78,16 @@ class Transcript(Protocol):
         """Called when the goal has ended."""
 
     def note(self, text: str) -> None:
-        """Tell the user something else."""
+        """Print a message that is not an event of the goal, such as a warning."""
 
     async def drained(self) -> None:
         """Wait until everything has been written. Cancelling: safe."""
 
     def close(self) -> None:
-        """Stop the display. Printed text stays. This never blocks, and may be called anywhere."""
+        """Stop the display. Printed text stays on the screen.
+
+        This never blocks, and may be called at any time, even by a signal handler.
+        """
 
 
 class Held(Protocol):
@@ -90,7 +99,7 @@ class Held(Protocol):
 
     @property
     def status(self) -> GoalStatus:
-        """The goal's state."""
+        """The goal's status."""
 
     @property
     def last_feedback(self) -> Message | None:
@@ -104,19 +113,19 @@ class Held(Protocol):
         """Pause the goal. Raises `PauseRefused` if it cannot be paused."""
 
     async def resume(self) -> None:
-        """Let the goal go on."""
+        """Resume the goal. Raises `PauseRefused` if it cannot be resumed."""
 
 
 class Followed(NamedTuple):
-    """A goal that is followed.
+    """A goal on which a transcript reports.
 
     Attributes:
-        node: The node that follows it.
-        name: The action.
+        node: The node that watches the goal.
+        name: The action's name.
         goal_type: The type of the goal message.
-        goal: The goal message; None if somebody else sent it.
+        goal: The goal message; None if another process sent the goal.
         handle: The client's view of the goal.
-        age: How long ago it was accepted (s).
+        age: The time from the goal's acceptance to the creation of this object (s).
     """
 
     node: Node
@@ -128,12 +137,12 @@ class Followed(NamedTuple):
 
 
 class Sent(NamedTuple):
-    """A goal that was accepted.
+    """A goal that this process has sent and the server has accepted.
 
     Attributes:
-        node: The node that sent it.
-        name: The action.
-        type_name: The type of the action.
+        node: The node that sent the goal.
+        name: The action's name.
+        type_name: The name of the action's type.
         goal: The goal message.
         handle: The client's goal handle.
     """
@@ -150,15 +159,16 @@ class Sent(NamedTuple):
 
 
 class PlainTranscript:
-    """The transcript of ``ros2 action send_goal``, but with all YAML indented alike.
+    """Prints what ``ros2 action send_goal`` prints, but indents each line of YAML.
 
     ROS 2 indents only the first line below ``Feedback:`` and ``Result:``, so its output is not
-    YAML.
+    valid YAML.
 
     Args:
         wants_feedback: Whether to print each feedback message.
-        say: Prints a block.
-        most_lines: If the goal has more lines, the middle is left out.
+        say: The function that prints a block of text.
+        most_lines: The maximum number of lines to print for the goal. If the goal has more lines,
+            the lines in the middle are left out.
     """
 
     def __init__(
@@ -173,7 +183,7 @@ class PlainTranscript:
         self._most_lines = most_lines
 
     def sending(self, goal: Message) -> None:
-        """Called when the goal is about to be sent."""
+        """Print the goal, which is about to be sent."""
         lines = _indented(goal, 5).removesuffix("\n").split("\n")
         if len(lines) > self._most_lines:
             first = self._most_lines // 2
@@ -182,36 +192,39 @@ class PlainTranscript:
         self._say("\n".join(("Sending goal:", *lines, "\n")))
 
     def rejected(self, reason: str) -> None:  # noqa: ARG002  # ros2 does not print it here
-        """Called when the server has rejected the goal."""
+        """Print that the server has rejected the goal."""
         self._say("Goal was rejected.\n")
 
     def accepted(self, sent: Sent) -> None:
-        """Called when the server has accepted the goal."""
+        """Print that the server has accepted the goal, and the goal's id."""
         self._say(f"Goal accepted with ID: {sent.handle.goal_id.hex()}\n\n")
 
     def follows(self, goal: Followed) -> None:
         """Do nothing, because there is nothing to print yet."""
 
+    def served(self, *, is_served: bool) -> None:
+        """Do nothing, because `note` is called, too."""
+
     async def animate(self) -> None:
         """Do nothing, because there is nothing to animate."""
 
     def feedback(self, feedback: Message) -> None:
-        """Called with each feedback message."""
+        """Print a feedback message."""
         self._say(f"Feedback:\n{_indented(feedback, 4)}\n")
 
     def status(self, status: GoalStatus) -> None:
         """Do nothing, because only the final status is printed."""
 
     def canceling(self) -> None:
-        """Called when the server is asked to cancel the goal."""
+        """Print that the server is asked to cancel the goal."""
         self._say("Canceling goal...\n\n")
 
     def ended(self, outcome: Outcome[Message]) -> None:
-        """Called when the goal has ended."""
+        """Print the result and the final status of the goal."""
         self._say(result_text(outcome))
 
     def note(self, text: str) -> None:
-        """Print a note that belongs to no goal."""
+        """Print a message that is not an event of the goal, such as a warning."""
         note(text)
 
     async def drained(self) -> None:
@@ -222,9 +235,9 @@ class PlainTranscript:
 
 
 class JsonTranscript:
-    """Prints a JSON object per line.
+    """Prints each event of a goal as a JSON object on a line of its own.
 
-    Its ``event`` is accepted, rejected, status, feedback or result.
+    The member ``event`` is ``accepted``, ``rejected``, ``status``, ``feedback`` or ``result``.
     """
 
     wants_feedback = True
@@ -234,14 +247,14 @@ class JsonTranscript:
         self._status: GoalStatus | None = None
 
     def sending(self, goal: Message) -> None:
-        """Do nothing, because there is no event for this."""
+        """Do nothing, because there is no event for the sending of a goal."""
 
     def rejected(self, reason: str) -> None:
-        """Called when the server has rejected the goal, which has no id."""
+        """Print the event ``rejected``, with an empty goal id."""
         self._tell("rejected", reason=json.dumps(reason, ensure_ascii=False))
 
     def accepted(self, sent: Sent) -> None:
-        """Called when the server has accepted the goal."""
+        """Print the event ``accepted``."""
         self._goal_id = sent.handle.goal_id.hex()
         self._tell(
             "accepted",
@@ -254,24 +267,27 @@ class JsonTranscript:
     def follows(self, goal: Followed) -> None:
         """Do nothing, because there is nothing to print yet."""
 
+    def served(self, *, is_served: bool) -> None:
+        """Do nothing, because `note` is called, too."""
+
     async def animate(self) -> None:
         """Do nothing, because there is nothing to animate."""
 
     def feedback(self, feedback: Message) -> None:
-        """Called with each feedback message."""
+        """Print the event ``feedback``."""
         self._tell("feedback", feedback=to_json(feedback))
 
     def status(self, status: GoalStatus) -> None:
-        """Called with the goal's status, new or not."""
+        """Print the event ``status``, if the status has changed."""
         if status is not self._status:
             self._status = status
             self._tell("status", status=json.dumps(status.name))
 
     def canceling(self) -> None:
-        """Do nothing, because the status event reports this."""
+        """Do nothing, because the event ``status`` will report that the goal is CANCELING."""
 
     def ended(self, outcome: Outcome[Message]) -> None:
-        """Called when the goal has ended."""
+        """Print the event ``result``, after an event ``status`` if the status has changed."""
         self.status(outcome.status)
         self._tell(
             "result",
@@ -281,7 +297,7 @@ class JsonTranscript:
         )
 
     def note(self, text: str) -> None:
-        """Print a note that belongs to no goal."""
+        """Print a message that is not an event of the goal, such as a warning."""
         note(text)
 
     async def drained(self) -> None:
@@ -291,13 +307,28 @@ class JsonTranscript:
         """Do nothing, because there is nothing to stop."""
 
     def _tell(self, event: str, **values: str) -> None:
-        """Print an event. Its values are JSON already."""
+        """Print an event. The texts in ``values`` must be JSON."""
         pairs = {"event": json.dumps(event), "goal_id": json.dumps(self._goal_id), **values}
         say("{" + ", ".join(f'"{name}": {value}' for name, value in pairs.items()) + "}\n")
 
 
+def watch_command(goal_id: bytes, options: str) -> str:
+    """Return the command that follows a goal.
+
+    Args:
+        goal_id: The goal's id, 16 bytes.
+        options: The options for the graph and the interfaces, with a space before each option.
+    """
+    return f"turtleact watch {goal_id.hex()}{options}"
+
+
+def after_return(command: str) -> str:
+    """Return the advice to follow a goal with a command when its server is back."""
+    return f"if the server returns and continues the goal, '{command}' follows it again"
+
+
 def result_text(outcome: Outcome[Message]) -> str:
-    """The last lines of a transcript: the result and the state."""
+    """The last lines of a transcript: the result and the final status."""
     result = _indented(outcome.result, 4)
     return f"Result:\n{result}\nGoal finished with status: {outcome.status.name}\n"
 

@@ -1,7 +1,7 @@
-"""Implements ``topic pub``, ``service call`` and ``snapshot``, which send the user's messages.
+"""Implements ``topic pub``, ``service call`` and ``snapshot``, which send a message or a request.
 
-Source: ros2cli ``ros2topic/verb/pub.py`` and ``ros2service/verb/call.py``; recordings of Jazzy for
-the words.
+Source: ros2cli ``ros2topic/verb/pub.py`` and ``ros2service/verb/call.py``; recordings of ROS 2
+Jazzy for the wording of the output.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ PATIENCE = 5.0
 
 
 class Order(NamedTuple):
-    """The messages to publish, and the topic.
+    """What to publish, on which topic, and how often.
 
     Attributes:
-        name: The topic.
-        type_name: The type of the topic; None for the type on the graph.
-        text: The message.
-        rate: Messages per second, above zero.
+        name: The topic's name.
+        type_name: The name of the topic's type; None to look it up on the graph.
+        text: The text of the message.
+        rate: How many messages to publish per second, above zero.
         times: How many messages to publish; 0 for no limit.
-        every: Print one message out of this many; with 0, print none.
-        wait: How many subscriptions to wait for first.
+        every: Print every message (1), every second message (2), and so on; 0 to print none.
+        wait: How many subscriptions to wait for before the first message.
         policies: The quality of service to offer.
     """
 
@@ -64,7 +64,9 @@ class Order(NamedTuple):
 
 
 async def publish(node: Node, order: Order) -> int:
-    """Publish a message at a rate, by the clock of the graph.
+    """Publish a message repeatedly, and return the exit status.
+
+    The rate is measured by the clock of the graph.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
@@ -85,7 +87,7 @@ async def publish(node: Node, order: Order) -> int:
     type_name = message_type.type_name
     types = types_by_name(node.transport.endpoints(), "topic", hidden=True).get(name, ())
     if types and type_name not in types:
-        note(f"topic '{name}' is of type {' and '.join(types)}: nobody there reads {type_name}")
+        note(f"topic '{name}' is of type {' and '.join(types)}, so no node receives {type_name}")
     publisher = node.publisher(message_type, name, order.policies.qos())
     await _wait_for_subscriptions(node, publisher, type_name, order.wait)
     say("publisher: beginning loop\n")
@@ -121,7 +123,7 @@ async def _wait_for_subscriptions(
 
 
 def _suggest(node: Node, kind: EndpointKind, name: str, type_name: str) -> None:
-    """Suggest a similar name, because the user may have mistyped this one."""
+    """Suggest a similar name on the graph, because the user may have mistyped ``name``."""
     endpoints = node.transport.endpoints()
     known = {each.name for each in endpoints if (each.kind, each.type_name) == (kind, type_name)}
     if near := nearest(name, known):
@@ -129,7 +131,10 @@ def _suggest(node: Node, kind: EndpointKind, name: str, type_name: str) -> None:
 
 
 def _timed(tree: object, message_type: type[Message], now: int) -> object:
-    """A message's plain values, with ``header: auto`` and ``now`` replaced by the time (ns)."""
+    """Return a message's plain values, with the current time filled in.
+
+    The time replaces the text ``auto`` of a header and the text ``now`` of a stamp.
+    """
     if not isinstance(tree, dict):
         return tree
     stamp = stamp_of(now)
@@ -149,21 +154,22 @@ def _timed(tree: object, message_type: type[Message], now: int) -> object:
 async def call(
     node: Node, name: str, type_name: str | None, text: GoalText, *, rate: float | None
 ) -> int:
-    """Call a service as soon as it exists. With a rate, call it again and again.
+    """Call a service as soon as it exists, and return the exit status.
 
     Args:
         node: A node on the graph.
-        name: The service.
-        type_name: The type of the service; None for the type on the graph.
-        text: The request.
-        rate: Calls per second, by the clock of the graph; None for a single call.
+        name: The service's name.
+        type_name: The name of the service's type; None to look it up on the graph.
+        text: The text of the request.
+        rate: How often to repeat the call (Hz, by the clock of the graph); None to call the service
+            once.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
         TurtleactError: if the service's type is unknown.
         InvalidMessage: if the request does not fit the type.
-        ServerUnavailable: if the service has another type, or goes away.
-        ServiceError: if the service fails.
+        ServerUnavailable: if the service has another type, or its server goes away.
+        ServiceError: if the service's handler fails.
     """
     full_name = resolve_name(name)
     service_type = chosen_class(node, "service", Service, full_name, type_name)
@@ -194,11 +200,12 @@ PICTURE_PATIENCE = 10.0
 
 
 async def take(node: Node, path: Path) -> int:
-    """Ask the world for a picture, and write it to a file.
+    """Ask the world for a picture, and write the picture to a file.
 
     Args:
         node: A node on the graph.
-        path: The file. Its suffix chooses the format.
+        path: The file to write. Its suffix, ``.png`` or ``.svg``, selects the format of the
+            picture.
 
     Raises:
         ServerUnavailable: if there is no world on the graph.

@@ -1,6 +1,6 @@
 """The checks of the doctor: each finds one kind of fault in a snapshot. Pure.
 
-Source: rmw_zenoh_cpp ``liveliness_utils.cpp`` for what peers write into their tokens.
+Source: rmw_zenoh_cpp ``liveliness_utils.cpp`` for what nodes write into their liveliness tokens.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import msgspec
 
 from turtleact.doctor.snapshot import EndpointSeen, Fields, Snapshot
 from turtleact.graph import SEND_GOAL, Policy, is_hidden_node, misfits
+from turtleact.names import EVENT_SUFFIX
 from turtleact.transports.base import Endpoint
 
 __all__ = ["CLOCKS_APART", "HASHED", "Fault", "differing_definitions", "find_faults"]
@@ -45,7 +46,7 @@ class Fault(msgspec.Struct, frozen=True):
         kind: The kind of fault, such as "duplicate-node".
         names: The names that the fault is about: nodes, topics, services, actions or types.
         problem: What is wrong.
-        advice: What to do.
+        advice: What to do about it.
     """
 
     kind: str
@@ -59,7 +60,7 @@ class Fault(msgspec.Struct, frozen=True):
 
 
 def find_faults(snapshot: Snapshot) -> list[Fault]:
-    """Return all faults, in the order of the checks below."""
+    """Return all faults, in the order of `CHECKS`."""
     return [fault for check in CHECKS for fault in check(snapshot)]
 
 
@@ -67,7 +68,7 @@ def find_faults(snapshot: Snapshot) -> list[Fault]:
 
 
 def missing_router(snapshot: Snapshot) -> Iterator[Fault]:
-    """Find out whether no router is in reach."""
+    """Report a fault if a router is needed, but none is in reach."""
     if snapshot.routers == ():
         yield Fault(
             "no-router",
@@ -78,7 +79,7 @@ def missing_router(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def empty_domain(snapshot: Snapshot) -> Iterator[Fault]:
-    """Find out whether the domain has no nodes although other domains have some."""
+    """Report a fault if the domain has no nodes although other domains have some."""
     others = [domain for domain in snapshot.domains if domain != snapshot.domain]
     if others and not snapshot.nodes:
         used = ", ".join(map(str, others))
@@ -91,7 +92,11 @@ def empty_domain(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def unfitting_versions(snapshot: Snapshot) -> Iterator[Fault]:
-    """Find routers with another major version of Zenoh, and peers that send no type hashes."""
+    """Find routers and nodes whose version does not fit this program.
+
+    A router does not fit if its major version of Zenoh differs from this program's. A node does not
+    fit if it sends no type hashes.
+    """
     for router in snapshot.routers or ():
         theirs, ours = _major(router.version), _major(snapshot.zenoh)
         if theirs and ours and theirs != ours:
@@ -117,7 +122,7 @@ def unfitting_versions(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def clocks_apart(snapshot: Snapshot) -> Iterator[Fault]:
-    """Find processes with a clock that differs from ours."""
+    """Find processes whose clock differs by more than `CLOCKS_APART` from the clock here."""
     for answer in snapshot.answers:
         offset = answer.offset
         if offset is not None and abs(offset) - answer.uncertainty > CLOCKS_APART:
@@ -161,7 +166,10 @@ def duplicate_nodes(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def several_servers(snapshot: Snapshot) -> Iterator[Fault]:
-    """Find actions that several nodes serve. A goal of a ROS 2 client then runs several times."""
+    """Find actions that several nodes serve.
+
+    A ROS 2 client sends its goal to all of these nodes, and each of them executes the goal.
+    """
     servers: dict[str, set[tuple[str, str]]] = {}
     for each in snapshot.endpoints:
         if each.endpoint.kind == "service" and each.endpoint.name.endswith(SEND_GOAL):
@@ -182,7 +190,7 @@ def several_servers(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def differing_types(snapshot: Snapshot) -> Iterator[Fault]:
-    """Find topics, services and actions that a node wants with a type that nobody offers.
+    """Find topics, services and actions that are offered, but not with the type that a node wants.
 
     A node may offer several types under one name, as turtleact's server does for ``/fibonacci``.
     """
@@ -211,9 +219,9 @@ def _type_fault(
 
 
 def differing_definitions(snapshot: Snapshot) -> Iterator[Fault]:
-    """Find types with different definitions, because their nodes do not hear each other.
+    """Find types that nodes define differently, because such nodes cannot communicate.
 
-    If several topics and services of an action differ, only the first is named.
+    An action is reported once, even if the types of several of its topics and services differ.
     """
     told: set[tuple[str, str]] = set()
     for (name, type_name), found in sorted(_by_name_and_type(snapshot).items()):
@@ -239,7 +247,11 @@ def differing_definitions(snapshot: Snapshot) -> Iterator[Fault]:
 def _holders(
     snapshot: Snapshot, type_name: str, found: Iterable[EndpointSeen]
 ) -> dict[str, list[str]]:
-    """The nodes that have each definition, by type hash. This process counts as ``here``."""
+    """Return the nodes that have each definition, by type hash.
+
+    If this process has a definition that no node has, the result lists it with the node name
+    ``here``.
+    """
     holders: dict[str, set[str]] = {}
     for each in _listed(found):
         if HASHED.fullmatch(each.endpoint.type_hash):
@@ -251,7 +263,7 @@ def _holders(
 
 
 def unknown_interfaces(snapshot: Snapshot) -> Iterator[Fault]:
-    """Find types on the graph that are not known here."""
+    """Find types on the graph for which this process has no definition."""
     where: dict[str, set[str]] = {}
     for each in _listed(snapshot.endpoints):
         if each.endpoint.type_name not in snapshot.known:
@@ -270,7 +282,7 @@ def unknown_interfaces(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def incompatible_qos(snapshot: Snapshot) -> Iterator[Fault]:
-    """Find subscriptions that ask for more than a publisher of their topic offers."""
+    """Find subscriptions that request more quality of service than a publisher offers."""
     for (name, _), found in sorted(_by_name_and_type(snapshot).items()):
         ends = {each.endpoint for each in _listed(found)}
         publishers = sorted((e for e in ends if e.kind == "publisher"), key=_order)
@@ -287,7 +299,7 @@ def incompatible_qos(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def _lack(policy: Policy, reader: Endpoint) -> str:
-    """The part of a subscription's requested quality of service that is not offered."""
+    """Describe a policy in which a subscription requests more than a publisher offers."""
     limits = {"deadline": reader.times.deadline, "lease": reader.times.lease}
     limit = limits.get(policy)
     return LACKS[policy] if limit is None else f"{LACKS[policy]} ({limit / 1e9:g} s)"
@@ -339,7 +351,7 @@ def _do(names: tuple[str, ...]) -> str:
 def _listed(endpoints: Iterable[EndpointSeen]) -> Iterator[EndpointSeen]:
     """Yield the endpoints of nodes that are not hidden.
 
-    Hidden nodes belong to command-line tools, which use whatever types they find.
+    Hidden nodes belong to command-line tools, which use the types that they find on the graph.
     """
     return (each for each in endpoints if not is_hidden_node(each.endpoint.node))
 
@@ -371,12 +383,12 @@ def _short(type_hash: str) -> str:
 
 
 def _plain(name: str) -> str:
-    """The name as users know it: for a part of an action or service, the name of the whole."""
-    return name.partition("/_action/")[0].removesuffix("/_service_event")
+    """The name that users know, such as ``/fibonacci`` for ``/fibonacci/_action/status``."""
+    return name.partition("/_action/")[0].removesuffix(EVENT_SUFFIX)
 
 
 def _owner(type_name: str) -> str:
-    """The type as users know it: for a part of an action or service, the type of the whole."""
+    """The type that users know, such as ``lab/action/Dock`` for ``lab/action/Dock_SendGoal``."""
     package, _, rest = type_name.partition("/")
     kind, _, name = rest.partition("/")
     if kind in ("action", "srv"):
@@ -408,7 +420,7 @@ def _why_differing(snapshot: Snapshot, type_name: str, hashes: list[str]) -> str
 
 
 def _shown(path: str, *, is_implied: bool) -> str:
-    """The path of a field as users know it: in actions, without ``request.`` or ``response.``."""
+    """The path of a field. In an action, a leading ``request.`` or ``response.`` is left out."""
     return path.removeprefix("request.").removeprefix("response.") if is_implied else path
 
 

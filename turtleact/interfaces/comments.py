@@ -1,22 +1,32 @@
-"""Finds the comments on the fields of an interface, where its author wrote them.
+"""Finds the comments on the fields of an interface.
 
 In a .msg, .srv or .action file, the comment on a field stands beside the field or on the lines
 directly above it. In a class, the comment stands under ``Attributes:`` in the docstring.
 
-Source: the ROS 2 article "Interface definition" for comments; Google's style of docstrings.
+Source: the ROS 2 article "Interface definition", for the comments in files; Google's style guide,
+for docstrings.
 """
 
 from __future__ import annotations
 
 import inspect
 import re
+import textwrap
 from functools import cache
+from typing import TYPE_CHECKING
 
 from turtleact.errors import TurtleactError
-from turtleact.interfaces.loading import interface_source
-from turtleact.interfaces.types import Action, Message, Service
+from turtleact.interfaces.definition import part_lines
+from turtleact.interfaces.loading import authored_text, interface_source
+from turtleact.interfaces.types import PARTS, Action, Message, Service, definition
 
-__all__ = ["comments", "introduction"]
+if TYPE_CHECKING:
+    from turtleact.interfaces.types import Interface
+
+__all__ = ["commented_text", "comments", "introduction"]
+
+WIDTH = 80
+"""Comments in the text of a class are wrapped to this many characters."""
 
 field_pattern = re.compile(
     r"\s*[\w/]+(?:<=\d+)?(?:\[[^\]]*\])?\s+(?P<name>[a-z]\w*)(?P<value>[^#]*)(?:#\s*(?P<note>.*))?"
@@ -25,7 +35,7 @@ attribute_pattern = re.compile(r" {4}(\w+): (.*)")
 
 
 def comments(cls: type[Message]) -> dict[str, str]:
-    """The comments on a message's fields, by field.
+    """Return the comments on a message's fields, by field name.
 
     A comment in a file takes precedence over one in a docstring.
 
@@ -42,22 +52,76 @@ def comments(cls: type[Message]) -> dict[str, str]:
     {'speed': 'How fast to go at most (m/s).'}
     """
     whole, _, part = cls.type_name.rpartition("_")
-    index = PARTS.get(part)
+    index = SECTIONS.get(part)
     if index is None or whole.count("/") != 2:
         whole, index = cls.type_name, 0
     return _in_docstring(cls) | dict(_in_file(whole)[index])
 
 
-PARTS = {"Goal": 0, "Result": 1, "Feedback": 2, "Request": 0, "Response": 1}
+SECTIONS = {"Goal": 0, "Result": 1, "Feedback": 2, "Request": 0, "Response": 1}
 
 
 def introduction(cls: type[Message | Service | Action]) -> str:
-    """What an interface is for: the first paragraph of its docstring.
+    """Return what an interface is for: the first paragraph of its docstring.
 
     The text is empty if the class has no docstring of its own.
     """
     doc = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
     return " ".join(doc.partition("\n\n")[0].split())
+
+
+def commented_text(cls: Interface) -> str:
+    """Return the text of an interface with its comments.
+
+    If the interface has a file, the text is that of the file. If there is no file, the text is
+    generated, with the comments from the docstrings of the classes.
+
+    >>> class Move(Message, type_name="example_msgs/msg/Move"):
+    ...     '''A move.
+    ...
+    ...     Attributes:
+    ...         speed: How fast to go (m/s).
+    ...     '''
+    ...
+    ...     speed: float = 1.0
+    >>> print(commented_text(Move))
+    # A move.
+    <BLANKLINE>
+    # How fast to go (m/s).
+    float64 speed 1.0
+    """
+    text = authored_text(cls)
+    if text:
+        return text
+    if issubclass(cls, Message):
+        return "\n".join(_part_text(cls))
+    kind = "action" if issubclass(cls, Action) else "srv"
+    parts = [_part_text(getattr(cls, part)) for part in PARTS[kind]]
+    lines = [*_set_off(introduction(cls)), *parts[0]]
+    for part in parts[1:]:
+        lines += ["---", *part]
+    return "\n".join(lines)
+
+
+def _part_text(cls: type[Message]) -> list[str]:
+    """Return the lines of one part of an interface, with the comments from its docstring."""
+    part, notes = definition(cls), _in_docstring(cls)
+    lines = _set_off(introduction(cls))
+    names = [*(each.name for each in part.constants), *(each.name for each in part.fields)]
+    for name, line in zip(names, part_lines(part), strict=True):
+        lines += [*_as_comment(notes.get(name, "")), line]
+    return lines
+
+
+def _set_off(text: str) -> list[str]:
+    """Wrap a text into comment lines, and add an empty line. An empty text gives no lines."""
+    return [*_as_comment(text), ""] if text else []
+
+
+def _as_comment(text: str) -> list[str]:
+    """Wrap a text into lines that begin with ``#``. Double backticks become single ones."""
+    plain = text.replace("``", "`")
+    return textwrap.wrap(plain, WIDTH, initial_indent="# ", subsequent_indent="# ")
 
 
 def _in_docstring(cls: type[Message]) -> dict[str, str]:
@@ -78,7 +142,10 @@ def _in_docstring(cls: type[Message]) -> dict[str, str]:
 
 @cache
 def _in_file(type_name: str) -> tuple[dict[str, str], ...]:
-    """The comments in each part of an interface's file; always three parts."""
+    """Return the comments in an interface's file, in three dicts: one for each part.
+
+    If the interface has fewer than three parts, the remaining dicts are empty.
+    """
     try:
         text = interface_source(type_name)
     except TurtleactError:  # the class was made by hand
@@ -89,7 +156,7 @@ def _in_file(type_name: str) -> tuple[dict[str, str], ...]:
 
 
 def _in_section(section: str) -> dict[str, str]:
-    """The comment of each field: the one beside the field, or else the lines directly above it."""
+    """Return the comment of each field: the one beside the field, or else the lines above it."""
     found: dict[str, str] = {}
     above: list[str] = []
     for line in section.splitlines():

@@ -1,7 +1,7 @@
 """The parsed form of a .msg, .srv or .action, before it becomes a class.
 
 Definitions are frozen and compared by value. Two declarations of one interface are equal, even if
-one was a file and the other a class. This module knows neither text nor Python classes.
+one was a file and the other a class. This module neither parses text nor makes Python classes.
 
 Source: the ROS 2 article "Interface definition", and ``rosidl_adapter/parser.py``.
 """
@@ -39,6 +39,7 @@ __all__ = [
     "did_you_mean",
     "is_bytes",
     "nearest",
+    "part_lines",
     "parts_of",
     "type_name_pattern",
     "zero",
@@ -84,7 +85,7 @@ PRIMITIVES: dict[str, Primitive] = {
 class ArrayForm(enum.Enum):
     """Whether a field holds one element or a sequence.
 
-    The enum's values show how a .msg writes it.
+    The value of each member is the text that follows the type of an element in a .msg.
     """
 
     SINGLE = ""
@@ -94,12 +95,12 @@ class ArrayForm(enum.Enum):
 
 
 class FieldType(msgspec.Struct, frozen=True):
-    """The type of a field or constant, written as in a .msg.
+    """The type of a field or constant. ``str`` returns it as it is written in a .msg.
 
     Attributes:
         name: A primitive (``int32``) or the full name of a message (``geometry_msgs/msg/Point``).
         string_bound: The maximum length of a bounded string, or None.
-        form: A single element, or the kind of sequence.
+        form: Whether the field holds a single element or a sequence, and which kind of sequence.
         size: The length of a fixed array, or the maximum length of a bounded one; otherwise 0.
     """
 
@@ -114,27 +115,31 @@ class FieldType(msgspec.Struct, frozen=True):
 
     @property
     def is_nested(self) -> bool:
-        """Whether the elements are messages."""
+        """Whether the field holds a message or a sequence of messages."""
         return self.name not in PRIMITIVES
 
     @property
     def is_sequence(self) -> bool:
-        """Whether the field holds a list."""
+        """Whether the field holds a sequence."""
         return self.form is not ArrayForm.SINGLE
 
     @property
     def is_string(self) -> bool:
-        """Whether the elements are text."""
+        """Whether the field holds a text or a sequence of texts."""
         return self.name in ("string", "wstring")
 
     @property
     def element(self) -> FieldType:
-        """The type of one element. If the field holds a single element, it is the field's type."""
+        """The type of one element. If the field is not a sequence, this is the field's own type."""
         return FieldType(self.name, self.string_bound)
 
 
 def zero(field_type: FieldType) -> Primitive | tuple[Primitive, ...] | None:
-    """Return the value of a field without a default; None for a message, which has its own."""
+    """Return the initial value of a field that has this type and no default in the interface.
+
+    The result is None if the field holds messages, because only the fields of these messages have
+    values.
+    """
     if field_type.is_nested:
         return None
     element = PRIMITIVES[field_type.name]
@@ -144,9 +149,9 @@ def zero(field_type: FieldType) -> Primitive | tuple[Primitive, ...] | None:
 
 
 def is_bytes(field_type: FieldType) -> bool:
-    """Whether a class made from text holds this field as ``bytes``.
+    """Whether a class made from the text of an interface holds a field of this type as ``bytes``.
 
-    Such a field is a uint8 array.
+    This is true only for a uint8 array of fixed length.
     """
     return field_type.name == "uint8" and field_type.form is ArrayForm.FIXED
 
@@ -155,9 +160,10 @@ class Field(msgspec.Struct, frozen=True):
     """One field of a message.
 
     Attributes:
-        name: The name in ROS, on the wire and in text.
-        type: Its type.
-        default: The default in the interface; None if the default is the zero of the type.
+        name: The field's name in ROS, as in a .msg.
+        type: The field's type.
+        default: The default in the interface; None if there is none, or if it equals `zero` of the
+            type.
     """
 
     name: str
@@ -177,7 +183,7 @@ class Field(msgspec.Struct, frozen=True):
 
     @property
     def attribute(self) -> str:
-        """The name in Python; a keyword gets an underscore at its end (``from_``)."""
+        """The field's name in Python; a keyword gets an underscore at its end (``from_``)."""
         return f"{self.name}_" if keyword.iskeyword(self.name) else self.name
 
 
@@ -252,7 +258,8 @@ def definition_text(definition: Definition) -> str:
     """Return a definition as the text of a .msg, .srv or .action, without a final line break.
 
     Raises:
-        InvalidInterface: if a default cannot be written in such a text, for example a line break.
+        InvalidInterface: if a default cannot be written in such a text, for example because it has
+            a line break.
     """
     first, *rest = parts_of(definition)
     lines = part_lines(first)
@@ -262,7 +269,7 @@ def definition_text(definition: Definition) -> str:
 
 
 def parts_of(definition: Definition) -> tuple[MessageDefinition, ...]:
-    """Return the messages that make up an interface, in the order of its text."""
+    """Return the definitions of the messages in an interface, in the order of its text."""
     match definition:
         case ServiceDefinition():
             return definition.request, definition.response
@@ -275,7 +282,7 @@ def check_type_name(type_name: str, *, kinds: tuple[str, ...] = ("msg", "srv", "
     """Check that a text is the full name of an interface of one of these kinds.
 
     Raises:
-        InvalidInterface: with an example of a full name.
+        InvalidInterface: if the text is not such a name; the error shows an example.
     """
     match = type_name_pattern.fullmatch(type_name)
     if match is None or match["kind"] not in kinds:
@@ -292,7 +299,7 @@ def check_part(type_name: str, part: MessageDefinition, suffix: str) -> None:
 
 
 def part_lines(part: MessageDefinition) -> list[str]:
-    """Return the lines of one part of an interface."""
+    """Return the lines of one part of an interface: its constants, then its fields."""
     package = part.type_name.partition("/")[0]
     lines = [f"{c.type} {c.name}={literal(c.value)}" for c in part.constants]
     for field in part.fields:
@@ -319,7 +326,7 @@ def literal(value: Primitive | tuple[Primitive, ...]) -> str:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return the known word that is most similar, or an empty string."""
+    """Return the known word that is most similar to ``word``; empty if none is similar."""
     import difflib  # only errors need it
 
     words = list(known)
@@ -329,7 +336,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return a hint for the end of an error; empty if no known word is similar.
+    """Return the end of an error that suggests a known word; empty if no known word is similar.
 
     >>> did_you_mean("float46", PRIMITIVES)
     ", did you mean 'float64'?"

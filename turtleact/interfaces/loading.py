@@ -2,9 +2,9 @@
 
 ``get_interface`` searches these places in order: classes declared in Python, folders given to
 ``load_interfaces``, the ROS packages of ``load_workspace``, the files of ``offer_interfaces``, and
-the built-in classes in ``standard``. A file does not replace a built-in class with the same
-definition. A class is imported, or made from its text, on first use. In this package, only this
-module opens files.
+the built-in classes in ``standard``. If a file has the same definition as a built-in class, the
+built-in class is used. A class is imported, or made from its text, when it is first used. In
+``turtleact.interfaces``, only this module opens files.
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ if TYPE_CHECKING:
     from turtleact.interfaces.types import Interface
 
     class DynamicMessage(Message):
-        """A message loaded at run time, as type checkers see it: any fields."""
+        """What type checkers know about a message loaded at run time: it may have any fields."""
 
         def __init__(self, *args: object, **kwargs: object) -> None: ...
         def __getattr__(self, name: str) -> Any: ...  # noqa: ANN401  # any field
         def __setattr__(self, name: str, value: object) -> None: ...
 
     class DynamicService(Service):
-        """A service loaded at run time, as type checkers see it."""
+        """What type checkers know about a service loaded at run time."""
 
         Request: ClassVar[type[DynamicMessage]]
         Response: ClassVar[type[DynamicMessage]]
 
     class DynamicAction(Action):
-        """An action loaded at run time, as type checkers see it."""
+        """What type checkers know about an action loaded at run time."""
 
         Goal: ClassVar[type[DynamicMessage]]
         Result: ClassVar[type[DynamicMessage]]
@@ -65,6 +65,7 @@ if TYPE_CHECKING:
 
 
 __all__ = [
+    "authored_text",
     "class_of",
     "get_action",
     "get_interface",
@@ -92,12 +93,13 @@ LAYOUTS = ("*", "share/*", "*/share/*")
 def get_interface(type_name: str) -> Interface:
     """Return the class of an interface, by its full name or by ``package/Name``.
 
-    Types that an action or service implies are found too (``NAME_SendGoal_Request``). The result is
-    always the same class, unless another definition takes over the name.
+    The types derived from actions and services have classes too, such as ``NAME_SendGoal_Request``.
+    Every call returns the same class, until a class with the same name and another definition
+    replaces it.
 
     Raises:
-        UnknownInterface: if the name is unknown; the error suggests the nearest one.
-        InvalidInterface: if its file is malformed.
+        UnknownInterface: if the name is unknown; the error suggests the most similar name.
+        InvalidInterface: if the interface's file is malformed.
 
     >>> get_interface("geometry_msgs/msg/Point")(x=1.0)
     Point(x=1.0, y=0.0, z=0.0)
@@ -108,11 +110,12 @@ def get_interface(type_name: str) -> Interface:
 def get_action(type_name: str) -> type[DynamicAction]:
     """Return the class of an action, by its full name or by ``package/Name``; see `get_interface`.
 
-    Type checkers allow any fields in its messages, so no cast is needed.
+    Type checkers allow any fields in the action's messages, so you need no cast.
 
     Raises:
-        UnknownInterface: if the name is unknown; the error suggests the nearest one.
-        InvalidInterface: if it is a message or a service, or its file is malformed.
+        UnknownInterface: if the name is unknown; the error suggests the most similar name.
+        InvalidInterface: if the name belongs to a message or a service, or the interface's file is
+            malformed.
     """
     return of_kind(first_found(type_name, ("action", "msg", "srv")), Action)  # type: ignore[return-value]  # DynamicAction is no more than Action
 
@@ -131,11 +134,13 @@ def load_interface(source: str | Path, *, type_name: str = "") -> Interface:
     """Return the class of an interface in a file or text.
 
     Args:
-        source: The path of a .msg, .srv or .action, or the text itself.
-        type_name: The full name. You may leave it out for a file at ``PACKAGE/KIND/NAME.EXT``.
+        source: The path of a .msg, .srv or .action file, or the text itself.
+        type_name: The full name, ``package/kind/Name``. You may leave it out for a file at
+            ``PACKAGE/KIND/NAME.EXT``.
 
     Raises:
-        InvalidInterface: if the source is malformed. The error has file, line and column.
+        InvalidInterface: if the name is missing, or the source is malformed or cannot be read.
+            Errors in the text have file, line and column.
 
     >>> Order = load_interface("int32 count 3", type_name="example_msgs/msg/Order")
     >>> Order()
@@ -152,11 +157,10 @@ def load_interface(source: str | Path, *, type_name: str = "") -> Interface:
 def load_action(source: str | Path, *, type_name: str = "") -> type[DynamicAction]:
     r"""Return the class of an action in a file or text; see `load_interface`.
 
-    Type checkers allow any fields in its messages, so no cast is needed.
+    Type checkers allow any fields in the action's messages, so you need no cast.
 
     Raises:
-        InvalidInterface: if the source is a message or a service, or malformed. The error has file,
-            line and column.
+        InvalidInterface: as in `load_interface`, and if the source is a message or a service.
 
     >>> Count = load_action("int32 to\n---\n---", type_name="example_msgs/action/Count")
     >>> Count.Goal(to=3).to
@@ -176,16 +180,20 @@ def load_service(source: str | Path, *, type_name: str = "") -> type[DynamicServ
 
 
 def load_interfaces(folder: str | Path) -> tuple[str, ...]:
-    """Make every ``PACKAGE/KIND/NAME.EXT`` in a folder known, and return their names.
+    """Make the interface files in a folder known, and return the names of their interfaces.
 
-    The folder may contain packages, like the ``src`` of a workspace. The folder may also be a place
-    where ROS packages were installed: a prefix such as ``/opt/ros/jazzy``, with the packages in
-    ``share``, or a folder of prefixes such as colcon's ``install``. A file is read when its
-    interface is first used, and takes precedence over a built-in interface. If a class is already
-    known and the file has the same definition, the class stays.
+    The folder may be a package, or may contain several packages, as the ``src`` of a workspace
+    does. It may also be a prefix such as ``/opt/ros/jazzy``, which has packages in ``share``, or
+    may contain several prefixes, as colcon's ``install`` does. Inside a package, a file has the
+    path ``KIND/NAME.EXT``.
+
+    A file is read at once if its interface already has a class, registered or built in. If the
+    class has another definition, the file replaces it. Any other file is read when its interface is
+    first used.
 
     Raises:
-        InvalidInterface: if the folder does not exist, or a file's name is not an interface name.
+        InvalidInterface: if the folder does not exist, a file's name is not an interface name, or a
+            file that is read at once is malformed.
     """
     root = Path(folder)
     if not root.is_dir():
@@ -204,13 +212,14 @@ def load_interfaces(folder: str | Path) -> tuple[str, ...]:
 def load_workspace(*prefixes: str | Path) -> None:
     """Make the interfaces of installed ROS packages known.
 
-    When an interface is first used, its file ``share/PACKAGE/KIND/NAME.EXT`` is searched for. If a
-    built-in interface has another definition, the file takes precedence. A prefix that does not
-    exist is ignored, as in ROS.
+    When an interface is first used, the prefixes are searched for its file,
+    ``share/PACKAGE/KIND/NAME.EXT``. If a file and a built-in interface have different definitions,
+    the file is used. A prefix that does not exist is ignored, as in ROS.
 
     Args:
-        prefixes: The folders in ``AMENT_PREFIX_PATH``. If two folders have the same interface, the
-            first folder wins. Empty texts are ignored.
+        prefixes: The folders to search, for example those in ``AMENT_PREFIX_PATH``. If two folders
+            have the same interface, the file in the first folder is used. Empty strings are
+            ignored.
     """
     added = [str(prefix) for prefix in prefixes if prefix]
     REGISTRY.prefixes = tuple(dict.fromkeys((*REGISTRY.prefixes, *added)))
@@ -220,14 +229,14 @@ def load_workspace(*prefixes: str | Path) -> None:
 def offer_interfaces(
     files: Mapping[str, Path], on_use: Callable[[str, str], object] | None = None
 ) -> None:
-    """Make interface files known that the user has not chosen; `turtleact.workspace` finds them.
+    """Make interface files known that `turtleact.workspace` has found.
 
-    A file is read when its interface is first used, so a malformed file does no harm before. A file
-    takes precedence over a built-in interface with another definition.
+    A file is read when its interface is first used, so a malformed file raises no error before
+    then. If a file and a built-in interface have different definitions, the file is used.
 
     Args:
-        files: The files by type name.
-        on_use: Called with the type name and the file when one of the files is first used.
+        files: The file of each interface, by type name.
+        on_use: Called with the type name and the file whenever a file is used for the first time.
     """
     REGISTRY.nearby.update({name: str(path) for name, path in files.items()})
     REGISTRY.on_nearby = on_use
@@ -235,14 +244,14 @@ def offer_interfaces(
 
 
 def known_interfaces() -> tuple[str, ...]:
-    """Return the names of all available interfaces, without the types that they imply."""
+    """Return the names of all available interfaces, without the types derived from them."""
     files = {*REGISTRY.files, *REGISTRY.nearby}
     names = {*REGISTRY.names(), *files, *shipped_names(), *installed_names()}
     return tuple(sorted(name for name in names if owner_and_part(name)[0] not in names))
 
 
 def interface_text(cls: Interface) -> str:
-    """Return an interface class as the text of a .msg, .srv or .action.
+    """Return an interface class in the format of a .msg, .srv or .action file.
 
     >>> from turtleact.interfaces.standard import Fibonacci
     >>> print(interface_text(Fibonacci))
@@ -256,31 +265,46 @@ def interface_text(cls: Interface) -> str:
 
 
 def interface_source(type_name: str) -> str:
-    """Return the text of an interface as its author wrote it. Without a file, generate the text.
+    """Return the text of an interface as its author wrote it, or a generated text.
 
-    If an installed file and the built-in file have the same definition, the installed file is used,
-    because it has comments.
+    The text is generated if the interface has no file. If an installed file and the built-in file
+    have the same definition, the installed file is used, because it has comments.
 
     Raises:
-        UnknownInterface: if the name is unknown; the error suggests the nearest one.
-        InvalidInterface: if its file is malformed.
+        UnknownInterface: if the name is unknown; the error suggests the most similar name.
+        InvalidInterface: if the interface's file is malformed.
     """
     cls = get_interface(type_name)
+    return authored_text(cls) or interface_text(cls)
+
+
+def authored_text(cls: Interface) -> str:
+    """Return the text of an interface as its author wrote it.
+
+    The text is empty if the interface has no file with the same definition.
+
+    Raises:
+        InvalidInterface: if a file of this name is malformed.
+    """
     said, name = definition(cls), cls.type_name
     for file in (given(name), installed(name), nearby(name), shipped(name)):
         text = "" if file is None else read(file)
         if file is not None and parse(text, name, source=str(file)) == said:
             return text
-    return definition_text(said)
+    return ""
 
 
 def package_texts(*packages: str) -> dict[str, str]:
-    """Return the interface texts of these packages and of the packages that they use, by type name.
+    """Return the texts of all interfaces in these packages and in the packages that they use.
 
-    A package that is used but not given is left out if its definitions are the built-in ones.
+    A used package is left out if turtleact has all its interfaces built in, with the same
+    definitions. A package in ``packages`` is never left out.
+
+    Returns:
+        The text of each interface, by its full name.
 
     Raises:
-        UnknownInterface: if a package is not known; the error suggests the nearest name.
+        UnknownInterface: if a package is not known; the error suggests the most similar name.
         InvalidInterface: if a file is malformed.
     """
     known = known_interfaces()
@@ -300,14 +324,14 @@ def package_texts(*packages: str) -> dict[str, str]:
 
 
 def used_packages(type_name: str) -> set[str]:
-    """Return the packages of the messages in an interface."""
+    """Return the names of the packages whose messages an interface contains."""
     parts = parts_of(definition(get_interface(type_name)))
     types = [field.type for part in parts for field in part.fields]
     return {each.name.partition("/")[0] for each in types if each.is_nested}
 
 
 def ships(package: str, known: tuple[str, ...]) -> bool:
-    """Whether all known interfaces of a package are built in with the same definitions."""
+    """Whether every known interface of a package is also built in, with the same definition."""
     for name in (name for name in known if name.startswith(f"{package}/")):
         file = shipped(name)
         if file is None or parse(read(file), name) != definition(get_interface(name)):
@@ -327,11 +351,11 @@ def class_of(definition: Definition) -> Interface:
 
 
 def build(definition: Definition, making: tuple[str, ...]) -> Interface:
-    """Make a class and the messages in it.
+    """Make the class for a definition, and the classes of the messages in it.
 
     Args:
-        definition: The definition.
-        making: The interfaces that are being made and contain this one.
+        definition: The definition of the interface.
+        making: The names of the interfaces that contain this one and are still being made.
     """
 
     def find(type_name: str) -> Interface:
@@ -348,7 +372,7 @@ def build(definition: Definition, making: tuple[str, ...]) -> Interface:
 
 
 def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
-    """Return the class with that full name, or None. If necessary, make the class from its file."""
+    """Return the class with this full name, or None. If necessary, make the class from its file."""
     if type_name in making:
         circle = " in ".join([type_name, *reversed(making[making.index(type_name) :])])
         raise InvalidInterface(f"a message contains itself: {circle}", source=making[0])
@@ -365,23 +389,26 @@ def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
 
 
 def may_be_replaced(found: Interface, type_name: str) -> bool:
-    """Whether a file may replace a class: it is built in, and not yet compared with a file."""
+    """Whether a file may still replace a class.
+
+    Only a built-in class can be replaced, and only until it has been compared with a file.
+    """
     if not (REGISTRY.prefixes or REGISTRY.nearby) or type_name in REGISTRY.settled:
         return False
     return found.__module__.startswith(SHIPPED)
 
 
 def other_file(type_name: str, held: Interface | None) -> Traversable | None:
-    """Return the file of an interface in a workspace or nearby, or None.
+    """Return an interface's file from `load_workspace` or `offer_interfaces`, or None.
 
     Args:
-        type_name: The full name.
-        held: The built-in class. If the file has the same definition, the class stays, and this
-            returns None. Otherwise the class is forgotten.
+        type_name: The full name of the interface.
+        held: The built-in class of that name, or None. If the class and the file have the same
+            definition, the class stays registered, and the function returns None. Otherwise, the
+            registry forgets the class.
 
     Raises:
-        InvalidInterface: if the file is malformed, and there is a built-in class to compare it
-            with.
+        InvalidInterface: if the file is malformed and must be compared with a built-in class.
     """
     file, on_use = installed(type_name), None
     if file is None:
@@ -401,7 +428,7 @@ def built_from(file: Traversable, type_name: str, making: tuple[str, ...]) -> In
     """Make the class of an interface from its file.
 
     Raises:
-        InvalidInterface: if the file is malformed or uses an unknown message. The error has the
+        InvalidInterface: if the file is malformed or uses an unknown message. The error names the
             line.
     """
     text = read(file)
@@ -423,7 +450,7 @@ def built_from(file: Traversable, type_name: str, making: tuple[str, ...]) -> In
 
 
 def shipped_class(type_name: str) -> Interface | None:
-    """Return the built-in class with that full name, or None."""
+    """Return the built-in class with this full name, or None if there is none."""
     package, kind, name = type_name.split("/")
     try:
         module = import_module(f"{standard.__name__}.{package}.{kind}")
@@ -436,7 +463,10 @@ def shipped_class(type_name: str) -> Interface | None:
 
 
 def first_found(type_name: str, kinds: tuple[str, ...]) -> Interface:
-    """Return the class with that name. For ``package/Name``, try these kinds in order."""
+    """Return the class with this name.
+
+    If the name is ``package/Name``, return the class of the first kind in ``kinds`` that has one.
+    """
     for name in full_names(type_name, kinds):
         found = look_up(name, ())
         if found is not None:
@@ -449,7 +479,7 @@ NOUNS = {Message: "message", Service: "service", Action: "action"}
 
 
 def of_kind(interface: Interface, base: type[B]) -> type[B]:
-    """Return the interface if it is of this kind; otherwise raise an error."""
+    """Return the interface if it derives from ``base``; otherwise raise an error."""
     if issubclass(interface, base):
         return interface
     [kind] = [each for each in NOUNS if issubclass(interface, each)]
@@ -459,35 +489,86 @@ def of_kind(interface: Interface, base: type[B]) -> type[B]:
 
 
 def full_names(type_name: str, kinds: tuple[str, ...]) -> list[str]:
-    """Return the full names that a name may mean."""
+    """Return the full names that a name may stand for, without invalid names.
+
+    A full name stands only for itself, and ``package/Name`` stands for one name of each kind.
+    """
     package, _, name = type_name.partition("/")
     candidates = [type_name] if "/" in name else [f"{package}/{kind}/{name}" for kind in kinds]
     return [name for name in candidates if type_name_pattern.fullmatch(name)]
 
 
 def needed(found: Interface | None, type_name: str) -> Interface:
-    """Return the interface found under a name; raise an error if none was found."""
+    """Return the interface if it was found; otherwise raise an error that suggests a name."""
     if found is None:
-        raise UnknownInterface(type_name, suggestion(type_name))
+        near = suggestion(type_name)
+        raise UnknownInterface(type_name, near, is_elsewhere=is_elsewhere(type_name, near))
     return found
 
 
 def suggestion(type_name: str) -> str:
-    """Return the known interface that was most likely meant, or an empty string.
+    """Return the name of the known interface that was most likely meant, or an empty string.
 
-    Names of packages are often similar, such as ``arm_interfaces`` and ``leg_interfaces``. An
-    interface of another package is therefore suggested only if the interface's own name is similar.
+    The result is the first of these interfaces that exists:
+
+    1. The interface with the most similar name in the package of ``type_name``. If the package has
+       interfaces of several kinds with this name, it is the one of the kind in ``type_name``.
+    2. The interface that `load_interfaces` or `offer_interfaces` has made known, if it is the only
+       such interface with the package and kind of ``type_name``. If ``type_name`` is the name of a
+       message, number 3 comes before number 2, because messages are often used from other packages.
+    3. The interface with the same name in another package. If there are several, the one with the
+       most similar full name.
+    4. The interface with the most similar full name. The name without package and kind must be
+       similar, too, because names of packages are often similar, such as ``arm_interfaces`` and
+       ``leg_interfaces``.
     """
+    import difflib  # only errors need it
+
     known = known_interfaces()
-    package, _, name = type_name.rpartition("/")
-    same = next((each for each in known if each.endswith(f"/{name}")), "")
-    found = same or nearest(type_name, known)
-    is_similar = found.startswith(f"{package}/") or nearest(name, [found.rpartition("/")[2]])
-    return found if is_similar else ""
+    *package, name = type_name.split("/")
+    own = [each for each in known if package and each.startswith(f"{package[0]}/")]
+    of_kind = [each for each in own if each.startswith("/".join([*package, ""]))]
+    by_name = {_last(each): each for each in [*own, *of_kind]}  # a later entry replaces an earlier
+    if near := nearest(name, by_name):
+        return by_name[near]
+    same = [each for each in known if _last(each) == name]
+    declared = [each for each in of_kind if each in REGISTRY.files or each in REGISTRY.nearby]
+    if len(declared) == 1 and not (same and package[1:] == ["msg"]):
+        return declared[0]
+    if same:
+        return max(same, key=lambda each: difflib.SequenceMatcher(None, each, type_name).ratio())
+    found = nearest(type_name, known)
+    return found if nearest(name, [_last(found)]) else ""
+
+
+TYPO = 0.85
+"""Two names of packages that are more similar than this look like one with a typo (0 to 1)."""
+
+
+def is_elsewhere(type_name: str, suggested: str) -> bool:
+    """Return whether a suggestion is from another package than the one in ``type_name``.
+
+    Packages count as the same if their names differ only by a typo. They also count as the same if
+    ``type_name`` names no package.
+
+    >>> is_elsewhere("geometry_msg/msg/Point", "geometry_msgs/msg/Point")
+    False
+    """
+    import difflib  # only errors need it
+
+    wanted, has_package, _ = type_name.partition("/")
+    package = suggested.partition("/")[0]
+    is_typo = difflib.SequenceMatcher(None, wanted, package).ratio() > TYPO
+    return bool(suggested and has_package) and not is_typo
+
+
+def _last(type_name: str) -> str:
+    """Return the name of an interface without package and kind."""
+    return type_name.rpartition("/")[2]
 
 
 def as_path(source: str | Path) -> Path | None:
-    """Return the path if the source is a path, or None if it is a text."""
+    """Return the path if the source is a path, or None if it is the text of an interface."""
     if isinstance(source, Path):
         return source
     is_path = "\n" not in source and source.endswith(tuple(f".{kind}" for kind in KINDS))
@@ -495,20 +576,27 @@ def as_path(source: str | Path) -> Path | None:
 
 
 def files_in(root: Path, *layouts: str) -> list[Path]:
-    """Return the interface files under a folder. The layouts say where the packages are."""
+    """Return the interface files under a folder.
+
+    The layouts are glob patterns for the folders of packages, relative to ``root``.
+    """
     patterns = [f"{packages}/{kind}/*.{kind}" for packages in layouts for kind in KINDS]
     return [path for pattern in patterns for path in sorted(root.glob(pattern))]
 
 
 def name_of(path: Path) -> str:
-    """Return the full name that follows from a file's place, or an empty string."""
+    """Return the full name of an interface, derived from its file's path, or an empty string."""
     package, kind, _ = ("", "", "", *path.absolute().parts)[-3:]
     name = f"{package}/{kind}/{path.stem}"
     return name if type_name_pattern.fullmatch(name) and path.suffix == f".{kind}" else ""
 
 
 def file_name(path: Path) -> str:
-    """Return the full name that follows from a file's place. The error suggests a better place."""
+    """Return the full name of an interface, derived from its file's path.
+
+    Raises:
+        InvalidInterface: if the path gives no valid name. The error suggests how to name the file.
+    """
     if name := name_of(path):
         return name
     if (proper := proper_name(path.stem)) != path.stem:
@@ -522,7 +610,7 @@ def file_name(path: Path) -> str:
 
 
 def named(type_name: str, source: str) -> str:
-    """Return the type name if it is given; otherwise raise an error."""
+    """Return the type name if it is not empty; otherwise raise an error that asks for it."""
     if not type_name:
         problem = (
             'give its full name: type_name="package_name/action/InterfaceName" '
@@ -541,13 +629,13 @@ def read(file: Traversable) -> str:
 
 
 def given(type_name: str) -> Traversable | None:
-    """Return the file of an interface that `load_interfaces` found, or None."""
+    """Return the file that `load_interfaces` has found for an interface, or None."""
     path = REGISTRY.files.get(type_name)
     return None if path is None else Path(path)
 
 
 def nearby(type_name: str) -> Traversable | None:
-    """Return the file of an interface that `offer_interfaces` was given, or None."""
+    """Return the file that `offer_interfaces` was given for an interface, or None."""
     path = REGISTRY.nearby.get(type_name)
     return None if path is None else Path(path)
 
@@ -560,7 +648,7 @@ def shipped(type_name: str) -> Traversable | None:
 
 
 def shipped_files() -> Traversable:
-    """Return the folder of the built-in files."""
+    """Return the folder that contains the files of the built-in interfaces."""
     from importlib import resources  # slow to import
 
     return resources.files(standard)
@@ -592,7 +680,7 @@ def installed(type_name: str) -> Traversable | None:
 
 
 def is_there(file: Traversable) -> bool:
-    """Whether a file exists; false if its name is too long for the system."""
+    """Whether a file exists. The result is false if the file's name is too long for the system."""
     try:
         return file.is_file()
     except OSError:

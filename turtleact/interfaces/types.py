@@ -1,8 +1,9 @@
-"""Message, Service and Action: interfaces as Python classes.
+"""Declares interfaces as Python classes that derive from Message, Service or Action.
 
-A class statement declares an interface. Its annotations are the fields, and its ``ClassVar`` values
-in capitals are the constants. A field without a default gets the zero of its type. Generated
-modules import from here. This module knows no text, wire format or file.
+A class statement declares an interface. The annotations in its body are the fields, and the
+``ClassVar`` values in capitals are the constants. A field without a default starts with the zero of
+its type. Generated modules import the base classes and field types from here. This module does not
+parse text, encode messages or read files.
 
 >>> class Goal(Message, type_name="example_msgs/msg/Goal"):
 ...     order: int32
@@ -59,6 +60,7 @@ from turtleact.interfaces.annotations import (
     wstring,
 )
 from turtleact.interfaces.definition import (
+    INTEGER_RANGES,
     ActionDefinition,
     ArrayForm,
     Constant,
@@ -91,13 +93,16 @@ __all__ = [
     "MessageMeta",
     "Registry",
     "Service",
+    "are_flags",
     "array",
     "bool_",
     "bounded",
     "byte",
     "char",
+    "choices",
     "constants",
     "definition",
+    "expect_interface",
     "field",
     "fields",
     "float32",
@@ -106,6 +111,7 @@ __all__ = [
     "int16",
     "int32",
     "int64",
+    "named_values",
     "nested_classes",
     "string",
     "uint8",
@@ -121,9 +127,9 @@ class Shape(msgspec.Struct, frozen=True):
 
     Attributes:
         type_name: The full name of the class; empty until it has one.
-        fields: Its fields, in order.
-        constants: Its constants, in order.
-        nested: For each field, the class of the messages in it, or None.
+        fields: The fields, in order of declaration.
+        constants: The constants, in order of declaration.
+        nested: For each field, the class of its messages; None if the field's type is primitive.
         bytes_fields: The names of fields declared as ``bytes``.
     """
 
@@ -135,19 +141,20 @@ class Shape(msgspec.Struct, frozen=True):
 
 
 class Registry:
-    """Interface classes by type name, and places to look for more.
+    """Keeps interface classes by type name, and the files from which more classes can be made.
 
-    A class statement with a type name registers its class here. If an equal class is already known,
-    the known class stays, so that ``get_interface`` always returns the same class. A class with
-    other fields replaces the known class for later look-ups. Built-in classes never replace a
-    user's class.
+    A class statement with a type name registers its class here. If a class of that name with an
+    equal definition is already known, the known class stays, so that ``get_interface`` always
+    returns the same class. If the definitions differ, later look-ups find the new class. However, a
+    built-in class never replaces a user's class.
 
     Attributes:
         files: The interface files that `load_interfaces` has found, by type name.
         prefixes: The folders where ROS packages are installed, in order of precedence.
-        nearby: The interface files that `offer_interfaces` was given, by type name.
+        nearby: The interface files that were given to `offer_interfaces`, by type name.
         on_nearby: Called with the type name and the file when a file of ``nearby`` is first used.
-        settled: The built-in interfaces that no file outside of turtleact replaces.
+        settled: The names of built-in interfaces for which no file with another definition was
+            found.
     """
 
     def __init__(self) -> None:
@@ -169,33 +176,33 @@ class Registry:
         self._known[name] = (interface, definition)
 
     def get(self, type_name: str) -> Interface | None:
-        """Return the class with that name, or None."""
+        """Return the class with this type name, or None if no such class is registered."""
         held = self._known.get(type_name)
         return None if held is None else held[0]
 
     def forget(self, type_name: str) -> None:
-        """Drop an interface and the types derived from it (``NAME_Goal``, ``NAME_SendGoal`` …)."""
+        """Forget an interface and the types derived from it, such as ``NAME_Goal``."""
         for name in [n for n in self._known if n == type_name or n.startswith(f"{type_name}_")]:
             del self._known[name]
 
     def names(self) -> list[str]:
-        """All names known so far."""
+        """Return the type names of all registered classes."""
         return list(self._known)
 
     def state(self) -> dict[str, object]:
-        """Return everything that is registered now, for `restore`."""
+        """Return a copy of everything that is registered now, which `restore` accepts."""
         return {name: copy(value) for name, value in vars(self).items()}
 
     def restore(self, state: Mapping[str, object]) -> None:
-        """Restore what was registered when `state` was called.
+        """Restore what was registered when the method `state` made this copy.
 
-        Everything registered later is forgotten.
+        Everything that was registered later is forgotten.
         """
         vars(self).update({name: copy(value) for name, value in state.items()})
 
     @contextlib.contextmanager
     def isolated(self) -> Iterator[None]:
-        """At the end of the block, forget everything that was registered inside it.
+        """Forget, at the end of a block, everything that was registered inside the block.
 
         Tests use this.
         """
@@ -217,7 +224,7 @@ REGISTRY = Registry()
 
 @dataclass_transform(field_specifiers=(msgspec.field,))
 class MessageMeta(msgspec.StructMeta):
-    """The metaclass of messages; ``Message`` describes their behaviour."""
+    """The metaclass of messages, which reads the class body of each message class."""
 
     _shape: Shape
 
@@ -229,7 +236,7 @@ class MessageMeta(msgspec.StructMeta):
         *,
         type_name: str = "",
     ) -> MessageMeta:
-        """Read the class body before msgspec makes a class of it."""
+        """Read the class body before msgspec makes a class from it."""
         if bases == (msgspec.Struct,):
             # A message is a tree and never part of a cycle, so the garbage collector can ignore it.
             base = super().__new__(mcls, name, bases, namespace, gc=False)
@@ -254,13 +261,13 @@ class MessageMeta(msgspec.StructMeta):
 
 
 class Message(msgspec.Struct, metaclass=MessageMeta):
-    """The base of all messages. Messages are mutable, compared by value, and cheap to create.
+    """The base class of all messages. They are mutable, compared by value, and cheap to create.
 
-    Creating a message checks nothing; ``snapshot`` checks the message when it is sent. A field
-    without a default gets the zero of its type. For type checkers, however, an argument is required
-    if the class gives no default. Write ``order: int32 = 0`` if the argument may be left out.
-    Constants are ``ClassVar[int8]`` and the like. If a field's ROS name is a Python keyword, add an
-    underscore (``from_``).
+    Creating a message does not check its values; ``snapshot`` checks them when the message is sent.
+    A field without a default starts with the zero of its type. However, type checkers then require
+    an argument for the field. To make the argument optional, declare a default:
+    ``order: int32 = 0``. Declare a constant with ``ClassVar``: ``FAST: ClassVar[int8] = 1``. If a
+    field's ROS name is a Python keyword, add an underscore to it (``from_``).
 
     >>> class Pair(Message, type_name="example_msgs/msg/Pair"):
     ...     left: bounded[list[int32], 3]
@@ -271,9 +278,9 @@ class Message(msgspec.Struct, metaclass=MessageMeta):
 
 
 class Action:
-    """The base of all actions: a class with Goal, Result and Feedback inside.
+    """The base class of all actions, which contain the message classes Goal, Result and Feedback.
 
-    Each of these three parts is a Message. A part that is left out has no fields.
+    A part that is left out has no fields.
 
     >>> class Count(Action, type_name="example_msgs/action/Count"):
     ...     class Goal(Message):
@@ -288,20 +295,23 @@ class Action:
     Feedback: ClassVar[type[Message]] = Message
 
     def __init_subclass__(cls, *, type_name: str = "") -> None:
-        """Name the parts after the action and register them all."""
+        """Name the parts after the action, and register the action with its parts."""
         super().__init_subclass__()
         declare(cls, type_name, base=Action, kind="action")
 
 
 class Service:
-    """The base of all services: a class with Request and Response inside, as in ``Action``."""
+    """The base class of all services, which contain the message classes Request and Response.
+
+    As in `Action`, a part that is left out has no fields.
+    """
 
     type_name: ClassVar[str] = ""
     Request: ClassVar[type[Message]] = Message
     Response: ClassVar[type[Message]] = Message
 
     def __init_subclass__(cls, *, type_name: str = "") -> None:
-        """Name the parts after the service and register them all."""
+        """Name the parts after the service, and register the service with its parts."""
         super().__init_subclass__()
         declare(cls, type_name, base=Service, kind="srv")
 
@@ -310,7 +320,7 @@ Interface: TypeAlias = type[Message] | type[Service] | type[Action]
 
 
 def fields(cls: type[Message]) -> tuple[Field, ...]:
-    """Return the fields of a message class, in the order they are sent."""
+    """Return the fields of a message class, in the order in which they are sent."""
     return cls._shape.fields
 
 
@@ -319,8 +329,49 @@ def constants(cls: type[Message]) -> tuple[Constant, ...]:
     return cls._shape.constants
 
 
+def named_values(cls: type[Message], field: Field) -> list[Constant]:
+    """Return the constants that stand for values of a field.
+
+    Their names begin with the field's name, as ``STATUS_OK`` does for ``status``.
+    """
+    prefix = f"{field.name.upper()}_"
+    return [
+        constant
+        for constant in constants(cls)
+        if constant.name.startswith(prefix) and constant.type.name == field.type.name
+    ]
+
+
+#: The types of text.
+TEXTS = frozenset({"string", "wstring"})
+
+#: At least this many constants that are single bits, or zero, are taken for flags.
+FEWEST_FLAGS = 3
+
+
+def are_flags(named: list[Constant]) -> bool:
+    """Whether these constants seem to be flags: single bits (or zero) that may be combined."""
+    values = [constant.value for constant in named if isinstance(constant.value, int)]
+    are_bits = len(values) == len(named) and all(value & (value - 1) == 0 for value in values)
+    return are_bits and len(values) >= FEWEST_FLAGS and max(values) > FEWEST_FLAGS
+
+
+def choices(cls: type[Message], field: Field) -> list[Constant]:
+    """Return the named values that a field is limited to; an empty list if it has no such limit.
+
+    A field is limited if it holds a single text or whole number, and its default is one of at least
+    two named values, and these values do not seem to be flags. In any other field, the constants
+    may name only some of the possible values, as a constant ``TIMEOUT_NEVER`` does.
+    """
+    named = named_values(cls, field)
+    default = zero(field.type) if field.default is None else field.default
+    is_complete = len(named) > 1 and any(constant.value == default for constant in named)
+    is_listable = field.type.name in TEXTS or field.type.name in INTEGER_RANGES
+    return named if is_complete and is_listable and not are_flags(named) else []
+
+
 def nested_classes(cls: type[Message]) -> tuple[type[Message] | None, ...]:
-    """Return, for each field, the class of the messages in it, or None."""
+    """Return the class of each field's messages, or None for a field of primitive type."""
     return cls._shape.nested
 
 
@@ -349,6 +400,25 @@ def definition(cls: type[Message] | type[Service] | type[Action]) -> Definition:
 PARTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
 
 
+def expect_interface(kind: type, given: object) -> None:
+    """Raise `TypeError` unless an object is a subclass of ``kind``.
+
+    Args:
+        kind: `Message`, `Service` or `Action`.
+        given: The object, which may be anything.
+    """
+    if isinstance(given, type) and issubclass(given, kind):
+        return
+    named = getattr(given, "__qualname__", "") or repr(given)
+    whole, dot, part = named.rpartition(".")
+    hint, kinds = "", dict[type, str]({Service: "srv", Action: "action"})
+    if isinstance(given, str):
+        hint = f": give the class, for example turtleact.get_{kind.__name__.lower()}(TYPE)"
+    elif dot and part in PARTS.get(kinds.get(kind, ""), ()):
+        hint = f": give {whole} itself"
+    raise TypeError(f"expected a subclass of turtleact.{kind.__name__}, not {named}{hint}")
+
+
 def declare(cls: type[Service] | type[Action], type_name: str, *, base: type, kind: str) -> None:
     """Complete a service or action: name its parts, and register it with its parts."""
     source = cls.__qualname__
@@ -371,7 +441,10 @@ def declare(cls: type[Service] | type[Action], type_name: str, *, base: type, ki
 
 
 def named_part(cls: type[Service] | type[Action], part: str) -> type[Message]:
-    """Return one part of a service or action with its full name. A missing part has no fields."""
+    """Give one part of a service or action its full name, and return the part.
+
+    If the class does not declare the part, the part has no fields.
+    """
     type_name = f"{cls.type_name}_{part}"
     qualname = f"{cls.__qualname__}.{part}"
     message = vars(cls).get(part)
@@ -392,7 +465,7 @@ def named_part(cls: type[Service] | type[Action], part: str) -> type[Message]:
 
 
 def check_strays(cls: type, parts: tuple[str, ...]) -> None:
-    """Refuse an inner message class that is not a part; its name may be misspelled."""
+    """Refuse an inner message class that is not a part, because it may be a misspelled part."""
     for name, member in vars(cls).items():
         if is_message_class(member) and name not in parts and member.__name__ == name:
             problem = f"the parts are {', '.join(parts)}{did_you_mean(name, parts)}"
@@ -400,15 +473,16 @@ def check_strays(cls: type, parts: tuple[str, ...]) -> None:
 
 
 def read_body(namespace: dict[str, object], frame: FrameType, type_name: str) -> Shape:
-    """Return the declaration in a class body.
+    """Read the fields and constants that a class body declares.
 
     Args:
-        namespace: The body. This function adds a default for every field to it.
+        namespace: The namespace of the class body. This function changes the namespace: it adds a
+            default for every field.
         frame: The frame that runs the class statement.
         type_name: The full name of the class, or an empty string.
 
     Raises:
-        InvalidInterface: if a member is wrong. The error names the class and the member.
+        InvalidInterface: if a field or constant is wrong. The error names the class and the member.
     """
     source = str(namespace["__qualname__"])
     scope = scope_of(frame, namespace)
@@ -435,7 +509,7 @@ def read_body(namespace: dict[str, object], frame: FrameType, type_name: str) ->
 
 
 def annotations_of(namespace: Mapping[str, object], source: str) -> Mapping[str, object]:
-    """Return the annotations in a class body, in order."""
+    """Return the annotations in a class body, in order of declaration."""
     found = namespace.get("__annotations__")
     if found is None and sys.version_info >= (3, 14):  # pragma: no cover  no older one has it
         import annotationlib
@@ -449,7 +523,7 @@ def annotations_of(namespace: Mapping[str, object], source: str) -> Mapping[str,
 
 @contextlib.contextmanager
 def naming(source: str, name: str) -> Iterator[None]:
-    """Add class and member to errors about an annotation or default."""
+    """Add the names of the class and the member to errors about an annotation or default."""
     try:
         yield
     except InvalidInterface as inner:
@@ -459,7 +533,10 @@ def naming(source: str, name: str) -> Iterator[None]:
 def read_constant(
     name: str, annotation: object, namespace: Mapping[str, object], scope: Scope
 ) -> list[Constant]:
-    """Return the constant that a ClassVar in capitals declares. Other ClassVars declare nothing."""
+    """Return the constant that a ClassVar in capitals declares, as a list with one element.
+
+    The list is empty for other ClassVars, because they declare no constant.
+    """
     if not constant_name_pattern.fullmatch(name):
         return []
     reading = read(next(iter(get_args(annotation)), annotation), scope)
@@ -471,7 +548,7 @@ def read_constant(
 
 
 def read_field(name: str, reading: Reading, namespace: dict[str, object]) -> Field:
-    """Return one field, and turn its default in the class body into a form that msgspec can use."""
+    """Return a field, and replace its default in the class body by one that msgspec can use."""
     default: Default = None
     if name in namespace:
         default = as_default(reading, given_default(namespace[name]))
@@ -482,7 +559,7 @@ def read_field(name: str, reading: Reading, namespace: dict[str, object]) -> Fie
 
 
 def given_default(given: object) -> object:
-    """Return the default in a class body, given directly or through ``msgspec.field``."""
+    """Return a field's default, which the class body gives directly or with ``msgspec.field``."""
     if not isinstance(given, FIELD_SPECIFIER):
         return given
     value: Any = given  # msgspec does not export its type
@@ -493,7 +570,7 @@ def given_default(given: object) -> object:
 
 
 def as_default(reading: Reading, value: object) -> Default:
-    """Convert a default to the form in a definition."""
+    """Convert a default or a constant's value to the form that a definition contains."""
     if reading.nested is not None:
         check_nested_default(reading, value)
         return None
@@ -508,7 +585,7 @@ def as_default(reading: Reading, value: object) -> Default:
 
 
 def check_nested_default(reading: Reading, value: object) -> None:
-    """Accept a message as a default only if it equals a new message, which has zeros."""
+    """Refuse a field's default that consists of messages, unless it is the initial value."""
     if value != zero_message(reading)():
         problem = "ROS has no defaults for messages: leave it out; every message starts with zeros"
         raise InvalidInterface(problem, source="")
@@ -527,7 +604,7 @@ def initial(reading: Reading, default: Default) -> object:
 
 
 def zero_message(reading: Reading) -> Callable[[], object]:
-    """Return a function that makes a field's initial message, or list of messages."""
+    """Return a function that makes a field's initial value: a message or a list of messages."""
     nested = cast("Callable[[], object]", reading.nested)
     if not reading.field_type.is_sequence:
         return nested
@@ -537,7 +614,7 @@ def zero_message(reading: Reading) -> Callable[[], object]:
 
 
 def several(make: Callable[[], object], size: int) -> list[object]:
-    """Make a list of new messages."""
+    """Make a list of ``size`` new messages."""
     return [make() for _ in range(size)]
 
 

@@ -1,10 +1,11 @@
-"""The journal's file: one SQLite table with a row for each goal.
+"""Stores the goals of a journal in a SQLite file, in one table with a row for each goal.
 
-All functions here block. The journal calls them in one thread of its own. Other processes may read
-the file at the same time, because it is in WAL mode.
+All functions here block, so the journal calls them in a thread of its own. Other processes may read
+the file while the journal writes it, because the file is in SQLite's WAL mode.
 
 A commit with ``synchronous=FULL`` waits for the disk and survives a power loss. A commit with
-``NORMAL`` survives only a killed process, and takes a fiftieth of the time.
+``synchronous=NORMAL`` takes a fiftieth of that time, and survives a killed process, but not a power
+loss.
 
 Source: sqlite.org, "Write-Ahead Logging", "PRAGMA Statements" and "Database File Format".
 """
@@ -102,7 +103,7 @@ class JournalError(TurtleactError):
     """A journal cannot be opened, read or written.
 
     Attributes:
-        path: The file.
+        path: The journal's file.
         problem: What is wrong, and what to do about it.
     """
 
@@ -120,19 +121,22 @@ class JournalHeld(JournalError):
 
 
 class MovedError(sqlite3.OperationalError):
-    """The open file no longer has its name. Nothing that is written to it would be found again."""
+    """The journal's file was deleted, renamed or replaced while it was open.
+
+    Data written to the open file would be lost.
+    """
 
     def __init__(self) -> None:
         super().__init__("the file was deleted, renamed or replaced")
 
 
 class Accept(msgspec.Struct):
-    """A goal to write.
+    """A job that adds a goal to the journal.
 
     Attributes:
-        record: The goal to write. Writing it sets its number.
-        known: The goal that already had this id, if any. This attribute is set when the job is
-            written.
+        record: The record of the goal. When the job is written, the record gets its ``number``.
+        known: The record that the journal already had for the goal's id; None if there was none.
+            The attribute is set when the job is written.
     """
 
     record: GoalRecord
@@ -140,11 +144,11 @@ class Accept(msgspec.Struct):
 
 
 class Change(msgspec.Struct):
-    """A change to write.
+    """A job that changes a goal in the journal.
 
     Attributes:
-        goal_id: The goal.
-        change: What changes in the goal.
+        goal_id: The 16 bytes of the goal's id.
+        change: The new values.
     """
 
     goal_id: bytes
@@ -152,27 +156,27 @@ class Change(msgspec.Struct):
 
 
 class Withdraw(msgspec.Struct):
-    """A goal to remove.
+    """A job that removes a goal from the journal.
 
     Attributes:
-        goal_id: The goal.
+        goal_id: The 16 bytes of the goal's id.
     """
 
     goal_id: bytes
 
 
 class Database:
-    """The journal's file, opened by the one process that writes it.
+    """The file of a journal, opened for writing. Only one process at a time can open it.
 
     Args:
-        path: The file. It is created if it does not exist.
+        path: The path of the file, which is created if it does not exist.
 
     Attributes:
         path: The path of the file.
-        moved_to: The new path of a damaged file; None if the file was sound.
+        moved_to: The path to which a damaged file was renamed; None if the file was not damaged.
 
     Raises:
-        JournalError: if it cannot be opened.
+        JournalError: if the file cannot be opened.
     """
 
     def __init__(self, path: Path) -> None:
@@ -198,11 +202,13 @@ class Database:
     # writing
 
     def write(self, jobs: Sequence[Accept | Change | Withdraw], *, is_durable: bool) -> None:
-        """Write all jobs in one transaction, or none of them.
+        """Write all jobs in one transaction: either all of them are written, or none.
 
         Args:
-            jobs: What to write, in order. Several changes of a goal are written as one.
-            is_durable: Whether to wait for the disk.
+            jobs: The jobs, in order. Several changes of the same goal are merged and written
+                together.
+            is_durable: Whether to wait until the disk has stored the data, which then survives a
+                power loss.
 
         Raises:
             sqlite3.Error: if the jobs cannot be written.
@@ -230,9 +236,10 @@ class Database:
             raise
 
     def is_moved(self) -> bool:
-        """Whether the files were deleted, renamed, replaced or emptied. Any thread may ask.
+        """Whether the journal's files were deleted, renamed, replaced or emptied.
 
-        SQLite does not notice this in WAL mode: it would go on writing to a file without a name.
+        Any thread may call this method. In WAL mode, SQLite does not notice that its files were
+        moved, and would go on writing to the old file.
         """
         return _files(self.path) != self._opened
 
@@ -257,7 +264,10 @@ class Database:
     # reading
 
     def load(self, now: int) -> list[GoalRecord]:
-        """Return the goals that have not ended or still have their result at ``now``."""
+        """Return the goals that have not ended, and those with results that have not expired.
+
+        ``now`` is the time by the wall clock (ns since the epoch).
+        """
         # A sign before the column keeps SQLite from going through the whole table in that order.
         return [
             *self._select("WHERE ended = 0 ORDER BY number"),
@@ -307,7 +317,7 @@ class Database:
 
 
 def find_goals(path: Path, beginning: str) -> list[GoalRecord]:
-    """Read at most ten goals, with ids that begin with these hexadecimal digits.
+    """Read at most ten goals whose ids begin with these hexadecimal digits.
 
     Raises:
         JournalError: if there is no such file, or it is not a journal.
@@ -318,11 +328,11 @@ def find_goals(path: Path, beginning: str) -> list[GoalRecord]:
 
 
 def read_goals(path: Path, since: int = 0) -> Iterator[GoalRecord]:
-    """Read goals from a journal, even while a server writes it.
+    """Read goals from a journal, even while a server writes to it.
 
     Args:
-        path: The file.
-        since: Only goals accepted at or after this time (ns since the epoch, wall clock).
+        path: The journal's file.
+        since: Read only goals accepted at or after this time (ns since the epoch, wall clock).
 
     Raises:
         JournalError: if there is no such file, or it is not a journal.
@@ -341,14 +351,15 @@ def read_goals(path: Path, since: int = 0) -> Iterator[GoalRecord]:
 def prune(path: Path, before: int) -> int:
     """Delete the goals that ended before ``before`` (ns since the epoch, wall clock).
 
-    You may call this while a server writes the journal: the server can write in between.
-    Goals with a result that is still available stay.
+    Goals with results that have not expired are kept. You may call this while a server uses the
+    journal, because the goals are deleted in small transactions, and the server can write between
+    them.
 
     Returns:
         How many goals were deleted.
 
     Raises:
-        JournalError: if there is no such file, or it cannot be written.
+        JournalError: if the file does not exist, is not a journal, or cannot be written.
     """
     with _reading(path, mode="rw") as connection:
         gone = "ended > 0 AND ended < ? AND expires > 0 AND expires < ? LIMIT ?"
@@ -410,8 +421,8 @@ def _add(columns: dict[str, object], change: GoalChange) -> None:
 def _lock(path: Path) -> sqlite3.Connection:
     """Take the lock that lets only one process write the journal.
 
-    The lock is a transaction in a second, empty SQLite file, which works alike on all systems. The
-    lock is freed when the process ends.
+    The lock is a transaction in a second, empty SQLite file, because this works in the same way on
+    all systems. The system releases the lock when the process ends.
     """
     if not path.parent.is_dir():
         raise JournalError(path, f"there is no folder '{path.parent}'")
@@ -426,16 +437,17 @@ def _lock(path: Path) -> sqlite3.Connection:
     except sqlite3.Error as error:
         connection.close()
         if "locked" in str(error):
-            problem = f"{_holder(path)} writes it; one process can at a time"
+            problem = f"{_holder(path)} writes it, and only one process can do so at a time"
             raise JournalHeld(path, problem) from None
         raise JournalError(path, explain(error)) from error
     return connection
 
 
 def _files(path: Path) -> list[tuple[int, int] | None]:
-    """Identify the journal's file and its log. None stands for a missing file, or an empty journal.
+    """Return the device and inode numbers of the journal's file and of SQLite's log beside it.
 
-    The log may be empty, because other programs may move everything in it to the journal.
+    None stands for a missing file, or for a journal's file that is empty. An empty log does not
+    count as missing, because other programs may have moved its contents to the journal's file.
     """
     return [_identity(path, least=1), _identity(Path(f"{path}-wal"), least=0)]
 
@@ -449,7 +461,10 @@ def _identity(path: Path, least: int) -> tuple[int, int] | None:
 
 
 def _is_foreign(path: Path) -> bool:
-    """Whether a file has contents, and not those of a journal, not even of a damaged one."""
+    """Whether a file certainly belongs to another program.
+
+    Such a file is not empty, and is neither a SQLite file nor a damaged journal.
+    """
     if not path.is_file():
         return False
     try:
@@ -463,7 +478,7 @@ def _is_foreign(path: Path) -> bool:
 
 
 def _holder(path: Path) -> str:
-    """Describe the process that holds a journal."""
+    """Describe the process that writes a journal."""
     with suppress(JournalError), _reading(path) as connection:
         for process, host, command in connection.execute("SELECT * FROM holder"):
             where = "" if host == socket.gethostname() else f" on {host}"
@@ -497,7 +512,7 @@ def _is_damaged(error: sqlite3.DatabaseError) -> bool:
 
 
 def explain(error: sqlite3.Error) -> str:
-    """Explain what an error means and what to do about it."""
+    """Explain what an error of SQLite means, and what to do about it."""
     name = getattr(error, "sqlite_errorname", "")
     if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")):
         return f"it is damaged, or no journal: {error}"

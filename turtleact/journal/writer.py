@@ -1,10 +1,10 @@
-"""The journal that servers use: a thread writes the file, and the event loop gives it work.
+"""The journal that servers use: the event loop makes changes, and a thread writes them to the file.
 
-Everything to be written goes to one thread, in order. In one transaction, the thread writes
-everything that has gathered. While it waits for the disk, more gathers. A hundred goals at once
-therefore wait for the disk a few times, not a hundred times.
+All changes go to one thread, in order. The thread writes all waiting changes in one transaction.
+While the thread waits for the disk, the next changes gather. A hundred goals at the same time
+therefore need only a few waits for the disk, not a hundred.
 
-If the disk is full, or the file was deleted, renamed or replaced, new goals are rejected with that
+If the disk is full, or the file was deleted, renamed or replaced, new goals are rejected for that
 reason. Running goals go on: their changes stay in memory, and the thread tries again until it can
 write them.
 """
@@ -17,7 +17,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
 
@@ -36,6 +35,7 @@ from turtleact.journal.database import (
     Withdraw,
     explain,
 )
+from turtleact.opening import opening
 from turtleact.tasks import Home, Tasks, current_tasks, thread_work
 
 __all__ = ["Journal", "open_journal"]
@@ -50,18 +50,19 @@ CLOSING = 5.0
 
 
 class _Job(msgspec.Struct, eq=False):
-    """Something for the thread to write.
+    """Work for the thread that writes the file.
 
     Attributes:
         work: What to write; None if the caller only wants to know when all earlier jobs are
             written.
-        done: Called in the event loop when the job is written. Without ``is_durable``, it is also
-            called when the first attempt has failed.
-        failed: If given, it is called in the event loop with the reason of a failure, and the
-            thread does not try again.
-        is_durable: Whether the job must survive a power loss.
-        is_told: Whether ``done`` was called although the write has failed.
-        is_awaited: Whether virtual time stands still until the thread has tried the job.
+        done: Called in the event loop when the job is written. If the job is not durable, this is
+            called after the first attempt, even if that attempt fails.
+        failed: Called in the event loop with the error if the job cannot be written; the thread
+            then drops the job. If ``failed`` is None, the thread tries again.
+        is_durable: Whether the job must survive a power loss once it is written.
+        is_told: Whether ``done`` has been called although the job is not written yet.
+        is_awaited: Whether a virtual clock stands still until the thread has tried to write the
+            job.
     """
 
     work: Accept | Change | Withdraw | None
@@ -73,15 +74,15 @@ class _Job(msgspec.Struct, eq=False):
 
 
 class Journal:
-    """Keeps the goals of servers in a file. `open_journal` makes one.
+    """Keeps the goals of servers in a file. Use `open_journal` to open a journal.
 
-    One process writes a journal at a time. Any process may read it: see `read_goals`.
+    Only one process at a time can write a journal. Any process can read it with `read_goals`.
 
     Attributes:
-        path: The file.
-        max_starts: A goal is not started again after this many crashes of its server without
-            feedback in between; None for no limit.
-        aborts_at_close: Whether a server that is closed ends its goals.
+        path: The journal's file.
+        max_starts: If a goal's server has crashed this many times since the goal's newest feedback,
+            the goal is not started again. None means that there is no limit.
+        aborts_at_close: Whether closing a server ends the server's goals.
     """
 
     def __init__(
@@ -110,14 +111,16 @@ class Journal:
     # what servers ask for; see `turtleact.goal_journal.GoalJournal`
 
     def load(self, action: str) -> list[GoalRecord]:
-        """Return the goals of an action that have not ended or still have their result."""
+        """Return the goals of an action that have not ended or whose results have not expired."""
         self._home.check()
         now = time.time_ns()
         held = [each for each in self._held.values() if each.action == action]
         return [each for each in held if not each.ended or not 0 < each.expires <= now]
 
     async def accept(self, record: GoalRecord) -> GoalRecord | None:
-        """Put a new goal on disk. If its id is known, return the record of the known goal instead.
+        """Write a new goal to disk, unless the journal already has a goal with that id.
+
+        Return the record that the journal already has, or None if the new goal was written.
 
         Raises:
             JournalError: if the goal cannot be written, or the journal is closed.
@@ -129,7 +132,7 @@ class Journal:
         return None
 
     async def withdraw(self, goal_id: bytes) -> None:
-        """Remove a goal that was not accepted after all."""
+        """Remove a goal from the journal because it was not accepted after all."""
         try:
             await self._write(Withdraw(goal_id))
         except JournalError as error:
@@ -139,12 +142,20 @@ class Journal:
     def progress(
         self, goal_id: bytes, change: GoalChange, then: Callable[[], object] | None = None
     ) -> None:
-        """Write a change soon, and call ``then`` once the change would survive a killed process."""
+        """Write a change of a goal, and call ``then`` when the change is in the file.
+
+        From then on, the change survives if the process is killed, but perhaps not if the power
+        fails. If the first attempt to write fails, ``then`` is called nevertheless, and the thread
+        tries again.
+        """
         self._apply(goal_id, change)
         self._put(_Job(Change(goal_id, change), then))
 
     def end(self, goal_id: bytes, change: GoalChange, then: Callable[[], object]) -> None:
-        """Put a goal's end on disk, and call ``then`` when it is there, however long this takes."""
+        """Write the end of a goal to disk, and call ``then`` when it is written.
+
+        There is no time limit: the thread tries again until it succeeds or the journal is closed.
+        """
         self._apply(goal_id, change)
         record = self._held.get(goal_id)
         if record is not None:
@@ -153,13 +164,16 @@ class Journal:
         self._put(_Job(Change(goal_id, change), then, is_durable=True))
 
     async def written(self) -> None:
-        """Wait until each change so far has been written or has failed."""
+        """Wait until the thread has tried to write every change made so far."""
         reached = anyio.Event()
         self._put(_Job(None, reached.set))
         await reached.wait()
 
     def problem(self) -> str:
-        """Return why the journal cannot be written now; empty if it can. Any thread may ask."""
+        """Return why the journal cannot be written now, or an empty string if it can.
+
+        Any thread may call this.
+        """
         if self._database is not None and self._database.is_moved():
             return explain(MovedError())
         return self._failure
@@ -167,7 +181,7 @@ class Journal:
     # the event loop's side
 
     async def open(self) -> None:
-        """Open the file.
+        """Start the thread, and wait until it has opened the file.
 
         Raises:
             JournalError: if the file cannot be opened.
@@ -188,10 +202,10 @@ class Journal:
             await self._ended.wait()
 
     async def _write(self, work: Accept | Withdraw) -> None:
-        """Put a job on disk and wait until it is there.
+        """Write a job to disk, and wait until it is written.
 
         Raises:
-            JournalError: if it cannot be written, or the journal is closed.
+            JournalError: if the job cannot be written, or the journal is closed.
         """
         over = anyio.Event()
         errors = list[sqlite3.Error]()
@@ -215,7 +229,7 @@ class Journal:
         over.set()
 
     def _apply(self, goal_id: bytes, change: GoalChange) -> None:
-        """Bring the record in memory up to date."""
+        """Make a change in the goal's record in memory."""
         record = self._held.get(goal_id)
         if record is None:
             return
@@ -225,7 +239,7 @@ class Journal:
             record.feedback_count += 1
 
     def _forget_expired(self) -> None:
-        """Forget ended goals when their time is over. The file still has them."""
+        """Remove the goals with expired results from memory. They stay in the file."""
         now = time.time_ns()
         while self._expiring and 0 < self._expiring[0].expires <= now:
             record = self._expiring.popleft()
@@ -284,9 +298,9 @@ class Journal:
             self._tasks.from_anywhere(self._ended.set)
 
     def _next(self) -> list[_Job]:
-        """Take all jobs that have come.
+        """Wait until there are jobs, and return all of them.
 
-        The list is empty once the journal is closed and written.
+        The list is empty when the journal is closed and all jobs are written or lost.
         """
         with self._changed:
             if self._is_failing and not self._is_closing:
@@ -304,7 +318,7 @@ class Journal:
         return jobs
 
     def _serve(self, database: Database, jobs: list[_Job]) -> None:
-        """Write jobs together and report to the event loop."""
+        """Write jobs in one transaction, and report the outcome to the event loop."""
         work = [job.work for job in jobs if job.work is not None]
         try:
             if work:
@@ -319,7 +333,10 @@ class Journal:
         self._report(jobs, [job.done for job in jobs if job.done is not None and not job.is_told])
 
     def _fail(self, jobs: list[_Job], error: sqlite3.Error) -> None:
-        """Report the failure of jobs with a ``failed`` callback; keep the others to try again."""
+        """Report a failure to the jobs that have a ``failed`` callback, and keep the other jobs.
+
+        The thread tries to write the other jobs again.
+        """
         if not self._is_failing:
             self._is_failing = True
             self._failure = explain(error)
@@ -341,7 +358,10 @@ class Journal:
         self._report(jobs, calls)
 
     def _report(self, jobs: list[_Job], calls: list[Callable[[], object]]) -> None:
-        """Call functions in the event loop. After that, nobody waits for the jobs."""
+        """Call the functions ``calls`` in the event loop.
+
+        If a virtual clock stands still for ``jobs``, the clock goes on afterwards.
+        """
         count = 0
         for job in jobs:
             count += job.is_awaited
@@ -362,24 +382,24 @@ def _by_expiry(record: GoalRecord) -> tuple[bool, int]:
     return not record.expires, record.expires
 
 
-@asynccontextmanager
+@opening
 async def open_journal(
     path: str | Path, *, max_starts: int | None = 3, abort_at_close: bool = False
 ) -> AsyncIterator[Journal]:
     """Open a journal for the length of a block. Servers of several nodes may share it.
 
-    Close the servers before the journal, as the order of ``async with`` does.
+    Close the servers before the journal. In one ``async with``, name the journal before the node.
 
     Args:
-        path: The file, which is created if it does not exist. SQLite keeps two more files beside
-            it.
+        path: The file, which is created if it does not exist. Up to three more files are beside it,
+            with the same name followed by ``-wal``, ``-shm`` or ``-lock``.
         max_starts: If a goal's server has crashed this many times since the goal's newest feedback,
-            the goal ends ABORTED instead of being started again. None for no limit.
-        abort_at_close: Whether closing a server ends its goals. If not, the goals go on when the
-            server is back, with ``on_restart="resume"``.
+            the goal ends ABORTED instead of being started again. None means that there is no limit.
+        abort_at_close: Whether closing a server ends the server's goals. If false, the goals go on
+            when the server starts again with ``on_restart="resume"``.
 
     Raises:
-        InvalidOption: if ``max_starts`` is not a whole number from 1 up, or None.
+        InvalidOption: if ``max_starts`` is neither None nor a whole number of at least 1.
         JournalError: if the file cannot be opened, for example because another process writes it.
     """
     is_count = isinstance(max_starts, int) and not isinstance(max_starts, bool) and max_starts > 0

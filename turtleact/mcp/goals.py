@@ -1,11 +1,12 @@
-"""The goals of models: sends them, and reads which goals the servers of the offered actions hold.
+"""Sends the goals of models, and lists the goals that the servers of the offered actions hold.
 
-One call of a tool sends one goal and answers when the goal has ended. A call that is cancelled
-cancels its goal and waits for the goal's end, because the block of
-`turtleact.client.action_client.SendGoal` does that. A client that goes away cancels its calls, too.
+Each call of an action's tool sends one goal, and returns when the goal has ended. If the call is
+cancelled, the goal is canceled too, and the call waits for the goal's end. The ``async with`` block
+of `turtleact.client.action_client.SendGoal` ensures this. If a client disconnects, its calls are
+cancelled in the same way.
 
-`Board` reads the status topics, from the first time it is asked for goals. The last message of a
-status topic is latched, so a goal that was accepted earlier is known, too.
+`Board` subscribes to the status topics when it is first asked for goals. The last message of a
+status topic is latched, so `Board` also learns of goals that were accepted earlier.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ from turtleact.interfaces import nanoseconds
 from turtleact.interfaces.standard import GoalStatusArray
 from turtleact.mcp.replies import data_of, failure, one_line
 from turtleact.names import action_names
-from turtleact.transports import QoS
+from turtleact.transports.base import STATUS_QOS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Collection
 
     from mcp.types import CallToolResult
 
@@ -58,18 +59,17 @@ PATIENCE: Final = 0.5
 
 ROUND_TRIPS: Final = 5
 
-STATUS_QOS: Final = QoS(depth=1, durability="transient_local")
-
 
 class Goals:
     """Sends goals, and limits how many are under way.
 
     Args:
-        node: Sends the goals.
-        limits: How many goals and calls may be under way.
+        node: The node that sends the goals.
+        limits: How many goals and service calls may be under way, and how often feedback is
+            reported.
 
     Attributes:
-        active: How many goals and calls are under way.
+        active: How many goals and service calls are under way.
     """
 
     def __init__(self, node: Node, limits: Limits) -> None:
@@ -79,7 +79,7 @@ class Goals:
         self._clients: dict[tuple[str, str], AnyClient] = {}
 
     def client(self, name: str, action_type: type[Action]) -> AnyClient:
-        """The client of an action. It is opened once, and closed with the node."""
+        """Return the client of an action. It is created on first use, and closed with the node."""
         key = name, action_type.type_name
         client = self._clients.get(key)
         if client is None:
@@ -89,10 +89,10 @@ class Goals:
 
     @contextmanager
     def place(self) -> Iterator[None]:
-        """Count one goal or call as under way for the length of a block.
+        """Count one goal or service call as under way for the length of a block.
 
         Raises:
-            TurtleactError: if too much is under way.
+            TurtleactError: if the maximum number of goals and calls is under way already.
         """
         if self.active >= self.limits.goals:
             raise TurtleactError(
@@ -106,9 +106,9 @@ class Goals:
             self.active -= 1
 
     async def run(self, client: AnyClient, goal: Message, report: Report) -> CallToolResult:
-        """Send a goal, report its feedback, and wait for its end.
+        """Send a goal, report its feedback, and wait for the goal's end.
 
-        Cancelling: cancels the goal and waits for its end.
+        Cancelling: cancels the goal and waits for the goal's end.
         """
         with self.place():
             reporter = _Reporter(report, self.limits.progress_rate)
@@ -126,9 +126,9 @@ class HeldGoal(NamedTuple):
     """A goal that a server holds.
 
     Attributes:
-        goal_id: The 16 bytes of its id.
-        action: The name of its action.
-        status: Its state.
+        goal_id: The 16 bytes of the goal's id.
+        action: The name of the goal's action.
+        status: The goal's state.
         stamp: When the goal was accepted (ns since the epoch, by the server's clock).
     """
 
@@ -139,11 +139,11 @@ class HeldGoal(NamedTuple):
 
 
 class Board:
-    """Reads the status topics of some actions.
+    """Lists the goals of the offered actions, as their status topics report them.
 
     Args:
         node: The node that subscribes to the topics.
-        actions: A function that returns the names of the offered actions that are served now.
+        actions: A function that returns the names of the offered actions that have a server now.
     """
 
     def __init__(self, node: Node, actions: Callable[[], Collection[str]]) -> None:
@@ -152,7 +152,7 @@ class Board:
         self._topics: dict[str, Subscription[GoalStatusArray]] = {}
 
     async def goals(self) -> list[HeldGoal]:
-        """All goals, in the order of their acceptance."""
+        """Return all goals, in the order in which they were accepted."""
         await self._join()
         found = [
             HeldGoal(
@@ -168,11 +168,14 @@ class Board:
         return sorted(found, key=lambda goal: goal.stamp)
 
     async def find(self, goal_id: bytes) -> HeldGoal | None:
-        """The goal with an id, if a server holds it."""
+        """Return the goal with this id, or None if no server holds it."""
         return next((goal for goal in await self.goals() if goal.goal_id == goal_id), None)
 
     async def _join(self) -> None:
-        """Read the topics of new actions, wait for their latched messages, and leave old topics."""
+        """Subscribe to the status topics of new actions, and wait for the latched messages.
+
+        If an action no longer has a server, close the subscription to its status topic.
+        """
         actions = self._actions()
         for gone in self._topics.keys() - set(actions):
             self._topics.pop(gone).close()
@@ -199,14 +202,14 @@ async def _follow(client: AnyClient, goal: Message, reporter: _Reporter) -> Call
 
 
 class _Reporter:
-    """Reports feedback as progress, and never holds up the body of the goal.
+    """Sends feedback to the client as progress messages, without delaying the goal's body.
 
-    Feedback arrives by a plain call and waits in a short queue. If a client reads slowly, or a body
-    publishes faster than the rate, the oldest messages are skipped.
+    `take` puts feedback into a short queue, and `run` sends it. If the client reads slowly, or the
+    body publishes feedback faster than the rate allows, the oldest messages are skipped.
 
     Attributes:
         latest: The newest feedback.
-        ended: Set when the last message has been reported.
+        ended: Set when the last message has been sent.
     """
 
     def __init__(self, report: Report, rate: float) -> None:
@@ -220,19 +223,19 @@ class _Reporter:
         self._over = anyio.Event()
 
     def take(self, feedback: Any) -> None:  # noqa: ANN401  # of the action's class
-        """Take a feedback message."""
+        """Put a feedback message into the queue."""
         self.latest = feedback
         self._count += 1
         self._waiting.append((self._count, feedback))
         self._changed.set()
 
     def end(self) -> None:
-        """Report the messages that wait, and end."""
+        """Let `run` return as soon as it has sent the messages that are still in the queue."""
         self._over.set()
         self._changed.set()
 
     async def run(self) -> None:
-        """Report feedback until `end` is called."""
+        """Send feedback until `end` is called and the queue is empty."""
         credit, since = float(BURST), anyio.current_time()
         while True:
             while self._waiting:
@@ -253,7 +256,11 @@ class _Reporter:
         self.ended.set()
 
     def _skip(self) -> None:
-        """Keep only the newest message. After a pause for the rate, the others are out of date."""
+        """Remove all messages but the newest from the queue.
+
+        The reporter had to wait because of the rate limit. Meanwhile, the older messages became out
+        of date.
+        """
         newest = self._waiting.pop()
         self._waiting.clear()
         self._waiting.append(newest)

@@ -1,8 +1,8 @@
-"""Serves MCP over HTTP, as an ASGI app for other servers or on a port of its own.
+"""Serves MCP over HTTP, either as an ASGI app inside another server or on a port of its own.
 
-The SDK checks the Host and the Origin of a request, so that a page of another site cannot reach the
-server through a browser. On a loopback address, these checks are enough. Clients on other machines
-must know a token, too.
+The SDK checks the headers Host and Origin of each request, so that a page of another web site
+cannot reach the server through the user's browser. On a loopback address, these checks are enough.
+On other addresses, clients must also send a token.
 
 Source: MCP 2026-07-28, "Transports", Streamable HTTP; RFC 6750 for the token.
 """
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hmac
 from collections.abc import AsyncIterator, Collection
-from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -19,6 +18,7 @@ from mcp.server.transport_security import TransportSecuritySettings
 from starlette.responses import PlainTextResponse
 
 from turtleact.http_server import Config, bound, serving, token_for
+from turtleact.opening import opening
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Receive, Scope, Send
@@ -35,7 +35,7 @@ class Address(msgspec.Struct, frozen=True):
     """Where a server listens.
 
     Attributes:
-        host: The address that it is bound to.
+        host: The address or name to which the server is bound.
         port: The port.
         token: The token that clients must send; empty if none is needed.
     """
@@ -51,17 +51,18 @@ class Address(msgspec.Struct, frozen=True):
         return f"http://{place}:{self.port}{PATH}"
 
 
-@asynccontextmanager
+@opening
 async def open_app(
     server: McpServer, *, hosts: Collection[str] = (), token: str = ""
 ) -> AsyncIterator[ASGIApp]:
-    """Offer a server as an ASGI app that you can mount beside others. Its path is ``/mcp``.
+    """Offer a server as an ASGI app that you can mount beside other apps. The path is ``/mcp``.
 
     Args:
         server: The server from `turtleact.mcp.open_mcp`.
-        hosts: Names and addresses of this machine that clients may use besides those of the
-            loopback.
-        token: The token that clients must send: ``Authorization: Bearer …``. Empty for none.
+        hosts: The names and addresses by which clients may reach this machine. The loopback's names
+            and addresses are always allowed.
+        token: The token that clients must send, as ``Authorization: Bearer …``. If empty, clients
+            need no token.
     """
     allowed = [each for host in (*LOOPBACK, *hosts) for each in (host, f"{host}:*")]
     security = TransportSecuritySettings(
@@ -73,7 +74,7 @@ async def open_app(
         yield _Guarded(app, token) if token else app
 
 
-@asynccontextmanager
+@opening
 async def open_http(
     server: McpServer,
     host: str = "127.0.0.1",
@@ -82,16 +83,19 @@ async def open_http(
     token: str | None = None,
     hosts: Collection[str] = (),
 ) -> AsyncIterator[Address]:
-    """Serve on a port. The server listens when the block begins. This needs asyncio.
+    """Serve MCP over HTTP on a port for the length of a block.
+
+    The server already listens when the block begins. It runs only on asyncio.
 
     Args:
         server: The server from `turtleact.mcp.open_mcp`.
-        host: The address or name to bind. Other machines can reach it unless it is a loopback
-            address.
-        port: The port, or 0 for any free one.
-        token: The token that clients must send. If left out, no token is needed on a loopback
-            address. On any other address, a token is made for this run.
-        hosts: As for `open_app`. ``host`` is always among them.
+        host: The address or name to bind. Other machines can reach the server unless this is a
+            loopback address.
+        port: The port, or 0 for any free port.
+        token: The token that clients must send. If left out, clients need no token for a loopback
+            address, and a random token is made for any other address.
+        hosts: More names and addresses by which clients may reach this machine. ``host`` and the
+            loopback's names and addresses are always allowed.
 
     Raises:
         InvalidOption: if the host or the port cannot be bound, or if the token is empty and the
@@ -110,7 +114,7 @@ async def open_http(
 
 
 class _Guarded:
-    """An app behind a token."""
+    """An ASGI app that answers HTTP requests only if they have the right token."""
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app = app

@@ -1,17 +1,18 @@
-"""Makes JSON Schema for interfaces of ROS, and messages from arguments that fit the schema.
+"""Makes JSON Schemas for ROS interfaces, and messages from arguments that fit the schemas.
 
-A model sees an interface only through its schema. The schema therefore holds all that is known:
-ranges of integers, lengths of lists and texts, defaults, constants, and the comments with their
-units.
+A model sees an interface only through its schema. The schema therefore contains all that is known:
+ranges of integers, lengths of lists and texts, defaults, constants, and the author's comments,
+which often give the units.
 
-- A field of a goal is required if the interface gives it no default. In ROS, fields without a
-  default start at zero, so authors need not write a default of zero. Therefore, if any field of the
-  goal has a default, only lists and messages are required; numbers, texts and bools then start at
-  zero.
+- If no field of a goal has a default, the arguments must contain all fields. If at least one field
+  has a default, fields without a default are required only if they are lists or messages. Other
+  fields without a default, such as numbers, may be left out and are then zero, as in ROS. Many
+  authors do not write defaults of zero, so these fields are not required.
 - A field of a nested message is never required, as in ROS.
-- Constants become an ``enum`` if their names begin with the field's: ``STATUS_OK`` for ``status``.
-  Constants that are single bits can be combined, so the description lists them instead. In a
-  result, the description also lists the constants, because a server may send another value.
+- Constants become an ``enum`` if their names begin with the field's name: ``STATUS_OK`` for
+  ``status``. Constants that are single bits do not become an ``enum``, because they can be
+  combined. Neither do constants of a result, feedback or response, because a server may send other
+  values. Such constants are only listed in the field's description.
 
 Source: JSON Schema 2020-12; the ROS 2 article "Interface definition".
 """
@@ -31,14 +32,13 @@ from turtleact.interfaces.conversion import error_class
 from turtleact.interfaces.definition import (
     INTEGER_RANGES,
     ArrayForm,
-    Constant,
     Field,
     FieldType,
     Primitive,
     zero,
 )
 from turtleact.interfaces.text import sayable
-from turtleact.interfaces.types import constants, nested_classes
+from turtleact.interfaces.types import choices, named_values, nested_classes
 
 __all__ = ["Schema", "input_schema", "message_from", "output_schema", "plain"]
 
@@ -50,13 +50,11 @@ LARGEST: Final = 2**20
 """The largest arguments that are read (bytes of JSON)."""
 
 FLOATS: Final = frozenset({"float32", "float64"})
-FEWEST_FLAGS: Final = 3
-"""At least this many constants that are single bits, or zero, are taken for flags."""
 
 
 @cache
 def input_schema(cls: type[Message]) -> Schema:
-    """The schema of a goal or request.
+    """Return the JSON Schema of a goal or request.
 
     >>> from turtleact.interfaces.standard import Fibonacci
     >>> schema = input_schema(Fibonacci.Goal)
@@ -72,13 +70,16 @@ def input_schema(cls: type[Message]) -> Schema:
 
 @cache
 def output_schema(cls: type[Message]) -> Schema:
-    """The schema of a result, feedback or response as `plain` makes it, with all fields."""
+    """Return the JSON Schema of what `plain` returns for a result, feedback or response.
+
+    All fields are required.
+    """
     return _object(cls, is_output=True)
 
 
 @cache
 def required(cls: type[Message]) -> tuple[str, ...]:
-    """The fields that the arguments for a goal or request must have."""
+    """Return the names of the fields that the arguments for a goal or request must contain."""
     all_fields = fields(cls)
     has_defaults = any(field.default is not None for field in all_fields)
     return tuple(
@@ -93,12 +94,13 @@ def message_from(cls: type[M], arguments: Mapping[str, object], *, root: str) ->
     """Make a message from the arguments of a call.
 
     Args:
-        cls: Its class.
-        arguments: Plain values, as JSON has them.
-        root: The first word of the path in errors: "goal" or "request".
+        cls: The class of the message.
+        arguments: The arguments, by the names of the message's fields.
+        root: The first word of the fields' paths in error messages: "goal" or "request".
 
     Raises:
-        InvalidMessage: if a value does not fit, a field is missing, or there is too much data.
+        InvalidMessage: if a value does not fit its field, a required field is missing, or the
+            arguments are too large.
     """
     data = msgspec.json.encode(arguments)
     if len(data) > LARGEST:
@@ -117,7 +119,10 @@ def message_from(cls: type[M], arguments: Mapping[str, object], *, root: str) ->
 
 
 def plain(message: Message) -> dict[str, Any]:
-    """A message as plain values that JSON can hold: bytes as lists, nan and infinity as None."""
+    """Convert a message to plain values that JSON can hold.
+
+    Bytes become lists of numbers; nan and infinity become None.
+    """
     return sayable(to_dict(message))  # type: ignore[return-value]  # a dict stays one
 
 
@@ -135,9 +140,9 @@ def _field(
     cls: type[Message], field: Field, nested: type[Message] | None, note: str, *, is_output: bool
 ) -> Schema:
     element = _element(field.type.element, nested, is_output=is_output)
-    known = _constants_of(cls, field)
-    if known and not is_output and not _are_flags(known):
-        element["enum"] = [constant.value for constant in known]
+    if not is_output and (limited := choices(cls, field)):
+        element["enum"] = [constant.value for constant in limited]
+    known = named_values(cls, field)
     schema = _sequence(field.type, element) if field.type.is_sequence else element
     listed = ", ".join(f"{constant.name} = {constant.value}" for constant in known)
     described = " ".join(filter(None, (note, listed and f"Constants: {listed}."))).replace(
@@ -153,7 +158,7 @@ def _field(
 
 
 def _default(field: Field) -> Primitive | list[Primitive] | None:
-    """The value of a field that is left out; None if this is a message or an empty list."""
+    """Return the value that a field has if it is left out; None for a message or an empty list."""
     value = zero(field.type) if field.default is None else field.default
     return list(value) or None if isinstance(value, tuple) else value
 
@@ -181,19 +186,3 @@ def _element(kind: FieldType, nested: type[Message] | None, *, is_output: bool) 
         return {"type": "string", **bound}
     least, most = INTEGER_RANGES[kind.name]
     return {"type": "integer", "minimum": least, "maximum": most}
-
-
-def _constants_of(cls: type[Message], field: Field) -> list[Constant]:
-    """The constants that name the values of a field."""
-    prefix = f"{field.name.upper()}_"
-    return [
-        constant
-        for constant in constants(cls)
-        if constant.name.startswith(prefix) and constant.type.name == field.type.name
-    ]
-
-
-def _are_flags(known: list[Constant]) -> bool:
-    values = [constant.value for constant in known if isinstance(constant.value, int)]
-    are_bits = len(values) == len(known) and all(value & (value - 1) == 0 for value in values)
-    return are_bits and len(values) >= FEWEST_FLAGS and max(values) > FEWEST_FLAGS

@@ -1,7 +1,7 @@
-"""Runs a server of the Model Context Protocol on a node: actions are tools of a language model.
+"""Runs a Model Context Protocol server on a node, to offer actions to language models as tools.
 
-The official SDK speaks the protocol, in all its versions. This module answers its requests, and
-tells clients when the list of tools changes.
+The official SDK implements all versions of the protocol. This module answers the clients' requests,
+and tells clients when the list of tools changes.
 
 Source: Model Context Protocol, versions 2024-11-05 to 2026-07-28.
 """
@@ -11,7 +11,6 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import AsyncIterator, Collection
-from contextlib import asynccontextmanager
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -49,6 +48,7 @@ from turtleact.mcp.replies import failure
 from turtleact.mcp.schema import message_from, plain
 from turtleact.mcp.tasks import TASK_IDS, Tasks, declares_tasks, require_tasks
 from turtleact.mcp.tools import Tools, picture, read_topic
+from turtleact.opening import opening
 from turtleact.tasks import Background
 
 if TYPE_CHECKING:
@@ -79,10 +79,11 @@ SETTLED: Final = 0.05
 
 
 class McpServer:
-    """A running server. `open_mcp` makes one.
+    """A running MCP server. Use `open_mcp` to start one.
 
     Attributes:
-        sdk: The SDK's server. Connect a client to it in memory, or run it on a transport.
+        sdk: The server object of the MCP SDK. Connect a client to it in memory, or run it on a
+            transport.
     """
 
     def __init__(self, node: Node, offer: Offer) -> None:
@@ -234,19 +235,22 @@ class McpServer:
     async def _listen(
         self, ctx: Request, params: SubscriptionsListenRequestParams
     ) -> SubscriptionsListenResult:
-        """Tell a client of changes until it leaves. Tasks are not included: clients poll them.
+        """Send a client notifications of changes until it disconnects.
+
+        Changes of tasks are not sent, because clients poll their tasks.
 
         Raises:
-            MCPError: if the client wants to hear of tasks but does not declare the extension.
+            MCPError: if the client asks for changes of tasks but does not declare the tasks
+                extension.
         """
         if TASK_IDS in (params.notifications.model_extra or {}):
             require_tasks(ctx)
         return await self._listening(ctx, params)
 
     async def _note_session(self, ctx: Request, call_next: CallNext) -> HandlerResult:
-        """Remember each session of the older protocol, because each must be told of changes.
+        """Remember sessions of older protocol versions, to tell their clients of changes later.
 
-        Newer clients listen for changes (``subscriptions/listen``).
+        Clients of newer versions ask for notifications of changes (``subscriptions/listen``).
         """
         reply = await call_next(ctx)
         if ctx.method == "notifications/initialized":
@@ -277,13 +281,16 @@ class McpServer:
                 self._sessions.remove(session)
 
     async def aclose(self) -> None:
-        """End the streams of clients that listen for changes, and let go of tasks."""
+        """End the notifications to clients, and stop following the goals of tasks.
+
+        The goals go on.
+        """
         self._listening.close()
         await self._tasks.aclose()
 
 
 class _Server(Server[Any]):
-    """The SDK's server. It tells clients of the older protocol that its tools may change."""
+    """The SDK's server. It announces to clients with an older protocol that tools may change."""
 
     def create_initialization_options(
         self,
@@ -295,7 +302,7 @@ class _Server(Server[Any]):
         return super().create_initialization_options(options, experimental_capabilities, extensions)
 
 
-@asynccontextmanager
+@opening
 async def open_mcp(
     node: Node,
     *,
@@ -308,21 +315,22 @@ async def open_mcp(
 ) -> AsyncIterator[McpServer]:
     """Offer a node's graph to language models for the length of a block.
 
-    At the end of the block, calls under way and their goals are cancelled. Goals that were sent as
-    tasks go on.
+    At the end of the block, calls under way are cancelled together with their goals. Goals that
+    were sent as tasks go on.
 
     Args:
         node: The node that sends the goals.
-        actions: The actions that may be used, or "all".
-        services: The services that may be called.
-        topics: The topics that may be read, or "all".
-        read_only: Whether to offer only what changes nothing.
-        confirm: Whether to ask the user before each goal and each service call. A client that
-            cannot ask its user may then send no goal and make no call.
-        limits: How much clients may ask for.
+        actions: The actions that clients may use, or "all".
+        services: The services that clients may call.
+        topics: The topics that clients may read, or "all".
+        read_only: Whether clients may only read: they cannot send or cancel goals, or call
+            services.
+        confirm: Whether the user must confirm each goal and each service call. A client that cannot
+            ask its user can then neither send goals nor call services.
+        limits: Limits on the goals, calls and tasks of all clients together.
 
     Raises:
-        InvalidName: if a name breaks ROS 2's rules.
+        InvalidName: if a name breaks ROS 2's rules for names.
     """
     offer = Offer.of(
         actions, services, topics, limits or Limits(), is_read_only=read_only, asks=confirm

@@ -1,22 +1,21 @@
-"""Ensures that only one node serves an action name, and decides what a second node does.
+"""Ensures that only one node serves an action name, and resolves conflicts between nodes.
 
-One node may serve several types under one name, as for ``/fibonacci``. If two nodes served the same
-name, every goal would run twice, because ROS 2 sends a request to all servers of a service. A
-second node chooses one of these:
+One node may serve several types under one name. For example, the built-in ``/fibonacci`` has two
+types. If two nodes served the same name, every goal would run twice, because ROS 2 sends a request
+to all servers of a service. The argument ``on_conflict`` of the second node decides what happens:
 
-- ``refuse``: its `action_server` raises an error, which names the first node.
-- ``wait``: it begins to serve when the first node has gone. This is useful for restarts and
-  failover.
-- ``withdraw``: it withdraws when any other node, in any process, serves the name. The running goals
-  of the second node finish. When no other node serves the name any more, the second node serves the
-  name again. The built-in actions do this.
+- ``refuse``: The second node's call of `action_server` raises an error, which names the first node.
+- ``wait``: The second node begins to serve when the first node no longer serves the name. This is
+  useful for restarts and failover.
+- ``withdraw``: The second node withdraws when any other node, in any process, serves the name.
+  Running goals of the second node still finish. When no other node serves the name any more, the
+  second node serves it again. The built-in actions use this value.
 
-A restarted node may still see its predecessor: a node of the same name. The predecessor's process
-has just died, and its lease has not run out. The restarted node is not refused: it waits until the
-predecessor is gone.
+If a process dies, its nodes stay on the graph until their leases run out. So a restarted node may
+still see its predecessor, which has the same name. In this case even ``refuse`` raises no error.
+The restarted node waits until the predecessor has left the graph.
 
-Across processes, all of this depends on discovery: a server counts only after it has been
-discovered.
+A node notices a server in another process only after discovery has found that server.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ class Rivals:
     """The other servers of one action name, as far as discovery shows them.
 
     Args:
-        transport: The graph.
+        transport: The connection to the graph.
         service: The name of the action's ``send_goal`` service.
         node: The fully qualified name of the node that wants to serve the action.
     """
@@ -63,12 +62,12 @@ class Rivals:
         self._node = node
 
     def check(self, action: str, type_name: str, own_types: set[str]) -> None:
-        """Check that no other node serves the action, and that this node does not serve that type.
+        """Raise an error if another node, or this node with the same type, serves the action.
 
         Args:
             action: The action's name.
-            type_name: The type that the node wants to serve.
-            own_types: The types that the node already serves under the name.
+            type_name: The type that this node wants to serve.
+            own_types: The types that this node already serves under the name.
 
         Raises:
             ActionConflict: if a node serves the action already. The error names that node.
@@ -82,41 +81,43 @@ class Rivals:
             raise ActionConflict(action, other)
 
     def first(self) -> str | None:
-        """Return the first other node that serves the action, or None.
+        """Return the name of another node that serves the action; None if there is none.
 
-        Built-in actions do not count, because they withdraw.
+        The node of the built-in actions does not count, because it withdraws.
         """
         own = (self._node, BUILT_INS_NODE)
         return next((node for node in self._nodes() if node not in own), None)
 
     def holder(self) -> str | None:
-        """Return the node that must go before this node can serve; None if the name is free.
+        """Return the name of the node that this node must wait for; None if there is none.
 
-        The holder may be a predecessor: a node in another process with this node's own name.
+        If this node has been restarted, the result may be this node's own name: a predecessor of
+        this node, in another process, may still serve the action.
         """
         if self._node in self._nodes(is_local=False):
             return self._node
         return self.first()
 
     def has_built_in(self, *, is_local: bool | None = None) -> bool:
-        """Whether a built-in action, local or remote, must withdraw for this server.
+        """Whether a built-in action serves the name, and so must withdraw for this server.
 
-        Ask about remote servers before this server is open: afterwards, a server of the same type
-        always counts as local.
+        ``is_local=True`` asks only about this process, ``is_local=False`` only about other
+        processes. A caller that asks about other processes must ask before this server is open.
+        Once this server is open, a server of the same type in another process counts as local, too.
         """
         return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=is_local)
 
     @property
     def discovery_ends(self) -> float:
-        """Before this moment, an existing server may still be undiscovered (event loop time)."""
+        """Until this time, discovery may not have found all existing servers (event loop time)."""
         return self._transport.discovery_ends
 
     async def wait_until_free(self) -> None:
         """Wait until this node can serve the action. Cancelling: safe.
 
-        Standbys in several processes all see at the same moment that a server has gone. Each
-        standby then waits for a different time and looks again, so that only the first standby
-        takes over.
+        If several processes wait, they all see at the same moment that a server has gone. Each
+        process then waits for its own random time and looks again, so that only one of them begins
+        to serve.
         """
         while (holder := self.holder()) is not None:
             is_remote = holder in self._nodes(is_local=False)
@@ -130,7 +131,11 @@ class Rivals:
             await self._transport.wait_for_change()
 
     def _nodes(self, *, is_local: bool | None = None) -> list[str]:
-        """List the nodes that serve the action: all nodes, only local ones, or only remote ones."""
+        """Return the names of the nodes that serve the action.
+
+        If ``is_local`` is True, return only nodes of this process. If it is False, return only
+        nodes of other processes.
+        """
         return [
             endpoint.node
             for endpoint in self._transport.endpoints(self._service)
@@ -138,12 +143,12 @@ class Rivals:
         ]
 
     def _is_local(self, type_name: str) -> bool:
-        """Whether this process serves the service under that type."""
+        """Whether this process serves the action with the type ``type_name``."""
         return self._transport.local(self._service, type_name) is not None
 
 
 class ServedName:
-    """The name of one action server: the server serves it, waits for it, or makes way for others.
+    """Decides when an action server serves its name, waits for other nodes, or withdraws.
 
     Args:
         server: The object that holds and runs the goals.
@@ -151,7 +156,7 @@ class ServedName:
         rivals: The other servers of the name.
         types_served: A function that returns the types that the server's node now serves under the
             name.
-        restore: Called once the server serves the name, to restore its goals.
+        restore: Called when the server begins to serve the name, to restore the server's goals.
 
     Attributes:
         is_serving: Whether the server is on the graph under its name.
@@ -175,13 +180,15 @@ class ServedName:
         self._turned = current_tasks().signal()
 
     def take(self, on_conflict: OnConflict, again: Callable[[], object]) -> None:
-        """Serve the name now, or once it is free.
+        """Serve the name now, or once no other node serves it.
 
         Args:
-            on_conflict: What to do if another node serves the name. "refuse" has been checked
-                before: with it, only a predecessor can still hold the name, and the predecessor is
-                about to disappear.
-            again: Opens a server like this one, after this server has made way for another node.
+            on_conflict: What to do if another node serves the name. With "refuse", the caller has
+                already checked that no other node serves the name. Only a predecessor of this node
+                may still serve it. In this case, the server waits until the predecessor has left
+                the graph.
+            again: Opens a new server with the same arguments. Called when this server has withdrawn
+                and the name is free again.
         """
         if on_conflict == "withdraw":
             self._keep(self._make_way(again), "making way for others with")
@@ -190,25 +197,28 @@ class ServedName:
             self._begin()
         elif on_conflict != "withdraw":
             logger.warning(
-                "%s is served by %s: waiting until that has gone", self._server.name, holder
+                "%s is served by %s: waiting until that node has gone", self._server.name, holder
             )
             self._keep(self._serve_once_free(), "waiting to serve")
 
     async def wait(self) -> bool:
-        """Wait until the server serves the name. False if it stopped before. Cancelling: safe."""
+        """Wait until the server serves the name. Return False if the server stops first.
+
+        Cancelling: safe.
+        """
         while self._server.is_open and not self.is_serving:
             await self._turned.wait()
         return self.is_serving
 
     async def aclose(self) -> None:
-        """Accept no more goals, and stop waiting for the name or making way."""
+        """Accept no more goals, and no longer wait for other nodes."""
         self._stop()
         for running in self._running:
             await running.aclose()
         self._running.clear()
 
     def _keep(self, running: Coroutine[object, object, None], name: str) -> None:
-        """Run a coroutine until the server is closed."""
+        """Run a coroutine in the background. `aclose` cancels it."""
         self._running.append(Background(running, f"{name} {self._server.name}"))
 
     def _begin(self) -> None:
@@ -232,7 +242,7 @@ class ServedName:
         self._turned.fire()
 
     async def _look_for_built_in(self, seconds: float) -> None:
-        """Write a log line if discovery shows a built-in action within some seconds.
+        """Log a warning if discovery finds a built-in action of this name within ``seconds``.
 
         Cancelling: safe.
         """
@@ -244,7 +254,7 @@ class ServedName:
         logger.warning("%s: the built-in action makes way for this one", self._server.name)
 
     async def _serve_once_free(self) -> None:
-        """Join the graph when nobody else serves the name any more."""
+        """Wait until no other node serves the name, and then serve it."""
         await self._rivals.wait_until_free()
         logger.warning("%s is free: serving it now", self._server.name)
         self._begin()
@@ -252,9 +262,9 @@ class ServedName:
     async def _make_way(self, again: Callable[[], object]) -> None:
         """Withdraw when another node serves the name. Serve again when no other node serves it.
 
-        A closed server cannot open again, so ``again`` opens another server, which watches for
-        rivals in turn. Until then, the node keeps track of the old server, so that closing the node
-        also ends this watch.
+        A closed server cannot open again, so ``again`` opens a new server, which may withdraw in
+        turn. Until ``again`` is called, the node keeps track of the old server, so that closing the
+        node also ends this coroutine.
         """
         name, rivals = self._server.name, self._rivals
         await rivals.wait_until(lambda: rivals.first() is not None)
@@ -276,7 +286,7 @@ def check_on_conflict(given: object) -> None:
     """Check a value of ``on_conflict``.
 
     Raises:
-        InvalidOption: if the value is none of `OnConflict`.
+        InvalidOption: if the value is not one of `OnConflict`.
     """
     if given not in get_args(OnConflict):
         words = ", ".join(get_args(OnConflict))

@@ -1,6 +1,6 @@
 """Nodes: the participants of a graph, with their topics, services and actions.
 
-This module assembles the layers below for users. Everything opened on a node is closed with it.
+Closing a node closes everything that was opened on it.
 
 Source: rclpy ``node.py`` for names and behaviour.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import ExitStack, asynccontextmanager, contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast, overload
 
@@ -29,11 +29,13 @@ from turtleact.errors import TurtleactError
 from turtleact.goal import Goal, GoalStatus
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
+from turtleact.interfaces.types import expect_interface
 from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
 from turtleact.node.conflicts import OnConflict, Rivals, ServedName, check_on_conflict
 from turtleact.node.resources import Resources
 from turtleact.node.timers import Timer
 from turtleact.observers import Hook
+from turtleact.opening import opening
 from turtleact.server.endpoints import ActionEndpoints
 from turtleact.server.execution import Execution, Served
 from turtleact.server.goal_handle import GoalHandle
@@ -78,25 +80,28 @@ Res = TypeVar("Res", bound=Message)
 
 
 class Node:
-    """One participant of a graph. `open_node` makes one.
+    """A participant of a graph. `open_node` makes one.
 
-    Methods that open something raise `TurtleactError` if the node is closed, and TypeError if a
-    class is no interface of the right kind. With ``on_demand``, other processes learn of an
-    endpoint only once one of them has an endpoint of the same name. Use it if you have thousands of
-    endpoints that are mostly unused.
+    Methods that open something raise `TurtleactError` if the node is closed. They raise TypeError
+    if you pass a wrong class, for example a message class as ``action_type``.
+
+    With ``on_demand=True``, an endpoint stays hidden from other processes until one of those
+    processes opens an endpoint of the same name. This saves work if you have thousands of endpoints
+    and most of them are never used.
 
     With ``introspection="contents"``, requests and responses are published on the topics
-    ``SERVICE/_service_event``, as in ROS 2; with "metadata", their contents are left out. None
-    stands for the node's setting. With introspection, calls travel as messages even within a
-    process, which is slower.
+    ``SERVICE/_service_event``, as in ROS 2. "metadata" leaves out the contents of requests and
+    responses. If the argument is None, the node's attribute ``introspection`` decides. With
+    introspection, calls within a process also pass through the transport, which is slower.
 
     Attributes:
         name: The node's name, without the namespace.
-        namespace: The prefix of relative names.
-        clock: The graph's clock. Bodies should wait with it.
-        transport: The connection to other nodes.
-        introspection: The introspection of everything that is opened on the node from now on.
-        first_values: First values of parameters, by name, which replace the declared ones.
+        namespace: The node's namespace. Relative names are resolved in it.
+        clock: The graph's clock. Bodies should wait on this clock.
+        transport: The connection to the graph.
+        introspection: The default ``introspection`` of everything that is opened from now on.
+        initial_values: Values, by parameter name, that replace the defaults of parameters declared
+            later.
     """
 
     introspection: Introspection = "off"
@@ -114,7 +119,7 @@ class Node:
         self._hooks: list[Transition] = []
         self._to_restore: list[LocalActionServer] = []
         self._parameters: NodeParameters | None = None
-        self.first_values: dict[str, object] = {}
+        self.initial_values: dict[str, object] = {}
         self._presence = ExitStack()
         self._presence.callback(transport.enter(self.fully_qualified_name).close)
         self._presence.callback(offer_when_sought(transport, self.fully_qualified_name).close)
@@ -126,7 +131,7 @@ class Node:
 
     @property
     def is_open(self) -> bool:
-        """Whether the node is open, so that you can open something on it."""
+        """Whether the node is open. On a closed node, you cannot open anything."""
         return self._resources.is_open
 
     def serve(
@@ -140,7 +145,7 @@ class Node:
         """Serve an action declared with `turtleact.action`.
 
         Args:
-            definition: The declared body.
+            definition: The body, declared with `turtleact.action`.
             name: The name under which to serve the action, instead of the declared name.
             on_conflict: See `action_server`.
             **overrides: Options that replace the declared options; see `action_server`.
@@ -170,42 +175,43 @@ class Node:
 
         Args:
             action_type: The action, a subclass of `turtleact.Action`.
-            name: The action's name. A relative name is put below the node's namespace.
-            execute: The body: an async generator or a coroutine function. It takes the goal and,
-                if it has a second parameter, the `ServerGoalHandle`.
+            name: The action's name. A relative name is resolved in the node's namespace.
+            execute: The body: an async generator function or a coroutine function. It takes the
+                goal and, if it has a second parameter, the `ServerGoalHandle`.
             on_demand: See `Node`.
-            on_conflict: What to do if another node already serves the name. The node may be in this
-                process or, as far as discovery shows, in another. "refuse" raises `ActionConflict`.
-                "wait" begins to serve when the other node has gone. "withdraw" is for built-in
-                actions: they withdraw while another node serves the name. When that node has gone,
-                a new server with the same arguments takes the place of the withdrawn one.
+            on_conflict: What to do if another node serves the name, in this process or in another
+                process that discovery has found. "refuse" raises `ActionConflict`. "wait" begins to
+                serve when no other node serves the name. "withdraw" is for built-in actions: the
+                server withdraws while another node serves the name. When the name is free again, a
+                new server with the same arguments replaces the withdrawn one.
             **options: ``goal_callback(goal)`` returns a `GoalResponse` or raises
                 `turtleact.Reject`. ``cancel_callback(handle)`` returns a `CancelResponse`. These
                 two callbacks may be coroutine functions. ``policy`` decides what happens to a new
-                goal while another runs: "parallel", "reject", "queue" or "preempt". Under
-                "parallel", at most ``max_active`` goals run, and the others wait. At most
-                ``queue_limit`` goals may wait. Servers of this node with the same ``slot`` apply
-                their policy together, like one server. ``result_timeout`` is how long a result is
-                kept after the goal's end (s, 10 by default; None keeps it for ever).
+                goal while another goal runs: "parallel", "reject", "queue" or "preempt". Under
+                "parallel", at most ``max_active`` goals run at a time, and further goals wait. At
+                most ``queue_limit`` goals may wait. Servers of this node with the same ``slot``
+                apply their policy together, like one server. ``result_timeout`` is how long a
+                result is kept after the goal's end (s, 10 by default; None keeps it for ever).
                 ``on_client_lost`` is "keep", or "cancel" to cancel a client's goals when the client
                 closes. When the server closes, a cancelled body has ``grace`` seconds to clean up
-                (event loop time, 5 by default). After that, the body is given up. ``journal`` keeps
-                the goals on disk (see `turtleact.open_journal`). ``on_restart`` says what to do
-                with goals that an earlier process left: "abort" or "resume". ``pausable=True``
-                declares that a coroutine body awaits ``handle.checkpoint()``, where the body can be
-                paused. ``on_pause(handle)`` and ``on_resume(handle)`` are coroutine functions that
-                bring a robot to rest and let it go on. For ``introspection``, see `Node`.
+                (event loop time, 5 by default; see `ActionServer.aclose`). ``journal`` keeps the
+                goals on disk (see `turtleact.open_journal`). ``on_restart`` says what to do with
+                goals in the journal that an earlier process did not end: "abort" or "resume".
+                ``pausable=True`` declares that a coroutine body awaits ``handle.checkpoint()``,
+                where the body can be paused. The coroutine functions ``on_pause(handle)`` and
+                ``on_resume(handle)`` stop and restart the robot when a goal is paused and resumed.
+                For ``introspection``, see `Node`.
 
         Raises:
-            ActionConflict: if another node serves the name, or this node serves it with the same
-                type.
+            ActionConflict: if this node already serves the name with the same type. With
+                ``on_conflict="refuse"``, also if another node serves the name.
             InvalidName: if the name breaks ROS 2's rules.
-            InvalidBody: if the function cannot be a body.
+            InvalidBody: if ``execute`` cannot be a body.
             InvalidOption: if the value of an option is not allowed.
             TypeError: if an option does not exist.
         """
         self._home.check()
-        _expect(Action, action_type)
+        expect_interface(Action, action_type)
         check_option_names(options)
         check_on_conflict(on_conflict)
         names = self._action_names(name)
@@ -247,7 +253,10 @@ class Node:
         return server
 
     def _restore_soon(self, local: LocalActionServer) -> None:
-        """Restore a server's goals on the loop's next turn, with the goals of its siblings."""
+        """Restore a server's goals in the next iteration of the event loop.
+
+        The goals of all new servers are restored together.
+        """
         if local.durable is not None:
             # Servers that share a slot must be restored together, in the order in which their goals
             # were accepted. A program opens them one after the other without an await, so on the
@@ -261,14 +270,13 @@ class Node:
         restore_all(servers)
 
     def on_transition(self, hook: Transition) -> None:
-        """Call ``hook(goal, old, new)`` at each change of a goal served on this node.
+        """Call ``hook(goal, old, new)`` when a goal that this node serves changes its state.
 
-        The hook is called from now on, in the event loop, in the order of the changes. For a new
-        goal, ``old`` is UNKNOWN. If the hook raises an exception, that is logged and has no other
-        effect.
+        The hook is called in the event loop, in the order of the changes. For a new goal, ``old``
+        is UNKNOWN. An exception that the hook raises is logged and has no other effect.
 
         Args:
-            hook: Takes the goal's `ServerGoalHandle` and two `GoalStatus`.
+            hook: Takes the goal's `ServerGoalHandle`, the old `GoalStatus` and the new one.
         """
         self._home.check()
         self._hooks.append(hook)
@@ -287,17 +295,18 @@ class Node:
 
         Args:
             action_type: The action, a subclass of `turtleact.Action`.
-            name: The action's name. A relative name is put below the node's namespace.
-            cancel_timeout: A goal is canceled if a task is cancelled while it waits for the goal,
-                or if the task leaves the goal's ``async with`` block. The task then waits at most
-                this long for the goal's end (s, event loop time; None for no limit).
+            name: The action's name. A relative name is resolved in the node's namespace.
+            cancel_timeout: The client cancels a goal if the task that waits for the goal is
+                cancelled, or leaves the goal's ``async with`` block before the goal's end. The task
+                then waits at most this long for the goal's end (s, event loop time; None for no
+                limit).
             introspection: See `Node`.
 
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
             InvalidOption: if the value of an option is not allowed.
         """
-        _expect(Action, action_type)
+        expect_interface(Action, action_type)
         check_timeout(cancel_timeout, "cancel_timeout")
         patience = math.inf if cancel_timeout is None else cancel_timeout
         names = self._action_names(name)
@@ -314,21 +323,21 @@ class Node:
         on_demand: bool = False,
         on_matched: Callable[[], object] | None = None,
     ) -> Publisher[M]:
-        """Open the sending end of a topic.
+        """Open a publisher of a topic.
 
         Args:
-            message_type: The type of the messages.
-            topic: The topic's name. A relative name is put below the node's namespace.
+            message_type: The class of the messages.
+            topic: The topic's name. A relative name is resolved in the node's namespace.
             qos: Quality of service. If left out, the defaults of `QoS` apply.
-            on_demand: See `Node`. Latched topics are visible to every process at once.
+            on_demand: See `Node`. A latched topic is never hidden.
             on_matched: Called when the topic gets its first reader and when the last reader has
-                left. The first call may come before this method returns. Latched topics cannot have
-                it.
+                left. The first call may come before this method returns. Do not use this argument
+                with latched topics.
 
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
-        _expect(Message, message_type)
+        expect_interface(Message, message_type)
         name = resolve_name(topic, self.namespace, self.name)
         end = self._endpoint("publisher", name, message_type.type_name, qos, on_demand=on_demand)
         matching = None if on_matched is None else Matching(on_matched)
@@ -338,14 +347,14 @@ class Node:
     def subscription(
         self, message_type: type[M], topic: str, qos: QoS | None = None, *, on_demand: bool = False
     ) -> Subscription[M]:
-        """Open the receiving end of a topic.
+        """Open a subscription to a topic. Read its messages with ``async for``.
 
-        Read it with ``async for``. For the arguments, see `publisher`.
+        For the arguments, see `publisher`.
 
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
         """
-        _expect(Message, message_type)
+        expect_interface(Message, message_type)
         name = resolve_name(topic, self.namespace, self.name)
         end = self._endpoint("subscription", name, message_type.type_name, qos, on_demand=on_demand)
         signal = self._tasks.signal()
@@ -364,17 +373,17 @@ class Node:
 
         Args:
             service_type: The service, a subclass of `turtleact.Service`.
-            name: The service's name. A relative name is put below the node's namespace.
+            name: The service's name. A relative name is resolved in the node's namespace.
             handler: A function or coroutine function that takes a request and returns the response.
-                Each request is handled in its own task, and several tasks run side by side. If the
-                handler raises an exception, the caller gets `ServiceError`.
+                Each request is handled in its own task, and these tasks run at the same time. If
+                the handler raises an exception, the caller gets `ServiceError`.
             on_demand: See `Node`.
             introspection: See `Node`.
 
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
         """
-        _expect(Service, service_type)
+        expect_interface(Service, service_type)
         full_name = resolve_name(name, self.namespace, self.name)
         server = LocalServiceServer(service_type, full_name, handler, tasks=self._tasks)
         endpoint = self._endpoint("service", full_name, service_type.type_name, on_demand=on_demand)
@@ -390,12 +399,14 @@ class Node:
         *,
         introspection: Introspection | None = None,
     ) -> ServiceClient[Req, Res]:
-        """Open a client of a service, which need not be served yet. For arguments, see `service`.
+        """Open a client of a service. The service need not be served yet.
+
+        For the arguments, see `service`.
 
         Raises:
             InvalidName: if the name breaks ROS 2's rules.
         """
-        _expect(Service, service_type)
+        expect_interface(Service, service_type)
         full_name = resolve_name(name, self.namespace, self.name)
         endpoint = self._endpoint("client", full_name, service_type.type_name)
         format = WireFormat(cast("type[Service]", service_type), asks=True)
@@ -407,7 +418,7 @@ class Node:
         )
 
     def every(self, seconds: float) -> Timer:
-        """Make a timer: ``async for tick in node.every(0.5)``; see `Timer`.
+        """Make a `Timer`. Use it like this: ``async for tick in node.every(0.5)``.
 
         Args:
             seconds: The time between two ticks (s, by the graph's clock), above zero.
@@ -442,15 +453,14 @@ class Node:
         ``/parameter_events``, so ``param list`` and programs in ROS 2 see the parameter.
 
         Args:
-            name: The parameter's name; dots group parameters. With a name alone, this finds a
-                parameter that was declared before. With a declaration of `turtleact.parameter`,
-                this declares the parameter if the node does not have it yet.
-            default: The first value. For ``default`` and the options, see `turtleact.parameter`.
+            name: The parameter's name. If you give only a name, this method finds a declared
+                parameter. If you give a declaration of `turtleact.parameter` instead, this method
+                declares the parameter, unless the node already has it.
+            default: The initial value. For ``default`` and the options, see `turtleact.parameter`.
 
         Raises:
-            InvalidParameter: if the parameter is declared already; if ``default`` has an
-                unsupported type, is out of range or is refused; if you give only the name of an
-                undeclared parameter.
+            InvalidParameter: if the parameter is declared already, if ``default`` is not allowed,
+                or if you give only the name of an undeclared parameter.
             InvalidOption: if ``range`` or ``validate`` is not allowed.
         """
         from turtleact.node.parameters import NodeParameters
@@ -461,7 +471,7 @@ class Node:
         return self._parameters.get(name, default, options)
 
     def count_publishers(self, topic: str) -> int:
-        """Count the publishers of a topic on all nodes.
+        """Count the publishers of a topic on all nodes of the graph.
 
         Raises:
             InvalidName: if the topic's name breaks ROS 2's rules.
@@ -470,15 +480,15 @@ class Node:
         return sum(endpoint.kind == "publisher" for endpoint in self.transport.endpoints(name))
 
     def graph(self) -> Graph:
-        """Return what exists on the graph now."""
+        """Return the nodes, topics, services and actions that are on the graph now."""
         return graph_of(self.transport)
 
     async def aclose(self) -> None:
         """Close everything opened on the node. Running goals end ABORTED with reason "shutdown".
 
-        Actions close first, all at once, so that their bodies can still use everything else while
-        they clean up. Then services close, then the rest, newest first. A body or handler must not
-        await this.
+        All action servers close first, at the same time. Their bodies can still use everything else
+        while they clean up. Then the services close, and then the rest, beginning with the newest.
+        A body or handler must not await this method.
         """
         self._home.check()
         try:
@@ -492,7 +502,7 @@ class Node:
             raise TurtleactError(f"node '{self.fully_qualified_name}' is closed: open another")
 
     def _place(self, options: ServerOptions) -> Slot[SlotRequest] | None:
-        """Return the slot for a server with these options; None if its goals need no slot."""
+        """Return the slot for a server with these options; None if every goal may start at once."""
         policy = options.get("policy", "parallel")
         rules = Rules(policy, options.get("max_active"), options.get("queue_limit"))
         return self._slots.find(rules, options.get("slot"))
@@ -502,7 +512,7 @@ class Node:
         return cast("list[ActionServer[Any, Any, Any]]", self._resources.action_servers())
 
     def _types_served(self, action: str) -> set[str]:
-        """The types that this node serves under an action name."""
+        """The types of the actions that this node's open servers serve under one name."""
         servers = [each for each in self._servers() if each.name == action and each.is_open]
         return {server.action_type.type_name for server in servers}
 
@@ -513,7 +523,7 @@ class Node:
     def _events(
         self, service: Endpoint, service_type: object, introspection: Introspection | None
     ) -> Iterator[CallObserver | None]:
-        """Give the publisher of a service's events to the block that opens the service."""
+        """Yield a service's event publisher. If the ``with`` block raises, close the publisher."""
         find_type, shown = (lambda: service_type), introspection or self.introspection
         events = service_events(self.transport, self._endpoint, service, find_type, shown)
         try:
@@ -538,7 +548,7 @@ class Node:
 
 
 class ServerGoalHandle(GoalHandle[G, R, F]):
-    """The handle of a goal for the server's bodies, callbacks and hooks.
+    """The goal handle that a server gives to its bodies, callbacks and hooks.
 
     Attributes:
         node: The node that serves the goal.
@@ -558,9 +568,9 @@ class ActionServer(Generic[G, R, F]):
     """Serves one action under one name. `Node.action_server` makes one.
 
     Attributes:
-        name: The fully qualified name.
-        action_type: The action.
-        node: The node that serves it.
+        name: The fully qualified name of the action.
+        action_type: The action, a subclass of `turtleact.Action`.
+        node: The node that serves the action.
     """
 
     def __init__(
@@ -583,15 +593,15 @@ class ActionServer(Generic[G, R, F]):
 
     @property
     def is_open(self) -> bool:
-        """Whether the server accepts goals, or will accept them when the name is free."""
+        """Whether the server accepts goals now, or will accept goals once it serves its name."""
         return self._local.is_open
 
     @property
     def is_serving(self) -> bool:
         """Whether the server is on the graph under its name.
 
-        This is False while the server waits for another node to give up the name, and after it has
-        made way for another node.
+        This is False while the server waits because another node serves the name, and after the
+        server has withdrawn in favour of another node.
         """
         return self._served_name.is_serving
 
@@ -601,11 +611,12 @@ class ActionServer(Generic[G, R, F]):
         return self._local.is_idle and not self._endpoints.is_asked
 
     async def aclose(self, reason: str = "shutdown") -> None:
-        """Stop accepting goals, end the existing ones, and leave the graph.
+        """Stop accepting goals, end the existing goals, and leave the graph.
 
-        Running goals end ABORTED. A body that ignores its cancellation for ``grace`` seconds is
-        given up, and the log says where it stands. asyncio can abandon the task of such a body.
-        trio cannot, so on trio this method keeps waiting. Every waiter gets its answer.
+        Running goals end ABORTED, or go on after a restart if ``on_restart`` is "resume". Clients
+        that wait for a goal get an answer. If a body ignores its cancellation for ``grace``
+        seconds, its goal ends anyway, and the log says at which line the body waits. asyncio then
+        abandons the body's task. trio cannot do this, so on trio this method waits for the body.
 
         Args:
             reason: The reason that clients get for goals that end now.
@@ -618,7 +629,7 @@ class ActionServer(Generic[G, R, F]):
         await self._endpoints.aclose()
 
     async def wait_until_serving(self) -> bool:
-        """Wait until the server serves its name. False if it closes or makes way first.
+        """Wait until the server serves its name. Return False if it closes or withdraws first.
 
         Cancelling: safe, the server goes on waiting for its name.
         """
@@ -628,7 +639,7 @@ class ActionServer(Generic[G, R, F]):
         self._local.observers.add(Hook(hook, self._local.execution.make_handle))
 
     def _take_name(self, on_conflict: OnConflict, again: Callable[[], object]) -> None:
-        """Serve the name, now or later. ``again`` opens another server like this one."""
+        """Serve the name once it is free. After a withdrawal, ``again`` opens a new server."""
 
         def replace() -> None:
             if self._membership is not None:
@@ -638,17 +649,17 @@ class ActionServer(Generic[G, R, F]):
         self._served_name.take(on_conflict, replace)
 
 
-@asynccontextmanager
+@opening
 async def open_node(
     name: str, *, namespace: str = "/", transport: Transport | None = None
 ) -> AsyncIterator[Node]:
-    """Open a node for the length of a block.
+    """Open a node for an ``async with`` block, and close the node at the block's end.
 
     On trio, leave the block in the same task that entered it.
 
     Args:
         name: The node's name.
-        namespace: The prefix of relative names.
+        namespace: The node's namespace. Relative names are resolved in it.
         transport: The graph that the node joins. If left out, it is a new graph inside the process.
             Nodes with the same transport see each other.
 
@@ -669,24 +680,17 @@ def check_open(node: Node) -> None:
 
 
 def resources_of(node: Node) -> Resources:
-    """Return the tracker of everything open on a node, for code that runs beside the node."""
+    """Return the `Resources` of a node, which track everything open on it."""
     return node._resources
 
 
 async def close_withdrawn(node: Node) -> None:
-    """Close a node's action servers that have made way for others, so that none comes back."""
+    """Close a node's withdrawn action servers, so that none of them serves its name again."""
     for server in node._servers():
         if not server.is_open:
             await server.aclose()
 
 
 def local_server_of(server: ActionServer[Any, Any, Any]) -> LocalActionServer:
-    """Return the object that holds and runs a server's goals, for code that observes them."""
+    """Return the object that holds and runs a server's goals, for code that observes the goals."""
     return server._local
-
-
-def _expect(kind: type, given: object) -> None:
-    """Raise TypeError unless an object is a subclass of ``kind``."""
-    if not (isinstance(given, type) and issubclass(given, kind)):
-        named = getattr(given, "__qualname__", "") or repr(given)
-        raise TypeError(f"expected a subclass of turtleact.{kind.__name__}, not {named}")

@@ -1,8 +1,8 @@
 """Serves the parameters of a node on the graph: six services, and an event for each change.
 
 The services appear when the first parameter is declared, so a node without parameters costs
-nothing. Answers and their texts match rclcpp: a service that gets the names of several parameters
-answers with an empty list if one of them is not declared.
+nothing. The services give the same answers as in rclcpp, with the same texts. For example, if one
+of several requested parameters is not declared, the answer is an empty list.
 
 Source: rclcpp 28.1 (ROS 2 Jazzy), ``parameter_service.cpp`` and ``node_parameters.cpp``.
 """
@@ -58,17 +58,17 @@ EVENTS_QOS = QoS(depth=1000)
 
 
 class Host(Protocol):
-    """The part of a node that parameters use."""
+    """The attributes and methods of a node that its parameters use."""
 
     clock: Clock
-    first_values: dict[str, object]
+    initial_values: dict[str, object]
 
     @property
     def fully_qualified_name(self) -> str:
-        """The namespace and the name."""
+        """The namespace and the name of the node."""
 
     def publisher(self, message_type: type[M], topic: str, qos: QoS | None = None) -> Publisher[M]:
-        """Open the sending end of a topic."""
+        """Open a publisher of a topic."""
 
     def service(
         self,
@@ -80,11 +80,11 @@ class Host(Protocol):
 
 
 class NodeParameters:
-    """The parameters of a node, served as ``<node>/get_parameters`` and so on.
+    """The parameters of a node, and the services for them, such as ``<node>/get_parameters``.
 
     Args:
         node: The node.
-        resources: Everything open on the node.
+        resources: Tracks everything that is open on the node.
         home: The event loop of the node.
         tasks: The task functions of that event loop.
     """
@@ -100,7 +100,10 @@ class NodeParameters:
         self._events: Publisher[ParameterEvent] | None = None
 
     def open(self) -> Publisher[ParameterEvent]:
-        """Serve the services, unless they are served already. Return the publisher of events."""
+        """Open the services and the publisher of events, unless they are open already.
+
+        Return the publisher.
+        """
         if self._events is not None:
             return self._events
         node = self._node
@@ -127,13 +130,14 @@ class NodeParameters:
         """Declare a parameter.
 
         Raises:
-            InvalidParameter: if the parameter is declared already, or cannot have its first value.
+            InvalidParameter: if the parameter is declared already, or its initial value is not
+                allowed.
         """
         self.check_open()
         self.open()
         name, first, check = declaration.name, declaration.message, _checker(declaration)
-        if name in self._node.first_values:
-            first = message_of(name, self._node.first_values[name], first.type)
+        if name in self._node.initial_values:
+            first = message_of(name, self._node.initial_values[name], first.type)
         self._table.declare(declaration.descriptor, first, check)
         made = Parameter[P](self, declaration.name, self._tasks.signal())
         self._declared[declaration.name] = cast("Parameter[Value]", made)
@@ -142,13 +146,13 @@ class NodeParameters:
         return made
 
     def declare_once(self, declaration: ParameterDeclaration[P]) -> Parameter[P]:
-        """Declare a parameter, unless it was declared from the same declaration."""
+        """Declare a parameter, unless this declaration was used before. Return the parameter."""
         if self._made_from.get(declaration.name) is declaration:
             return cast("Parameter[P]", self._declared[declaration.name])
         return self.declare(declaration)
 
     def find(self, name: str) -> Parameter[Value]:
-        """The declared parameter with a name.
+        """Return the declared parameter with this name.
 
         Raises:
             InvalidParameter: if no such parameter is declared.
@@ -159,11 +163,14 @@ class NodeParameters:
         return self._declared[name]
 
     def value(self, name: str) -> Value:
-        """The value of a declared parameter."""
+        """Return the value of a declared parameter."""
         return cast("Value", value_of(self._table[name]))
 
     def assign(self, name: str, value: object) -> None:
-        """Set a parameter to a Python value. The errors are those of `Parameter.value`."""
+        """Set a parameter to a Python value.
+
+        This raises the same errors as an assignment to `Parameter.value`.
+        """
         self.check_open()
         self._apply([ParameterMessage(name, self._table.convert(name, value))])
 
@@ -183,7 +190,7 @@ class NodeParameters:
         return cast("object", self._declared.get(parameter.name)) is parameter
 
     def check_open(self) -> None:
-        """Check that the node is open and belongs to this event loop."""
+        """Raise an error unless the node is open and belongs to this event loop."""
         self._home.check()
         if not self.resources.is_open:
             name = self._node.fully_qualified_name
@@ -218,7 +225,7 @@ class NodeParameters:
         return SetParametersAtomically.Response(result)
 
     def _set_together(self, parameters: Sequence[ParameterMessage]) -> SetParametersResult:
-        """Set all of the parameters, or none."""
+        """Set all of the parameters, or none if one of them cannot be set."""
         if problem := self._table.problem(parameters):
             return SetParametersResult(reason=problem)
         self._apply(parameters)
@@ -257,7 +264,7 @@ class Parameter(Generic[P]):
     """One parameter of a node. `turtleact.Node.parameter` makes one.
 
     Attributes:
-        name: Its name.
+        name: The parameter's name.
     """
 
     def __init__(self, parameters: NodeParameters, name: str, changed: Signal) -> None:
@@ -273,7 +280,7 @@ class Parameter(Generic[P]):
 
     @property
     def is_declared(self) -> bool:
-        """Whether the parameter is still declared. Closing the node does not change this."""
+        """Whether the parameter is still declared. It stays declared when the node closes."""
         return self._parameters.is_declared(self)
 
     @property
@@ -300,17 +307,17 @@ class Parameter(Generic[P]):
     def on_change(self, hook: Callable[[P], object]) -> None:
         """Call ``hook(value)`` after each change from now on, in the event loop.
 
-        Setting a parameter to the value that it already has does not count as a change. If the hook
-        raises, the exception is logged and nothing else happens.
+        Setting a parameter to the value that it already has does not count as a change. An
+        exception that the hook raises is logged and has no other effect.
         """
         self._parameters.check_open()
         self._hooks.append(hook)
 
     def changes(self) -> Changes[P]:
-        """Iterate over the values that the parameter gets from now on: ``async for``.
+        """Return an async iterator over the values that the parameter gets from now on.
 
-        A reader that falls behind gets only the newest value. The loop ends when the node closes or
-        the parameter is undeclared.
+        A reader that falls behind gets only the newest value. The iterator ends when the node
+        closes or the parameter is undeclared.
 
         Cancelling: safe, nothing is lost.
         """
@@ -324,7 +331,7 @@ class Parameter(Generic[P]):
             self._parameters.undeclare(self.name)
 
     def notify(self) -> None:
-        """Tell hooks and readers that the parameter has changed."""
+        """Call the hooks and wake the readers of `changes`, because the parameter has changed."""
         self._count += 1
         self._changed.fire()
         # A copy, because a hook may add another one, which must not hear of this change.
@@ -339,9 +346,10 @@ class Parameter(Generic[P]):
         self._changed.fire()
 
     async def wait_for_change(self, count: int) -> int:
-        """Wait until there have been more than ``count`` changes. Return the number of changes.
+        """Wait until the parameter has changed more than ``count`` times in all.
 
-        If there will be no more changes, this returns ``count``. Cancelling: safe.
+        Return how many times it has changed. If the node closes or the parameter is undeclared
+        before the next change, return ``count``. Cancelling: safe.
         """
         resources = self._parameters.resources
         # All three are looked at again after each wait, because closing the node only ends the
@@ -353,7 +361,7 @@ class Parameter(Generic[P]):
 
 
 class Changes(Generic[P]):
-    """An iterator over the values that a parameter gets. `Parameter.changes` makes one."""
+    """An async iterator over a parameter's new values. `Parameter.changes` makes one."""
 
     def __init__(self, parameter: Parameter[P], count: int) -> None:
         self._parameter = parameter
@@ -371,7 +379,7 @@ class Changes(Generic[P]):
 
 
 def _checker(declaration: ParameterDeclaration[P]) -> Callable[[ParameterValue], str] | None:
-    """Turn the user's ``validate`` into a function that returns why a value is refused."""
+    """Return a function that calls the user's ``validate`` and returns why a value is refused."""
     validate = declaration.validate
     if validate is None:
         return None

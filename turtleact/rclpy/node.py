@@ -48,7 +48,7 @@ from turtleact.rclpy.qos import (
     qos_profile_services_default,
 )
 from turtleact.rclpy.service import Service
-from turtleact.rclpy.service_introspection import ServiceEvents
+from turtleact.rclpy.service_introspection import SwitchableEvents
 from turtleact.rclpy.subscription import Subscription
 from turtleact.rclpy.time_source import TimeSource
 from turtleact.rclpy.timer import Rate, Timer
@@ -74,23 +74,24 @@ class Node(NodeParameters, NodeGraph, Block):
     """A participant of the graph, with topics, services, timers and parameters.
 
     Args:
-        node_name: Its name.
-        context: The context; None means the default one.
-        cli_args: More arguments, as on a command line, for this node only.
-        namespace: The prefix of relative names.
+        node_name: The name of the node.
+        context: The context; None means the default context.
+        cli_args: Arguments as on a command line, for this node only.
+        namespace: The namespace of the node. It is put before relative names.
         use_global_arguments: Whether the program's arguments apply to this node.
-        enable_rosout: Whether its log is published on ``/rosout``.
+        enable_rosout: Whether the node's log is published on ``/rosout``.
         rosout_qos_profile: The quality of service of ``/rosout``.
-        start_parameter_services: Whether others may see and set its parameters.
-        parameter_overrides: Initial values of parameters.
-        allow_undeclared_parameters: Whether parameters need no declaration.
-        automatically_declare_parameters_from_overrides: Whether to declare all overrides.
-        enable_logger_service: Whether others may set its log level.
+        start_parameter_services: Whether other nodes may read and set the node's parameters.
+        parameter_overrides: Initial values of parameters, in place of the declared ones.
+        allow_undeclared_parameters: Whether a parameter may be used without a declaration.
+        automatically_declare_parameters_from_overrides: Whether to declare every parameter that has
+            an override.
+        enable_logger_service: Whether other nodes may read and set the log levels of this process.
 
     Raises:
-        NotInitializedException: if the context is not ok.
-        InvalidNodeNameException: if the name breaks the rules.
-        InvalidNamespaceException: if the namespace breaks the rules.
+        NotInitializedException: if the context is not initialised, or was shut down.
+        InvalidNodeNameException: if the name of the node is invalid.
+        InvalidNamespaceException: if the namespace is invalid.
     """
 
     PARAM_REL_TOL = 1e-6
@@ -202,44 +203,45 @@ class Node(NodeParameters, NodeGraph, Block):
 
     @property
     def publishers(self) -> Iterator[Publisher]:
-        """The publishers."""
+        """The publishers of the node."""
         yield from self._publishers
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
-        """The subscriptions."""
+        """The subscriptions of the node."""
         yield from self._subscriptions
 
     @property
     def clients(self) -> Iterator[Client]:
-        """The clients of services."""
+        """The node's clients of services."""
         yield from self._clients
 
     @property
     def services(self) -> Iterator[Service]:
-        """The servers of services."""
+        """The services that the node offers."""
         yield from self._services
 
     @property
     def timers(self) -> Iterator[Timer]:
-        """The timers."""
+        """The timers of the node."""
         yield from self._timers
 
     @property
     def guards(self) -> Iterator[GuardCondition]:
-        """The guard conditions."""
+        """The guard conditions of the node."""
         yield from self._guards
 
     @property
     def waitables(self) -> Iterator[Waitable]:
-        """The waitables."""
+        """The waitables of the node."""
         yield from self._waitables
 
     @property
     def entities(self) -> tuple[Sequence[Anything], ...]:
-        """Everything with callbacks except waitables, by kind, in the order of a round.
+        """The node's entities except waitables: one sequence for each kind.
 
-        A sequence is never changed, only replaced, so any thread may iterate over it.
+        An executor checks the sequences in this order. The node replaces a sequence instead of
+        changing it, so any thread may iterate over it.
         """
         return self._timers, self._subscriptions, self._guards, self._clients, self._services
 
@@ -268,22 +270,22 @@ class Node(NodeParameters, NodeGraph, Block):
 
     @property
     def context(self) -> Context:
-        """The context."""
+        """The context of the node."""
         return self._context
 
     @property
     def connection(self) -> Connection:
-        """The graph."""
+        """The connection to the graph."""
         return self._connection
 
     @property
     def default_callback_group(self) -> CallbackGroup:
-        """The group of every entity that is created without one."""
+        """The callback group of the entities that are created without a callback group."""
         return self._default_callback_group
 
     @property
     def handle(self) -> Handle:
-        """Whether the node may be used."""
+        """The handle, which shows whether the node may still be used."""
         return self._handle
 
     def get_name(self) -> str:
@@ -297,7 +299,7 @@ class Node(NodeParameters, NodeGraph, Block):
             return self._namespace
 
     def get_fully_qualified_name(self) -> str:
-        """Return the namespace and the name."""
+        """Return the full name of the node: the namespace and the name."""
         return f"{self._namespace.rstrip('/')}/{self._name}"
 
     def get_clock(self) -> Clock:
@@ -311,11 +313,11 @@ class Node(NodeParameters, NodeGraph, Block):
     # names
 
     def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
-        """Return the full name of a topic, remapped unless ``only_expand``."""
+        """Return the full name of a topic, remapped unless ``only_expand`` is true."""
         return self._resolve(topic, is_service=False, only_expand=only_expand)
 
     def resolve_service_name(self, service: str, *, only_expand: bool = False) -> str:
-        """Return the full name of a service, remapped unless ``only_expand``."""
+        """Return the full name of a service, remapped unless ``only_expand`` is true."""
         return self._resolve(service, is_service=True, only_expand=only_expand)
 
     def _resolve(self, name: str, *, is_service: bool, only_expand: bool = False) -> str:
@@ -332,7 +334,7 @@ class Node(NodeParameters, NodeGraph, Block):
     def endpoint(
         self, kind: EndpointKind, name: str, type_name: str, qos: QoSProfile | None = None
     ) -> Endpoint:
-        """Describe an endpoint of this node."""
+        """Return the description of an endpoint of this node."""
         own = self.get_fully_qualified_name()
         if qos is None:
             return Endpoint(kind, name, type_name, own)
@@ -351,19 +353,20 @@ class Node(NodeParameters, NodeGraph, Block):
         qos_overriding_options: QoSOverridingOptions | None = None,
         publisher_class: Callable[..., Publisher] = Publisher,
     ) -> Publisher:
-        """Open a publisher.
+        """Create a publisher.
 
         Args:
             msg_type: The class of the messages.
             topic: The name of the topic.
-            qos_profile: The quality of service, or the depth of a default profile.
-            callback_group: The group of the callbacks of its events.
-            event_callbacks: Callbacks of its events.
-            qos_overriding_options: Which policies parameters may override.
-            publisher_class: The class of the publisher; None means `Publisher`.
+            qos_profile: The quality of service. A number sets the depth; the other policies have
+                their defaults.
+            callback_group: Decides when the event callbacks may run.
+            event_callbacks: Functions to call on events of the publisher.
+            qos_overriding_options: Which policies may be overridden by parameters.
+            publisher_class: The class of the publisher.
 
         Raises:
-            InvalidTopicNameException: if the name breaks the rules.
+            InvalidTopicNameException: if the name of the topic is invalid.
         """
         qos = profile_of(qos_profile)
         group = callback_group or self._default_callback_group
@@ -405,21 +408,21 @@ class Node(NodeParameters, NodeGraph, Block):
         raw: bool = False,
         content_filter_options: object = None,  # noqa: ARG002  # no middleware of ours filters
     ) -> Subscription:
-        """Open a subscription.
+        """Create a subscription.
 
         Args:
             msg_type: The class of the messages.
             topic: The name of the topic.
             callback: Called with each message, and with a `MessageInfo` if it takes two arguments.
-            qos_profile: The quality of service, or the depth of a default profile.
+            qos_profile: The quality of service, or a number; see `create_publisher`.
             callback_group: Decides when the callback may run.
-            event_callbacks: Callbacks of its events.
-            qos_overriding_options: Which policies parameters may override.
-            raw: Whether the callback gets bytes.
+            event_callbacks: Functions to call on events of the subscription.
+            qos_overriding_options: Which policies may be overridden by parameters.
+            raw: Whether the callback gets encoded messages (bytes).
             content_filter_options: Ignored.
 
         Raises:
-            InvalidTopicNameException: if the name breaks the rules.
+            InvalidTopicNameException: if the name of the topic is invalid.
         """
         qos = profile_of(qos_profile)
         group = callback_group or self._default_callback_group
@@ -458,7 +461,7 @@ class Node(NodeParameters, NodeGraph, Block):
         qos_profile: QoSProfile = qos_profile_services_default,
         callback_group: CallbackGroup | None = None,
     ) -> Client:
-        """Open a client of a service.
+        """Create a client of a service.
 
         Args:
             srv_type: The class of the service.
@@ -467,7 +470,7 @@ class Node(NodeParameters, NodeGraph, Block):
             callback_group: Decides when a response may be handled.
 
         Raises:
-            InvalidServiceNameException: if the name breaks the rules.
+            InvalidServiceNameException: if the name of the service is invalid.
         """
         check_is_valid_srv_type(srv_type)
         full = self._resolve(srv_name, is_service=True)
@@ -487,10 +490,10 @@ class Node(NodeParameters, NodeGraph, Block):
         return client
 
     def join(self, full_name: str, srv_type: Anything, target: Target = EVERY_SERVER) -> CallEnd:
-        """Open the transport's client end of a service."""
+        """Make the node a client of a service, and return the object that sends the requests."""
         type_name = type_name_of(srv_type)
         end = self.endpoint("client", full_name, type_name)
-        events = ServiceEvents(self, full_name, srv_type, is_client=True)
+        events = SwitchableEvents(self, full_name, srv_type, is_client=True)
         return CallEnd(self._connection, end, hash_of(type_name), events, target)
 
     def create_service(
@@ -502,7 +505,7 @@ class Node(NodeParameters, NodeGraph, Block):
         qos_profile: QoSProfile = qos_profile_services_default,
         callback_group: CallbackGroup | None = None,
     ) -> Service:
-        """Open a service.
+        """Offer a service.
 
         Args:
             srv_type: The class of the service.
@@ -512,7 +515,7 @@ class Node(NodeParameters, NodeGraph, Block):
             callback_group: Decides when the callback may run.
 
         Raises:
-            InvalidServiceNameException: if the name breaks the rules.
+            InvalidServiceNameException: if the name of the service is invalid.
         """
         check_is_valid_srv_type(srv_type)
         full = self._resolve(srv_name, is_service=True)
@@ -523,7 +526,7 @@ class Node(NodeParameters, NodeGraph, Block):
             callback,
             callback_group or self._default_callback_group,
             qos_profile,
-            ServiceEvents(self, full, srv_type, is_client=False),
+            SwitchableEvents(self, full, srv_type, is_client=False),
             wake=self._wake_executor,
         )
         end = self.endpoint("service", full, type_name_of(srv_type))
@@ -541,11 +544,11 @@ class Node(NodeParameters, NodeGraph, Block):
         clock: Clock | None = None,
         autostart: bool = True,  # rclpy's signature
     ) -> Timer:
-        """Open a timer.
+        """Create a timer, which calls a function periodically.
 
         Args:
             timer_period_sec: The time between two calls (s).
-            callback: Called each time.
+            callback: The function to call; see `Timer`.
             callback_group: Decides when the callback may run.
             clock: The clock to follow. None means the node's clock.
             autostart: Whether the timer starts at once.
@@ -569,7 +572,7 @@ class Node(NodeParameters, NodeGraph, Block):
     def create_guard_condition(
         self, callback: Anything, callback_group: CallbackGroup | None = None
     ) -> GuardCondition:
-        """Open a guard condition."""
+        """Create a guard condition. Its `trigger` makes the executor call ``callback``."""
         self._handle.check()
         group = callback_group or self._default_callback_group
         guard = GuardCondition(callback, group, self._context, self._wake_executor)
@@ -578,10 +581,10 @@ class Node(NodeParameters, NodeGraph, Block):
         return guard
 
     def create_rate(self, frequency: float, clock: Clock | None = None) -> Rate:
-        """Open a rate.
+        """Create a rate, with which a thread can run a loop at a fixed frequency.
 
         Args:
-            frequency: Beats per second.
+            frequency: The frequency of the loop (Hz).
             clock: The clock to follow. None means the node's clock.
 
         Raises:
@@ -593,59 +596,62 @@ class Node(NodeParameters, NodeGraph, Block):
         return Rate(timer, context=self._context)
 
     def add_waitable(self, waitable: Waitable) -> None:
-        """Run a waitable with the node."""
+        """Add a waitable to the node, so that the node's executor runs it."""
         waitable.call_on_wake(self._wake_executor)
         self._waitables = [*self._waitables, waitable]
         self._wake_executor()
 
     def remove_waitable(self, waitable: Waitable) -> None:
-        """Stop running a waitable."""
+        """Remove a waitable from the node, so that the node's executor no longer runs it."""
         self._waitables = [each for each in self._waitables if each is not waitable]
         self._wake_executor()
 
     # closing
 
     def destroy_publisher(self, publisher: Publisher) -> bool:
-        """Close a publisher of the node; return whether the node had it."""
+        """Destroy a publisher of the node. Return False if the node does not have it."""
         for each in publisher.event_handlers if publisher in self._publishers else ():
             self.remove_waitable(each)
         self._publishers, was_there = self._without(self._publishers, publisher)
         return was_there
 
     def destroy_subscription(self, subscription: Subscription) -> bool:
-        """Close a subscription of the node; return whether the node had it."""
+        """Destroy a subscription of the node. Return False if the node does not have it."""
         for each in subscription.event_handlers if subscription in self._subscriptions else ():
             self.remove_waitable(each)
         self._subscriptions, was_there = self._without(self._subscriptions, subscription)
         return was_there
 
     def destroy_client(self, client: Client) -> bool:
-        """Close a client of the node; return whether the node had it."""
+        """Destroy a client of the node. Return False if the node does not have it."""
         self._clients, was_there = self._without(self._clients, client)
         return was_there
 
     def destroy_service(self, service: Service) -> bool:
-        """Close a service of the node; return whether the node had it."""
+        """Destroy a service of the node. Return False if the node does not have it."""
         self._services, was_there = self._without(self._services, service)
         return was_there
 
     def destroy_timer(self, timer: Timer) -> bool:
-        """Close a timer of the node; return whether the node had it."""
+        """Destroy a timer of the node. Return False if the node does not have it."""
         self._timers, was_there = self._without(self._timers, timer)
         return was_there
 
     def destroy_guard_condition(self, guard: GuardCondition) -> bool:
-        """Close a guard condition of the node; return whether the node had it."""
+        """Destroy a guard condition of the node. Return False if the node does not have it."""
         self._guards, was_there = self._without(self._guards, guard)
         return was_there
 
     def destroy_rate(self, rate: Rate) -> bool:
-        """Close a rate of the node; return whether the node had it."""
+        """Destroy a rate. Return False if the node does not have the rate's timer."""
         rate.destroy()
         return self.destroy_timer(rate.timer)
 
     def _without(self, held: list[E], thing: E) -> tuple[list[E], bool]:
-        """Destroy an entity of the node. Return the others, and whether the node had the entity."""
+        """Destroy ``thing`` if it is in ``held``.
+
+        Return the other items of ``held``, and whether ``thing`` was in ``held``.
+        """
         if thing not in held:
             return held, False
         closing: Anything = thing
@@ -654,7 +660,7 @@ class Node(NodeParameters, NodeGraph, Block):
         return [each for each in held if each is not thing], True
 
     def destroy_node(self) -> None:
-        """Close the node and everything on it. A second call does nothing."""
+        """Destroy the node and all its entities. A second call does nothing."""
         if self._handle.is_destroyed:
             return
         self._context.untrack_node(self)

@@ -14,7 +14,7 @@ from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import QoSProfile
-from turtleact.rclpy.service_introspection import Introspected, ServiceEvents
+from turtleact.rclpy.service_introspection import Introspected, SwitchableEvents
 from turtleact.transports.base import Closeable
 
 if TYPE_CHECKING:
@@ -26,16 +26,16 @@ logger = RcutilsLogger("rclpy.service")
 
 
 class Service(Introspected, Subscriptable, Entity):
-    """Answers requests. `Node.create_service` makes one.
+    """Answers the requests of a service. `Node.create_service` makes a service.
 
     Args:
         srv_type: The class of the service.
-        srv_name: The name of the service, as it was given.
-        full_name: Its full name.
+        srv_name: The name of the service, as it was given to `Node.create_service`.
+        full_name: The full name of the service.
         callback: Takes a request and an empty response, and returns a response.
         callback_group: Decides when the callback may run.
         qos_profile: The quality of service.
-        events: Publishes its calls, if `configure_introspection` says so.
+        events: Publishes the events of calls, once `configure_introspection` has switched them on.
         wake: Called when a request has come.
 
     Attributes:
@@ -50,7 +50,7 @@ class Service(Introspected, Subscriptable, Entity):
         callback: Anything,
         callback_group: CallbackGroup,
         qos_profile: QoSProfile,
-        events: ServiceEvents,
+        events: SwitchableEvents,
         *,
         wake: Callable[[], object] | None = None,
     ) -> None:
@@ -72,7 +72,7 @@ class Service(Introspected, Subscriptable, Entity):
             return self._full_name
 
     def opened(self, opened: Closeable) -> None:
-        """Remember what the transport has opened, to close it later."""
+        """Store the transport's object for this service, which `destroy` closes."""
         self._opened = opened
 
     def _receive(self, request: bytes, respond: Respond) -> None:
@@ -80,11 +80,11 @@ class Service(Introspected, Subscriptable, Entity):
         self.wake()
 
     def is_ready_now(self) -> bool:
-        """Whether a request waits."""
+        """Whether a request waits; False after `destroy`."""
         return bool(self._waiting) and not self._handle.is_destroyed
 
     def take(self) -> Anything:
-        """Take a request and the function that answers it."""
+        """Remove the oldest request that waits; return it and the function that answers it."""
         try:
             data, respond = self._waiting.popleft()
         except IndexError:
@@ -108,7 +108,7 @@ class Service(Introspected, Subscriptable, Entity):
         """Send a response.
 
         Raises:
-            TypeError: if the message is of another class, or a value does not fit its type.
+            TypeError: if the response is of another class, or a value does not fit its field.
         """
         header(encode(response, self.srv_type.Response), "")
 

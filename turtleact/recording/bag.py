@@ -1,7 +1,7 @@
 """Reads a bag, which is a folder with ``metadata.yaml`` and files, or a single file.
 
-Files are opened when their messages are read. A killed recorder leaves a folder without
-``metadata.yaml``; then the files themselves are read.
+A file is opened when its messages are read. But if ``metadata.yaml`` is missing, because the
+recorder was killed, all files are opened at once to find out what they contain.
 
 Source: rosbag2 ``docs/storage_plugin_development.md`` and ``sequential_reader.cpp``.
 """
@@ -51,9 +51,10 @@ class Recorded(msgspec.Struct, frozen=True):
     Attributes:
         topic: The name of its topic.
         stamp: When it was recorded (ns since 1970).
-        schema: Its type, with the definition in the bag.
-        data: Its bytes, as CDR.
-        value: The message; None if its type is not known here or the bytes do not fit the type.
+        schema: The type of the message, with the definition that the bag has.
+        data: The encoded message: CDR, unless the bag names another format for the topic.
+        value: The decoded message. None if decoding was not asked for, the type is unknown, or the
+            bytes do not fit the type.
     """
 
     topic: str
@@ -75,7 +76,7 @@ class Bag:
         path: The folder, or a single file.
 
     Raises:
-        BagError: if there is no bag.
+        BagError: if there is no bag, or it cannot be read.
 
     Attributes:
         path: The folder or file.
@@ -98,12 +99,12 @@ class Bag:
             self._open.popitem()[1].close()
 
     def messages(self, wanted: Range) -> Iterator[Raw]:
-        """Yield the messages of a range, ordered by stamp within each file.
+        """Yield the wanted messages, ordered by stamp within each file.
 
         If a file is cut off or damaged so that messages are missing, a warning is logged.
 
         Raises:
-            BagError: if a place in the bag is damaged.
+            BagError: if damaged messages prevent further reading.
         """
         for file in self.info.files:
             is_outside = file.count and (
@@ -116,15 +117,28 @@ class Bag:
                 yield from storage.messages(wanted)
                 self._tell(storage)  # the index may turn out to be damaged when it is used
 
+    def check(self) -> None:
+        """Open each file, and log what is missing from it.
+
+        SQLite files are not checked, because they show damage only when their messages are read.
+        """
+        if self.info.storage == "sqlite3":
+            return
+        for file in self.info.files:
+            storage = self.storage(file.path)
+            self._tell(storage)
+            del self._open[storage.path]  # a bag may have more files than may be open at once
+            storage.close()
+
     def storage(self, name: str) -> BagStorage:
-        """Open one of the bag's files for reading."""
+        """Return one of the bag's files, open for reading."""
         path = self.path / name if self.path.is_dir() else self.path
         if path not in self._open:
             self._open[path] = _open(path)
         return self._open[path]
 
     def channels(self) -> list[Channel]:
-        """The topics with their schemas, from every file."""
+        """Return the topics of all files, with their schemas."""
         found = dict[tuple[str, str], Channel]()
         for file in self.info.files:
             for channel in self.storage(file.path).channels.values():
@@ -132,7 +146,7 @@ class Bag:
         return list(found.values())
 
     def _tell(self, storage: BagStorage) -> None:
-        """Log what is missing from a file, once."""
+        """Log what is missing from a file, unless this was logged before."""
         if storage.flaw and storage.path not in self._told:
             self._told.add(storage.path)
             logger.warning("bag '%s': %s", storage.path, storage.flaw)
@@ -157,10 +171,10 @@ class Bag:
         return self._from_files(files)
 
     def _checked(self, info: BagInfo) -> BagInfo:
-        """Return what ``metadata.yaml`` says, with the size of the files.
+        """Check the description from ``metadata.yaml``, and add the total size of the files.
 
         Raises:
-            BagError: if a file is missing, or the bag is compressed as a whole.
+            BagError: if a file is missing, or if rosbag2 has compressed whole files or messages.
         """
         if info.compression:
             hint = "'ros2 bag convert' can write it without"
@@ -214,9 +228,9 @@ class Reading:
     """Reads the messages of a bag in a thread, and decodes them in the event loop.
 
     Args:
-        bag: The bag. Its opener must close it.
+        bag: The bag. The caller must close it.
         wanted: Which messages to read.
-        is_decoded: Whether to decode them.
+        is_decoded: Whether to decode the messages.
     """
 
     def __init__(self, bag: Bag, wanted: Range, *, is_decoded: bool = True) -> None:
@@ -250,7 +264,7 @@ class Reading:
 
 
 def reader_of(channel: Channel) -> Callable[[bytes], Message | None]:
-    """Return a function that decodes a message of a topic, or returns None if it cannot."""
+    """Return a function that decodes messages of a topic. It returns None if decoding fails."""
     from turtleact.interfaces.cdr import decode  # slow to import
 
     cls = class_of(channel.schema, channel.type_hash) if channel.format == "cdr" else None
@@ -271,20 +285,20 @@ async def read(
     start: int = 0,
     end: int | None = None,
 ) -> AsyncGenerator[Recorded]:
-    """Read the messages of a bag, ordered by stamp.
+    """Yield the messages of a bag, ordered by stamp within each file.
 
     The bag may have been recorded by turtleact, rosbag2 or rosbags, as MCAP or SQLite. Only the
-    parts of a large file that are needed are read. If messages are missing because a file is cut
-    off, a warning is logged.
+    needed parts of a large file are read. If messages are missing because a file is cut off or
+    damaged, a warning is logged.
 
     Args:
         path: The folder of the bag, or a single file.
-        topics: The topics to read. If left out, all are read.
-        start: The earliest stamp (ns since 1970).
-        end: The latest stamp (ns since 1970).
+        topics: The topics to read. If left out, all topics are read.
+        start: The earliest stamp to read (ns since 1970).
+        end: The latest stamp to read (ns since 1970); None for no limit.
 
     Raises:
-        BagError: if there is no bag, or a place in it is damaged.
+        BagError: if there is no bag, or damaged messages prevent further reading.
     """
     import anyio.to_thread  # as above
 
@@ -306,13 +320,13 @@ def _open(path: Path) -> BagStorage:
 
 
 def _by_number(path: Path) -> tuple[int, str]:
-    """Sort ``NAME_10.mcap`` after ``NAME_9.mcap``."""
+    """Return the key that sorts ``NAME_10.mcap`` after ``NAME_9.mcap``."""
     found = re.search(r"_(\d+)$", path.stem)
     return (int(found[1]) if found else 0, path.name)
 
 
 def _add_topics(storage: BagStorage, topics: dict[tuple[str, str], BagTopic]) -> None:
-    """Add the topics of a file to those of the bag."""
+    """Add the topics of a file to the topics of the bag."""
     for number, channel in storage.channels.items():
         key = (channel.topic, channel.schema.name)
         held = topics.get(key)
@@ -328,7 +342,7 @@ def _add_topics(storage: BagStorage, topics: dict[tuple[str, str], BagTopic]) ->
 
 
 def _described(about: str, path: Path) -> BagInfo:
-    """What a file says about its bag. The result is empty if nothing can be read."""
+    """Parse ``about``, a description of the bag; return an empty `BagInfo` if it is invalid."""
     indented = "".join(f"  {line}\n" for line in about.splitlines())
     try:
         return read_info(f"{ROOT}:\n{indented}", path)

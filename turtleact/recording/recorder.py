@@ -1,8 +1,9 @@
-"""Records the topics of a graph: subscribes to them, and hands their messages to a spool.
+"""Records the topics of a graph: subscribes to them, and passes their messages to a `Spool`.
 
-Over a network, messages are recorded as the bytes that arrive, without decoding them. An action is
-recorded through its topics and the events of its services. A server publishes events only with
-introspection, so a recording may lack goals and results; `turtleact bag info` says so.
+Messages from a network are recorded as the bytes that arrive, without decoding them. An action is
+recorded through its topics and the events of its services. Servers and clients publish these events
+only if their introspection is on. Without the events, the recording lacks goal messages and
+results, and `turtleact bag info` says so.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import AsyncIterator, Collection, Iterable, Mapping
-from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypedDict, Unpack
@@ -25,13 +25,14 @@ from turtleact.goal_wire import GoalReason, reason_topic
 from turtleact.graph import SEND_GOAL
 from turtleact.interfaces import Message, WireFormat, get_interface, type_hash
 from turtleact.introspection import GATHER
-from turtleact.names import resolve_name
+from turtleact.names import EVENT_SUFFIX, event_topic, resolve_name
 from turtleact.node import Node, check_open
+from turtleact.opening import opening
 from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.mcap_writing import Compression
 from turtleact.recording.metadata import BagError, Offer
 from turtleact.recording.schemas import Schema, schema_of
-from turtleact.recording.selection import EVENT, EVERYTHING, Selection
+from turtleact.recording.selection import EVERYTHING, Selection
 from turtleact.recording.spool import CAPACITY, Spool
 from turtleact.recording.storage import Channel, in_nanoseconds
 from turtleact.tasks import Background, current_tasks, thread_work
@@ -57,9 +58,9 @@ class RecordOptions(TypedDict, total=False):
 
 
 class _Key(NamedTuple):
-    """A topic with one definition of its type.
+    """A topic, and one of the types that its publishers use.
 
-    Publishers of a topic may use several definitions.
+    Publishers of the same topic may use different types, or different definitions of a type.
     """
 
     topic: str
@@ -68,12 +69,12 @@ class _Key(NamedTuple):
 
 
 class Recording:
-    """A recording in progress. `record` makes one.
+    """A recording in progress, which `record` starts.
 
     Attributes:
-        path: The folder or file.
-        topics: The topics that are recorded so far.
-        unrecorded: Why topics cannot be recorded, by topic.
+        path: The folder or file of the bag.
+        topics: The names of the topics recorded so far.
+        unrecorded: The names of the topics that cannot be recorded, each with the reason.
     """
 
     def __init__(
@@ -151,14 +152,14 @@ class Recording:
         return self._is_over
 
     def _end(self) -> None:
-        """Note that the spool writes no more."""
+        """Mark the recording as ended, and wake the tasks that wait for a change."""
         self._is_over = True
         self._changed.fire()
 
     async def _look(self) -> None:
-        """Subscribe to everything on the graph that is wanted and not yet recorded.
+        """Subscribe to the selected topics on the graph that are not recorded yet.
 
-        Other tasks run in between, because describing hundreds of types takes a while.
+        Other tasks get a turn after each topic, because making hundreds of schemas takes a while.
         """
         endpoints = self._node.transport.endpoints()
         offered = dict[_Key, list[Endpoint]]()
@@ -185,7 +186,7 @@ class Recording:
             return False
 
     async def _watch(self) -> None:
-        """Record what appears on the graph, until cancelled."""
+        """Subscribe to selected topics as they appear on the graph, until cancelled."""
         transport = self._node.transport
         seen = -1
         while True:
@@ -195,11 +196,11 @@ class Recording:
             await self._look()
 
     async def _wait_for_events(self) -> None:
-        """Wait for the events of other processes, which send them a little later."""
+        """Wait for service events from other processes, because these send events with a delay."""
         if self._is_over:
             return
         transport = self._node.transport
-        topics = [each.topic for each in self._subscriptions if each.topic.endswith(EVENT)]
+        topics = [each.topic for each in self._subscriptions if each.topic.endswith(EVENT_SUFFIX)]
         for topic in topics:
             here = transport.local_endpoints(topic)
             if any(each.kind == "publisher" for each in set(transport.endpoints(topic)) - {*here}):
@@ -207,15 +208,15 @@ class Recording:
                 return
 
     def _close(self) -> None:
-        """Leave all topics."""
+        """Close all subscriptions."""
         for each in self._subscriptions.values():
             each.close()
 
     def _unlisted(self, endpoints: Iterable[Endpoint]) -> Iterable[_Key]:
-        """Yield the topics for the events and reasons of the selected actions and services.
+        """Yield the event topics of selected services and actions, and the actions' reason topics.
 
-        Their publishers may show themselves only when somebody subscribes. The recorder therefore
-        subscribes to these topics even if it sees no publisher.
+        Publishers of these topics may appear on the graph only after somebody has subscribed. The
+        recorder therefore subscribes even if it sees no publisher.
         """
         for each in endpoints:
             if each.kind != "service":
@@ -229,13 +230,16 @@ class Recording:
                         ("cancel_goal", "action_msgs/srv/CancelGoal_Event"),
                         ("get_result", f"{owner}_GetResult_Event"),
                     ):
-                        yield _Key(f"{name}/_action/{part}{EVENT}", type_name, "")
+                        yield _Key(event_topic(f"{name}/_action/{part}"), type_name, "")
                     yield _Key(reason_topic(name), GoalReason.type_name, "")
             elif "/_" not in each.name and self._selection.wants_owner("service", each.name):
-                yield _Key(f"{each.name}{EVENT}", f"{each.type_name}_Event", "")
+                yield _Key(event_topic(each.name), f"{each.type_name}_Event", "")
 
     def _record(self, key: _Key, publishers: list[Endpoint]) -> bool:
-        """Subscribe to a topic, unless it is recorded already; return whether this call did it."""
+        """Subscribe to a topic, unless it is recorded already.
+
+        Return whether this call has subscribed.
+        """
         cls = _message_class(key.type_name)
         own_hash = "" if cls is None else type_hash(cls)
         key = key._replace(type_hash=key.type_hash or own_hash)
@@ -251,7 +255,7 @@ class Recording:
         encode = WireFormat(cls).encode if cls is not None else None
         number = self._spool.add(channel, encode, is_there=bool(publishers))
         self._subscriptions[key] = self._subscribe(key, publishers, number)
-        if publishers:
+        if publishers and key.topic not in self.topics:  # a topic may have several types
             self.topics.append(key.topic)
             self._changed.fire()
         return True
@@ -273,33 +277,37 @@ class Recording:
         )
 
 
-@asynccontextmanager
+@opening
 async def record(
     node: Node, path: str | Path, **options: Unpack[RecordOptions]
 ) -> AsyncIterator[Recording]:
-    """Record topics, services and actions for the length of a block.
+    """Record topics, services and actions while the block runs.
 
-    What appears on the graph during the block is recorded too. Messages are written in a thread.
-    If the thread cannot keep up, messages are dropped and counted; see `Recording.lost`. At the end
-    of the block, all messages that wait are written, however long that takes.
+    Topics, services and actions that appear on the graph during the block are recorded too. A
+    thread writes the messages. If the thread cannot keep up, messages are dropped and counted; see
+    `Recording.lost`. At the end of the block, `record` waits until all remaining messages are
+    written, however long that takes.
 
     Args:
         node: A node on the graph.
         path: The folder to create. A path that ends in ``.mcap`` names a single file instead.
-        **options: ``topics``, ``actions`` and ``services`` are the names to record. Without them,
-            everything that is not hidden is recorded. ``selection`` is a `Selection`, which
-            replaces these three. A file that has reached ``max_size`` (bytes) or ``max_duration``
-            (s) is followed by another. ``compression`` is "none", "zstd_fast" or "zstd_small". At
-            most ``capacity`` bytes wait to be written. ``qos`` is the quality of service to ask
-            for, by topic; for other topics, it follows from their publishers.
+        **options: ``topics``, ``actions`` and ``services`` are the names to record. If all three
+            are left out, everything that is not hidden is recorded. ``selection``, a `Selection`,
+            replaces these three. When a file has reached ``max_size`` (bytes) or ``max_duration``
+            (s), recording continues in another file. ``compression`` is "none", "zstd_fast" or
+            "zstd_small". ``capacity`` is how many bytes may wait to be written. ``qos`` maps topics
+            to the quality of service to request; for other topics, the recorder requests one that
+            suits all publishers.
 
     Raises:
-        BagError: if the folder or file exists or cannot be created. If the disk was full or the
-            files were deleted, the error is raised at the end of the block, unless the block raises
-            another. What was recorded before and not deleted can be read.
+        BagError: if the folder or file exists already, or cannot be created. If the disk was full
+            or the files were deleted, the error is raised at the end of the block, unless the block
+            raises another error. Messages that were written before can be read, unless their files
+            were deleted.
         InvalidName: if a name breaks ROS 2's rules.
         InvalidOption: if ``max_duration`` is negative or above 1,000,000,000.
-        TurtleactError: if the node is closed, or the caller runs in another event loop.
+        TurtleactError: if the node is closed, or the caller runs in another event loop than the
+            node.
         TypeError: if an option does not exist.
     """
     for unknown in options.keys() - RecordOptions.__annotations__.keys():
@@ -373,9 +381,9 @@ def _message_class(type_name: str) -> type[Message] | None:
 
 
 def _request(publishers: list[Endpoint]) -> QoS:
-    """The quality of service to ask for.
+    """Return the quality of service for a subscription that receives from all these publishers.
 
-    If a publisher keeps latched messages, ask for them, too.
+    If a publisher keeps messages for late subscriptions, the recorder requests these messages, too.
     """
     is_latched = any(each.qos.durability == "transient_local" for each in publishers)
     is_lossy = any(each.qos.reliability == "best_effort" for each in publishers)

@@ -1,8 +1,8 @@
-"""Selects the topics, services and actions to record or play. Pure functions.
+"""Selects the topics, services and actions to record or play. All functions are pure.
 
-A service is recorded as its events. An action is recorded as its feedback and status, the events of
-its three services, and the reasons that turtleact's servers publish. Users choose these topics by
-the name of the action or service.
+To record a service, its topic of service events is recorded. To record an action, the topics of its
+feedback and status, the events of its three services, and the reasons that turtleact's servers
+publish are recorded. Users choose these topics by the name of the action or service.
 
 Source: rosbag2 ``record.py``, ``play.py`` and ``action_utils.cpp``.
 """
@@ -15,11 +15,9 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import msgspec
 
 from turtleact.errors import InvalidOption
+from turtleact.names import EVENT_SUFFIX
 
-__all__ = ["EVENT", "REQUESTS", "Part", "Selection", "owner_of", "part_of"]
-
-EVENT: Final = "/_service_event"
-"""The end of an event topic's name, behind the name of the service."""
+__all__ = ["REQUESTS", "Part", "Selection", "owner_of", "part_of"]
 
 REQUESTS: Final = frozenset({0, 1})
 """The kinds of events, sent and received, that have a request. Other events have a response."""
@@ -27,18 +25,18 @@ REQUESTS: Final = frozenset({0, 1})
 Owner: TypeAlias = Literal["topic", "service", "action"]
 
 _ACTION = re.compile(
-    rf"(?P<name>.+)/_action/(?P<part>feedback|status|reason|(send_goal|cancel_goal|get_result){EVENT})"
+    rf"(?P<name>.+)/_action/(?P<part>feedback|status|reason|(send_goal|cancel_goal|get_result){EVENT_SUFFIX})"
 )
 
 
 class Part(NamedTuple):
-    """What a topic belongs to.
+    """The action or service that a topic belongs to; for other topics, the topic itself.
 
     Attributes:
-        owner: The kind of the owner: "action", "service" or "topic".
+        owner: ``"action"`` or ``"service"``; ``"topic"`` if the topic belongs to neither.
         name: The name of the action, service or topic.
-        part: If the owner is an action, which part of the action the topic is: ``"feedback"``,
-            ``"send_goal"`` and so on.
+        part: Which of the action's topics the topic is, such as ``"feedback"`` or ``"send_goal"``;
+            empty if the topic does not belong to an action.
     """
 
     owner: Owner
@@ -47,7 +45,7 @@ class Part(NamedTuple):
 
 
 def part_of(topic: str) -> Part:
-    """Return what a topic belongs to, and which part of it the topic is.
+    """Return the action or service that a topic belongs to, and which of the action's topics it is.
 
     >>> part_of("/patrol/_action/feedback")
     Part(owner='action', name='/patrol', part='feedback')
@@ -56,14 +54,14 @@ def part_of(topic: str) -> Part:
     """
     found = _ACTION.fullmatch(topic)
     if found is not None:
-        return Part("action", found["name"], found["part"].removesuffix(EVENT))
-    if topic.endswith(EVENT):
-        return Part("service", topic.removesuffix(EVENT))
+        return Part("action", found["name"], found["part"].removesuffix(EVENT_SUFFIX))
+    if topic.endswith(EVENT_SUFFIX):
+        return Part("service", topic.removesuffix(EVENT_SUFFIX))
     return Part("topic", topic)
 
 
 def owner_of(topic: str, type_name: str) -> str:
-    """Return the type of the action or service that a topic belongs to; empty if not known.
+    """Return the type of the action or service that a topic belongs to; empty if it is not known.
 
     >>> owner_of("/patrol/_action/feedback", "lab/action/Patrol_FeedbackMessage")
     'lab/action/Patrol'
@@ -83,24 +81,26 @@ def owner_of(topic: str, type_name: str) -> str:
 
 
 class Selection(msgspec.Struct, frozen=True, kw_only=True):
-    """What to record or play.
+    """Selects topics, services and actions to record or play.
 
     Attributes:
-        topics: Topics by name.
-        services: Services by name.
-        actions: Actions by name.
-        types: Topics by type.
-        regex: Topics, services and actions with a name that this expression matches somewhere.
-        all_topics: Whether to take all topics, except hidden ones.
-        all_services: Whether to take all services.
-        all_actions: Whether to take all actions.
+        topics: Names of topics to select.
+        services: Names of services to select.
+        actions: Names of actions to select.
+        types: Types of topics to select.
+        regex: A regular expression. Topics, services and actions are selected if it matches any
+            part of their names.
+        all_topics: Whether to select all topics; see ``hidden``.
+        all_services: Whether to select all services.
+        all_actions: Whether to select all actions.
         hidden: Whether ``all_topics`` includes hidden topics.
         exclude: Names of topics, services and actions to leave out.
         exclude_types: Types of topics to leave out.
-        exclude_regex: Leave out the names that this expression matches somewhere.
+        exclude_regex: A regular expression. Topics, services and actions are left out if it matches
+            any part of their names.
 
     Raises:
-        InvalidOption: if an expression is not valid.
+        InvalidOption: if ``regex`` or ``exclude_regex`` is not a valid regular expression.
     """
 
     topics: frozenset[str] = frozenset()
@@ -124,7 +124,7 @@ class Selection(msgspec.Struct, frozen=True, kw_only=True):
                 raise InvalidOption(name, f"it is not a regular expression: {error}") from None
 
     def wants(self, topic: str, type_name: str) -> bool:
-        """Whether to take a topic of this type."""
+        """Whether a topic with this name and type is selected."""
         part = part_of(topic)
         if {topic, part.name} & self.exclude or type_name in self.exclude_types:
             return False
@@ -133,7 +133,7 @@ class Selection(msgspec.Struct, frozen=True, kw_only=True):
         return topic in self.topics or self._has(part, type_name)
 
     def wants_owner(self, owner: Owner, name: str) -> bool:
-        """Whether to take an action or a service."""
+        """Whether an action or a service with this name is selected."""
         if name in self.exclude:
             return False
         if self.exclude_regex and re.search(self.exclude_regex, name):

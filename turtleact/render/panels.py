@@ -1,12 +1,12 @@
 """Arranges what a terminal shows about a goal, a server or a robot.
 
-For a goal: its state, feedback and progress, and a map. For a server or a robot: a heading, a map,
-a table of goals or of keys, and the log.
+A goal is shown with its state, feedback, progress and a map. A server or a robot is shown with
+a heading, a map and the log. Beside the map is a table of goals or a legend of keys.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -44,24 +44,41 @@ NARROWEST: Final = 40
 NARROWEST_TABLE: Final = 26
 """At least this many columns are left for the feedback beside a map."""
 
+WIDE: Final = 72
+"""In a narrower window, the feedback stands below the map.
+
+A table of goals that is narrower has no ids and no progress.
+"""
+
 LOWEST, HIGHEST = 5, 24
 """The rows of a map, not counting its border."""
 
+LOWEST_ABOVE: Final = 6
+"""The rows of a map with the feedback below. A lower map has the feedback beside it."""
+
+MOST_VALUE_LINES: Final = 4
+"""At most this many lines show one value."""
+
+MOST_GOAL_LINES: Final = 3
+TALL: Final = 20
+"""A goal takes at most three lines, and only one line if the display is lower than this."""
+
 
 class GoalView(NamedTuple):
-    """A goal as it is now.
+    """What is shown of a goal.
 
     Attributes:
         name: The name of the action.
         goal: The goal message; None if it is unknown.
         goal_id: The id of the goal, in hexadecimal.
-        status: Its state.
+        status: The goal's state.
         age: How long ago the goal was accepted (s).
         feedback: The last feedback, if there is one.
         fraction: The progress, 0 to 1, if it is known.
         progress: The progress in words.
         motion: The turtle's motion if it is unusual, such as ``reversing``; otherwise empty.
         is_paused: Whether the goal is paused.
+        is_served: Whether the goal's server is on the graph.
     """
 
     name: str
@@ -74,12 +91,16 @@ class GoalView(NamedTuple):
     progress: str = ""
     motion: str = ""
     is_paused: bool = False
+    is_served: bool = True
 
 
-def goal_panel(view: GoalView) -> Group:
-    """Two lines.
+SENT_BEFORE: Final = "sent by another program; the fields of the goal are unknown here"
 
-    The first shows the action, the goal's state and its age; the second shows the goal.
+
+def goal_panel(view: GoalView, *, width: int, rows: int = 1) -> Group:
+    """Show a line with a goal's action, state and age, and below it the goal message.
+
+    The goal message takes up to ``rows`` lines.
     """
     style = STYLES.get(view.status, "")
     head = Table.grid(expand=True, padding=(0, 2, 0, 0))
@@ -91,17 +112,18 @@ def goal_panel(view: GoalView) -> Group:
         Text.assemble(
             (view.status.name, style),
             " (paused)" if view.is_paused else "",
+            "" if view.is_served else (" (server gone)", "yellow"),
             f" {view.age:.1f} s",
             _motion(view.motion),
         ),
         view.goal_id[:8],
     )
-    sent = "sent by somebody else" if view.goal is None else inline(to_dict(view.goal))
-    return Group(head, cut(f"  {sent}", "dim"))
+    sent = SENT_BEFORE if view.goal is None else inline(to_dict(view.goal))
+    return Group(head, *(cut(f"  {line}", "dim") for line in _folded(sent, width - 2, rows)))
 
 
 def progress_line(fraction: float | None, text: str) -> Picture:
-    """A progress bar, if the fraction is known, and the progress in words."""
+    """Show the progress in words, and as a bar if the fraction is known."""
     if fraction is None:
         return cut(f"  {text}", "dim")
     line = Table.grid(expand=True, padding=(0, 1, 0, 0))
@@ -111,40 +133,45 @@ def progress_line(fraction: float | None, text: str) -> Picture:
     return Padding(line, (0, 0, 0, 2))
 
 
-def feedback_table(feedback: Message | None, *, width: int, rows: int) -> Picture:
-    """The fields of a message, each in a row. Long fields and a long table are cut."""
+def feedback_table(feedback: Message | None, *, width: int, rows: int) -> Group:
+    """Show the fields of a feedback message.
+
+    Long values are wrapped, or cut if there is no room.
+    """
     if feedback is None:
-        return cut("  no feedback yet", "dim")
+        return Group(cut("  no feedback yet", "dim"))
     content = {name: inline(value) for name, value in to_dict(feedback).items()}
-    column = min(max(map(len, content), default=0), width // 2)
-    table = [
-        Text.assemble(
-            (f"  {shortened(name, column):{column}}  ", "dim"),
-            value,
-            no_wrap=True,
-            overflow="ellipsis",
-        )
-        for name, value in list(content.items())[:rows]
-    ]
+    table = _rows(content, width, rows)
     if len(content) > rows > 0:
         table.append(cut(f"  … {len(content) - rows} more", "dim"))
     return Group(*table)
 
 
 def frame(goal: GoalView, world: MapView | None, *, width: int, height: int) -> Picture:
-    """The display of a goal: a map beside the feedback, or no map if the window is too narrow.
+    """Show a goal, with its feedback beside or below a map.
+
+    If the window is too small, there is no map.
 
     Args:
         goal: The goal to show.
-        world: The world, if the goal drives a turtle.
-        width: The columns of the window.
+        world: The world to draw as a map, if the goal drives a turtle; otherwise None.
+        width: The width of the window (columns).
         height: How many lines to use at most.
     """
-    head, progress = goal_panel(goal), progress_line(goal.fraction, goal.progress)
+    progress = progress_line(goal.fraction, goal.progress)
     below = [] if goal.fraction is None and not goal.progress else [progress]
-    left = height - 3 - len(below)
+    head = goal_panel(goal, width=width, rows=MOST_GOAL_LINES if height >= TALL else 1)
+    left = height - 1 - len(head.renderables) - len(below)
+    if world is None or width < NARROWEST:
+        return Group(head, _feedback(goal, width=width, rows=max(left, 0)), *below)
+    needed = min(_rows_needed(goal.feedback, width), left // 2)
+    rows = min(HIGHEST, left - 2 - needed, width // 2 - 1)
+    if width < WIDE and rows >= LOWEST_ABOVE:
+        table = _feedback(goal, width=width, rows=needed)
+        blank = [cut("")] * (needed - len(table.renderables))
+        return Group(head, world_map(world, rows), table, *blank, *below)
     rows = min(HIGHEST, left - 2, (width - NARROWEST_TABLE) // 2)
-    if world is None or width < NARROWEST or rows < LOWEST:
+    if rows < LOWEST:
         return Group(head, _feedback(goal, width=width, rows=max(left, 0)), *below)
     taken = 2 * rows + 2
     beside = Table.grid(padding=(0, 1, 0, 0))
@@ -154,22 +181,71 @@ def frame(goal: GoalView, world: MapView | None, *, width: int, height: int) -> 
     return Group(head, beside, *below)
 
 
+def _rows(content: Mapping[str, str], width: int, rows: int) -> list[Picture]:
+    """Show the first entries of ``content`` and their names in at most ``rows`` lines."""
+    column = min(max(map(len, content), default=0), width // 2)
+    spare = max(rows - len(content), 0)
+    table: list[Picture] = []
+    for name, value in list(content.items())[:rows]:
+        folded = _folded(value, width - column - 4, min(1 + spare, MOST_VALUE_LINES))
+        spare -= len(folded) - 1
+        label = f"  {shortened(name, column):{column}}  "
+        for number, line in enumerate(folded):
+            text = Text.assemble((" " * len(label) if number else label, "dim"), line)
+            table.append(_cut(text))
+    return table
+
+
+def _rows_needed(feedback: Message | None, width: int) -> int:
+    """How many lines the feedback needs if each number in it is long.
+
+    The numbers change all the time. This function treats every number as long, so that the map
+    keeps its size.
+    """
+    if feedback is None:
+        return 1
+    content = {name: inline(_widened(value)) for name, value in to_dict(feedback).items()}
+    return max(len(_rows(content, width, len(content) * MOST_VALUE_LINES)), 1)
+
+
+def _widened(value: object) -> object:
+    """Replace each float in a plain value by `LONG_NUMBER`."""
+    if isinstance(value, dict):
+        return {name: _widened(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_widened(item) for item in value]
+    return LONG_NUMBER if isinstance(value, float) else value
+
+
+def _folded(text: str, width: int, rows: int) -> list[str]:
+    """Wrap a text between words into at most ``rows`` lines.
+
+    The last line may be longer than ``width``.
+    """
+    lines = wrap(text, max(width, 1), break_on_hyphens=False) or [""]
+    return [*lines[: rows - 1], " ".join(lines[rows - 1 :])] if len(lines) > rows else lines
+
+
+LONG_NUMBER: Final = "-0.000"
+"""A text with as many characters as the longest coordinate in the world."""
+
+
 def _motion(motion: str) -> tuple[str, str]:
     return (f"  {motion}" if motion else "", "bold yellow")
 
 
-def _feedback(goal: GoalView, *, width: int, rows: int) -> Picture:
-    """The last feedback. If somebody else sent the goal, earlier feedback is unknown."""
+def _feedback(goal: GoalView, *, width: int, rows: int) -> Group:
+    """Show the last feedback.
+
+    If another program sent the goal, feedback from before this display began is unknown.
+    """
     if goal.goal is None and goal.feedback is None:
-        return cut("  no feedback since you began to watch", "dim")
+        return Group(cut("  no feedback since you began to watch", "dim"))
     return feedback_table(goal.feedback, width=width, rows=rows)
 
 
 NARROWEST_BOARD: Final = 30
 """At least this many columns are left for the goals beside a map."""
-
-WIDE: Final = 72
-"""A table shows goal ids and progress too if it has at least this many columns."""
 
 SHORTEST: Final = 20
 """The width of the column of names, if no name is longer."""
@@ -186,19 +262,19 @@ INDENT: Final = "  "
 
 
 class GoalRow(NamedTuple):
-    """A goal in a table.
+    """What a table shows of a goal.
 
     Attributes:
-        name: The action.
+        name: The name of the action.
         goal_id: The id of the goal, in hexadecimal.
-        status: Its state.
+        status: The goal's state.
         age: How long the goal has run (s).
         progress: The progress in words.
         turtle: The turtle that the goal drives; empty if it drives none.
         colour: The colour of that turtle.
-        targets: Its targets, in order.
-        motion: Whether the goal was resumed, and whether it is paused; if not paused, also the
-            turtle's motion, as in `GoalView`.
+        targets: The turtle's targets, in order.
+        motion: Remarks, for example that the goal was resumed, that it is paused, or that the
+            turtle is ``reversing``; empty if there are none.
     """
 
     name: str
@@ -213,15 +289,15 @@ class GoalRow(NamedTuple):
 
 
 class Board(NamedTuple):
-    """A server or a robot as it is now.
+    """What is shown of a server or a robot.
 
     Attributes:
-        heading: Lines that are always shown.
-        world: The world, if there is one.
-        goals: The goals, in order; None if there is no table of goals.
-        more: How many goals are left out.
-        keys: The legend of the keys, beside the map.
-        log: The log, the newest line last.
+        heading: The lines at the top, which are shown even in a small window.
+        world: The world to draw as a map; None if no map is shown.
+        goals: The rows of the table of goals; None if no table is shown.
+        more: How many further goals there are, besides those in ``goals``.
+        keys: The lines that explain the keys of the keyboard.
+        log: The lines of the log, from the oldest to the newest.
     """
 
     heading: Sequence[str]
@@ -233,11 +309,13 @@ class Board(NamedTuple):
 
 
 def board(view: Board, *, width: int, height: int) -> Picture:
-    """The display of a server or a robot: a table beside the map or in its place, then the log.
+    """Show a server or a robot: a heading, a map with a table beside it, and the log.
+
+    If no map is shown, the table is as wide as the window.
 
     Args:
-        view: The contents.
-        width: The columns of the window.
+        view: What to show.
+        width: The width of the window (columns).
         height: How many lines to use at most.
     """
     head = _heading(view.heading, width, height)
@@ -260,7 +338,10 @@ def board(view: Board, *, width: int, height: int) -> Picture:
 
 
 def _heading(lines: Sequence[str], width: int, height: int) -> list[Picture]:
-    """The lines, wrapped between words. They are cut if they need more than half of the height."""
+    """Wrap the lines of a heading between words.
+
+    If the wrapped lines would take more than half of ``height``, long lines are cut off instead.
+    """
     wrapped = [part for line in lines for part in wrap(printable(line), width) or [""]]
     if len(wrapped) > max(height // 2, len(lines)):
         wrapped = [printable(line) for line in lines]
@@ -268,10 +349,10 @@ def _heading(lines: Sequence[str], width: int, height: int) -> list[Picture]:
 
 
 def _log(lines: Sequence[str], width: int, rows: int) -> list[Picture]:
-    """The newest lines of the log, wrapped between words, in at most ``rows`` lines.
+    """Show the newest entries of the log, wrapped between words, in at most ``rows`` lines.
 
-    An error says first what is wrong and where. So if there is no room for a whole line, its
-    beginning is shown.
+    If there is no room for a whole entry, its beginning is shown, because an error begins with what
+    is wrong and where.
     """
     shown: list[str] = []
     for line in reversed(lines):
@@ -288,7 +369,7 @@ def _log(lines: Sequence[str], width: int, rows: int) -> list[Picture]:
 
 
 def _table(view: Board, width: int, rows: int) -> list[Picture]:
-    """The keys and the goals, in at most ``rows`` lines."""
+    """Show the legend of the keys, and below it the goals, in at most ``rows`` lines."""
     table: list[Picture] = [cut(line) for line in view.keys]
     if view.goals is None:
         return table[:rows]
@@ -310,7 +391,7 @@ def _table(view: Board, width: int, rows: int) -> list[Picture]:
 
 
 def _row(goal: GoalRow, width: int, names: int) -> list[Picture]:
-    """A goal in one line, or in several lines if one would cut the name of its action."""
+    """Show a goal in one line, or in several lines if the window is narrow."""
     style, name, age = STYLES.get(goal.status, ""), printable(goal.name), _duration(goal.age)
     bullet, turtle = ("● ", style), _turtle(goal)
     below = [_cut(Text.assemble("  ", turtle))] if turtle else []
@@ -336,7 +417,7 @@ def _row(goal: GoalRow, width: int, names: int) -> list[Picture]:
 
 
 def _turtle(goal: GoalRow) -> Text:
-    """The turtle, its targets as on the map, and how it moves."""
+    """Show the turtle's name, the numbers of its targets, and the remarks on the goal."""
     text = Text(printable(goal.turtle), goal.colour)
     for target in goal.targets:
         text.append(f" {target.number}{TICK if target.is_reached else ''}", target.style)

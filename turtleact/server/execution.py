@@ -1,9 +1,10 @@
 """Runs goals: starts the body, publishes its feedback, and ends the goal when the body ends.
 
-Generators are never iterated with ``async for``. With it, a generator that is suspended at a
-``yield`` during a cancellation would only see GeneratorExit, and a timeout or task group around
-that ``yield`` would break. Here one task steps the generator. A cancellation or error between two
-steps is raised at the ``yield``. The task closes the generator on every path.
+A generator body is not iterated with ``async for``. If it were, a body that is canceled while it is
+suspended at a ``yield`` would only see GeneratorExit there, and a timeout or task group around the
+``yield`` would break. Instead, one task steps the generator. If a cancellation or error occurs
+between two steps, the task raises it at the ``yield``. In every case, the task closes the
+generator.
 
 Source: PEP 525; PEP 789 for the hazards of generators.
 """
@@ -54,7 +55,7 @@ class Served(NamedTuple):
         name: The fully qualified name of the action.
         action_type: The action.
         body: The body to run.
-        make_handle: Makes the handle for bodies and callbacks.
+        make_handle: A function that makes the goal handle for bodies and callbacks.
         home: The event loop in which the server must be used.
         node: The fully qualified name of the node.
     """
@@ -68,17 +69,17 @@ class Served(NamedTuple):
 
 
 class FeedbackOutlet(Protocol):
-    """The feedback topic, as long as somebody reads it."""
+    """The feedback topic of a server, which is used only while somebody reads the topic."""
 
     @property
     def is_congested(self) -> bool:
         """Whether bodies should wait before they publish more."""
 
     def emit(self, goal: Goal, feedback: object) -> bool:
-        """Send a body's feedback if nobody needs a copy; return whether it was sent."""
+        """Send feedback without copying it. Return False, without sending, if a copy is needed."""
 
     def publish(self, goal: Goal, message: Message) -> None:
-        """Send a checked copy of feedback."""
+        """Send a message that is already a checked copy of the feedback."""
 
     async def drained(self) -> None:
         """Wait until the topic is not congested. Cancelling: safe."""
@@ -90,20 +91,20 @@ class Execution:
     Args:
         served: The action, its name and its body.
         table: The goals that the server holds.
-        tasks: The task functions of the event loop.
+        tasks: The functions for tasks on the event loop, asyncio or trio.
         now: A function that returns the current time (ns since the epoch).
-        release: Called when a goal ends. It may return a callable that starts the next goal. None
-            if goals never wait for one another.
-        options: The server's options, for pausing.
+        release: A function called with each goal that ends. It may return a function that starts
+            the next goal. ``release`` is None if goals never wait for one another.
+        options: The server's options. Only those for pausing are used.
 
     Attributes:
         served: The argument ``served``.
-        check_result: Checks and copies a result.
-        observers: The objects that hear of each change of a goal and, if they want it, of feedback.
+        check_result: A function that checks and copies a result.
+        observers: The objects that are told of each change of a goal; some also get feedback.
         outlet: The feedback topic; None while nobody reads it.
-        bodies: The tasks of the running bodies, with their goals.
-        durable: The goals in the server's journal, if it has one.
-        pauses: Pauses goals.
+        bodies: The tasks of the running bodies, each with its goal.
+        durable: The goals in the server's journal; None if it has none.
+        pauses: The object that pauses and resumes the goals.
         is_suspended: Whether bodies are being stopped while their goals stay unfinished in the
             journal.
     """
@@ -138,7 +139,7 @@ class Execution:
     # running
 
     def start(self, goal: Goal, context: Context | None = None) -> None:
-        """Run a goal's body in its own task, in ``context`` or a copy of the current context.
+        """Run a goal's body in its own task, with ``context`` or a copy of the current context.
 
         If an observer has already canceled the goal, the goal ends at once.
         """
@@ -162,7 +163,7 @@ class Execution:
         return self._call_body(goal, task)
 
     async def _run_when_resumed(self, goal: Goal, task: BodyTask) -> object:
-        """Run a body that begins paused."""
+        """Run the body of a goal that begins paused, once the goal is resumed."""
         await self.pauses.stand(goal)
         return await self._call_body(goal, task)
 
@@ -180,7 +181,7 @@ class Execution:
         return _awaiting(cast("Awaitable[object]", running))
 
     def close_body(self, goal: Goal, task: BodyTask, error: BaseException) -> None:
-        """End a goal after its body. ``error`` is StopIteration if the body has returned."""
+        """End a goal whose body has ended. ``error`` is StopIteration if the body has returned."""
         try:
             if isinstance(error, StopIteration):
                 self._succeed(goal, error.value)
@@ -228,14 +229,14 @@ class Execution:
         except InvalidMessage as misfit:
             await steps.aclose()
             raise Abort(f"the body's result does not fit: {misfit}") from None
-        await _finish(steps)
+        await self._finish(steps)
         return result
 
     def _publish_or_emit(self, goal: Goal, feedback: object) -> bool:
         """Publish feedback. Return whether a callback or observer has canceled the goal.
 
-        Without a journal, this repeats the work of `publish`, because another call for each message
-        would be too slow.
+        Without a journal, this does the same as `publish` but does not call it, because one more
+        call per message would be too slow.
         """
         if self.durable is not None:
             self.publish(goal, feedback)
@@ -251,7 +252,7 @@ class Execution:
         return goal.status is not status or goal.reason is not reason
 
     async def _yield_turn(self, goal: Goal) -> None:
-        """Let other tasks run. If the sender's stream is far behind, wait for it."""
+        """Let other tasks run, and wait while the journal or a reader of feedback is far behind."""
         await self._tasks.checkpoint()
         if self.durable is not None:
             await self.durable.written()
@@ -302,7 +303,7 @@ class Execution:
             self.durable.partial_result(goal)
 
     def _announce_written(self, goal: Goal, message: Message) -> None:
-        """Pass on feedback that is now in the journal, unless the server was stopped meanwhile."""
+        """Publish feedback that is now in the journal, unless the server was stopped meanwhile."""
         if not goal.ended:
             self._announce(goal, message)
 
@@ -323,21 +324,25 @@ class Execution:
                 raise
             except BaseException as error:  # also a stray cancellation: this body was not cancelled
                 told = loggable(error)
-                logger.error("the feedback_callback of goal %s failed", goal.hex, exc_info=told)
+                problem = "the feedback_callback of a goal of %s failed%s"
+                logger.error(problem, self.served.name, goal.suffix, exc_info=told)
         if self.outlet is not None:
             self.outlet.publish(goal, message)
         if self.observers.want_feedback:
             self.observers.feedback_published(goal, message)
 
     def report_blocking(self, goal: Goal, seconds: float) -> None:
-        """Warn about a step that blocked the event loop. A suspended process looks the same."""
+        """Warn about a step that blocked the event loop.
+
+        The warning is wrong if the whole process was suspended during the step.
+        """
         logger.warning(
-            "a step of the body of %s took %.1f s (goal %s): nothing else could run meanwhile;"
-            " unless the process was stopped, await what waits, and move long work to"
-            " anyio.to_thread.run_sync",
+            "the body of %s blocked the event loop for %.1f s%s, so nothing else could run:"
+            " use 'await asyncio.sleep' instead of 'time.sleep', and run long work in a thread with"
+            " 'await anyio.to_thread.run_sync' (ignore this if the process was suspended)",
             self.served.name,
             seconds,
-            goal.hex,
+            goal.suffix,
         )
 
     def make_handle(self, goal: Goal) -> object:
@@ -347,14 +352,14 @@ class Execution:
     # changing and ending
 
     def name_goal(self, goal: Goal) -> bytes:
-        """Return the goal's id. A goal without an id gets one, and can then be found by it."""
+        """Return the goal's id. If the goal has no id yet, give it one."""
         return goal.id or self._table.name(goal, new_goal_id(), self._now())
 
     def move(self, goal: Goal, event: GoalEvent) -> None:
         """Change a goal's state and tell the observers.
 
         Raises:
-            InvalidTransition: if the state does not allow the event. Nothing changed.
+            InvalidTransition: if the state does not allow the event. The state stays the same.
         """
         before = goal.status
         goal.apply(event)
@@ -384,10 +389,11 @@ class Execution:
     def end(self, goal: Goal, event: GoalEvent, result: object, reason: str = "") -> None:
         """Decide how a goal ends, and announce the end.
 
-        With a journal, announce it once it is on disk.
+        With a journal, the end is announced once it is on disk.
 
-        If the goal's end is decided already, for example because its body was given up, this does
-        nothing. While `is_suspended` is true, a goal ends only by a success or a client's cancel.
+        This does nothing if the goal's end is already decided, for example because the body was
+        given up. While `is_suspended` is true, the goal ends only if it has succeeded or a client
+        has canceled it; any other goal stays unfinished in the journal.
         """
         if goal.is_decided:
             return
@@ -414,20 +420,23 @@ class Execution:
         goal.error, goal.status = error, GoalStatus.UNKNOWN
         goal.leave_parent()
         self._table.end(goal, self._now())
+        start_next = None if self._release is None else self._release(goal)
         if self.observers.are_any:
             self.observers.noted(goal, Lost(before))
         if goal.listener is not None:
             goal.listener.fire()
         self._call_back(goal)
+        if start_next is not None:  # the goal of another server that shares the slot
+            self._tasks.call_soon(start_next)
 
     def _announce_written_end(self, goal: Goal, event: GoalEvent, reason: str) -> None:
-        """End a goal after its end is in the journal, unless the server was stopped meanwhile."""
+        """Announce an end that is now in the journal, unless the server was stopped meanwhile."""
         if not goal.ended:
             self._announce_end(goal, event, reason)
             self._ended.fire()
 
     def _announce_end(self, goal: Goal, event: GoalEvent, reason: str) -> None:
-        """End a goal, and tell its readers and waiters."""
+        """End a goal, and tell its observers and those who wait for it."""
         goal.reason = reason
         if goal.parent is not None:
             goal.leave_parent()
@@ -460,6 +469,31 @@ class Execution:
                 return
         self.end(goal, _SUCCEED, result)
 
+    async def _finish(self, steps: Steps) -> None:
+        """Resume a generator that has yielded its result, so that it can end.
+
+        If the generator fails or yields again, its result stays the same.
+        """
+        try:
+            extra = type(await steps.asend(None)).__name__
+            problem = (
+                "the body of %s yielded %s after its result: this is ignored, and the body ends"
+            )
+            logger.warning(problem, self.served.name, extra)
+            await steps.aclose()
+        except StopAsyncIteration:
+            return
+        except (GeneratorExit, KeyboardInterrupt, SystemExit):
+            raise
+        except Exception as error:
+            problem = "the body of %s failed after it had yielded its result; the result stands"
+            logger.error(problem, self.served.name, exc_info=loggable(error))
+        except BaseException:
+            problem = (
+                "the body of %s was canceled after it had yielded its result; the result stands"
+            )
+            logger.info(problem, self.served.name)
+
     def _fail(self, goal: Goal, error: BaseException) -> None:
         canceling = goal.status is _CANCELING
         if is_cancellation(error, self._tasks):
@@ -475,22 +509,26 @@ class Execution:
         elif isinstance(error, Cancel) and (canceling or goal.reason):
             event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
             self._end_with(goal, event, error.result, "" if canceling else goal.reason)
+        elif goal.is_decided and isinstance(error, InvalidTransition) and error.goal_id == goal.hex:
+            # The body was given up, which the log says already, and then gave feedback or a partial
+            # result. This error only tells the body that its goal has ended.
+            pass
         else:
             name, told = self.served.name, loggable(error)
-            logger.error("the body of goal %s of %s failed", goal.hex, name, exc_info=told)
+            logger.error("the body of %s failed%s", name, goal.suffix, exc_info=told)
             if self.observers.are_any:
                 self.observers.noted(goal, BodyFailed(error))
             self.end(goal, GoalEvent.ABORT, None, summary(error))
 
     def _end_canceled(self, goal: Goal) -> None:
-        """End a goal that was canceled: CANCELED if a client asked for that, otherwise ABORTED."""
+        """End a canceled goal: CANCELED if a client has canceled the goal, otherwise ABORTED."""
         if goal.status is _CANCELING:
             self.end(goal, _CANCELED, None)
         else:
             self.end(goal, GoalEvent.ABORT, None, goal.reason or CUT_OFF)
 
     def _end_with(self, goal: Goal, event: GoalEvent, result: object, reason: str) -> None:
-        """End a goal with the body's own result, if the result fits its type."""
+        """End a goal with the result from its body's exception, unless the result is invalid."""
         if result is not None:
             try:
                 result = self.check_result(result)
@@ -506,30 +544,33 @@ class Execution:
             await self._ended.wait()
 
     async def wait_for_bodies(self, grace: float, reason: str) -> None:
-        """Wait until all bodies have ended, shielded from cancellation. Give up slow bodies.
+        """Wait until all bodies have ended or are given up, shielded from cancellation.
 
         A body that ignores its cancellation for ``grace`` seconds (event loop time) is given up:
-        its goal ends ABORTED, and the log says where the body stands. asyncio can abandon the task
-        of such a body. trio cannot, so on trio this keeps waiting.
+        its goal ends ABORTED, and the log tells in which line the body waits. asyncio can abandon
+        the task of such a body. trio cannot, so on trio this method keeps waiting.
 
         Args:
             grace: How long bodies may clean up (s).
-            reason: The reason of goals that end because their bodies are given up.
+            reason: The reason that goals get if they end because their bodies are given up.
         """
         await wait_while(lambda: self.bodies, self._ended, grace)
         for task, goal in list(self.bodies.items()):
             logger.error(
-                "the body of %s ignores its cancellation and is given up: goal %s, at %s",
+                "the body of %s ignores its cancellation at %s, so it is given up%s",
                 self.served.name,
-                goal.hex,
                 task.position,
+                goal.suffix,
             )
             task.cancel()  # once more, in case the body has swallowed the first
             self.end(goal, GoalEvent.ABORT, None, goal.reason or reason)
         if self.durable is not None and not self.is_suspended:
             await wait_while(lambda: self._table.active, self._ended, grace)
         if self.bodies and not self._tasks.can_let_go:
-            logger.error("%s waits for its bodies: trio cannot let go of a task", self.served.name)
+            logger.error(
+                "the server of %s waits until its bodies end: trio cannot abandon a task",
+                self.served.name,
+            )
             await wait_while(lambda: self.bodies, self._ended, math.inf)
 
 
@@ -537,27 +578,10 @@ async def _awaiting(running: Awaitable[object]) -> object:
     return await running
 
 
-async def _finish(steps: Steps) -> None:
-    """Resume a generator that has yielded its result. The result stands, whatever happens then."""
-    try:
-        extra = await steps.asend(None)
-        logger.warning("a body yielded %s after its result; it is closed", type(extra).__name__)
-        await steps.aclose()
-    except StopAsyncIteration:
-        return
-    except (GeneratorExit, KeyboardInterrupt, SystemExit):
-        raise
-    except Exception as error:
-        problem = "a body failed after it had yielded its result; the result stands"
-        logger.error(problem, exc_info=loggable(error))
-    except BaseException:
-        logger.info("a body was canceled after it had yielded its result; the result stands")
-
-
 def _stop_in(error: BaseException) -> BaseException | None:
-    """The `SystemExit` or `KeyboardInterrupt` that ends the program, alone or in a group.
+    """Return the `SystemExit` or `KeyboardInterrupt` in an error or a group of errors, or None.
 
-    asyncio's task groups raise such an exception unchanged. trio's nurseries wrap it.
+    asyncio's task groups raise these exceptions unchanged. trio's nurseries put them into groups.
     """
     if isinstance(error, BaseExceptionGroup):
         return next(filter(None, map(_stop_in, error.exceptions)), None)

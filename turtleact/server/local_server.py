@@ -1,8 +1,8 @@
-"""An action's server in this process: accepts and cancels goals, and closes.
+"""The server of one action in this process: accepts, cancels and restores goals.
 
 `turtleact.goal` has the rules for a goal's states, `turtleact.slot` decides which goals may run,
-and `execution` runs bodies. Clients in the same process use this object and its `Goal` objects.
-Requests from other processes arrive through `endpoints`.
+and `execution` runs bodies. Clients in the same process call the `LocalActionServer` and share its
+`Goal` objects. Requests from other processes arrive through `endpoints`.
 
 Source: rcl_action ``action_server.c``; rclpy ``action/server.py``.
 """
@@ -62,11 +62,11 @@ SHUTDOWN = "shutdown"
 
 
 class SlotRequest:
-    """A goal's request for a place in a slot. While the goal waits, a cancel goes to this object.
+    """A goal's request for a place in a slot. Canceling the waiting goal calls `cancel`.
 
     Attributes:
         goal: The goal.
-        action: The fully qualified name of its action.
+        action: The fully qualified name of the goal's action.
         context: The sender's context, in which the body will run.
     """
 
@@ -80,47 +80,52 @@ class SlotRequest:
 
     @property
     def label(self) -> str:
-        """The goal's name in messages. A goal without an id gets one."""
+        """The goal's name, as in "busy with <name>". If the goal has no id yet, give it one."""
         return f"goal {self._server.name_goal(self.goal).hex()} of {self.action}"
 
     def start(self) -> None:
-        """Start the goal when its turn has come, unless the goal has ended meanwhile."""
-        if self.goal.body is self:
+        """Start the goal when its turn has come.
+
+        This does nothing if the goal has ended meanwhile, or if the server is stopping and leaves
+        the goal in its journal.
+        """
+        execution = self._server.execution
+        if self.goal.body is self and not execution.is_suspended:
             self.goal.body = None
-            self._server.execution.move(self.goal, GoalEvent.EXECUTE)
-            self._server.execution.start(self.goal, self.context)
+            execution.move(self.goal, GoalEvent.EXECUTE)
+            execution.start(self.goal, self.context)
 
     def cancel(self) -> None:
         """End the waiting goal."""
         self._server.execution.drop(self.goal)
 
     def evict(self, reason: str) -> None:
-        """End the goal or cancel its body, because the server decided so."""
+        """Cancel the goal for ``reason``: end it if it still waits, otherwise cancel its body."""
         self._server.evict(self.goal, reason)
 
 
 class LocalActionServer:
-    """The `turtleact.goal_server.GoalServer` of one action: accepts and cancels its goals.
+    """Implements `turtleact.goal_server.GoalServer` for one action.
 
     Args:
         served: The action, its name and its body.
         options: The user's options.
-        tasks: The task functions of the event loop.
+        tasks: The functions for tasks on the event loop, asyncio or trio.
         now: Returns the current time (ns since the epoch).
         slot: The slot in which goals run; None if goals never wait for one another.
 
     Attributes:
         served: The argument ``served``.
         name: The fully qualified name of the action.
-        is_open: Whether it accepts goals.
+        is_open: Whether the server accepts goals.
         execution: Runs the bodies.
-        observers: The objects that hear of each change of the goals.
-        slot: The slot in which goals run; None if they need none, and after the server has closed.
-        grace: How long a body may clean up (s, event loop time).
-        durable: The goals in the server's journal; None if it has none.
+        observers: The objects that are told of each change of a goal.
+        slot: The argument ``slot``; None after the server has closed.
+        grace: How long a canceled body may clean up (s, event loop time).
+        durable: The goals in the server's journal; None if the server has no journal.
         pauses: Pauses and resumes the goals.
-        slot_name: The name of the slot that the server shares with others; empty if it shares none.
-        closing_reason: The reason for goals that end because the server closes.
+        slot_name: The name of the slot that the server shares with others; empty if there is none.
+        closing_reason: The reason that goals get if they end because the server closes.
 
     Raises:
         InvalidOption: if the value of an option is not allowed.
@@ -179,13 +184,13 @@ class LocalActionServer:
     # accepting goals
 
     async def send_goal(self, order: GoalOrder) -> Goal:
-        """Accept a goal and start its body, or let it wait for its turn.
+        """Accept a goal, and start its body or let the goal wait for its turn.
 
-        Cancelling: the goal is not accepted.
+        Cancelling: cancels the goal and waits at most ``order.cancel_timeout`` s for its end.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
-            GoalRejected: if it is rejected.
+            GoalRejected: if the goal is rejected.
         """
         goal = self._take_in_turn(order, is_streamed=True) or await self.take(
             order, is_streamed=True
@@ -202,7 +207,7 @@ class LocalActionServer:
         return goal
 
     async def run_goal(self, order: GoalOrder) -> Goal:
-        """Accept a goal, and wait for its end. The errors are those of `send_goal`.
+        """Accept a goal and wait for its end. Raises the same errors as `send_goal`.
 
         Cancelling: cancels the goal and waits at most ``order.cancel_timeout`` s for its end.
         """
@@ -218,14 +223,14 @@ class LocalActionServer:
         return goal
 
     def _take_in_turn(self, order: GoalOrder, *, is_streamed: bool = False) -> Goal | None:
-        """Accept a goal from this process like `take_nowait`, unless other tasks need a turn."""
+        """Call `take_nowait`. But if other tasks need a turn first, return None instead."""
         self._until_turn -= 1
         return self.take_nowait(order, is_streamed=is_streamed) if self._until_turn > 0 else None
 
     async def take(self, order: GoalOrder, *, is_streamed: bool = False) -> Goal:
-        """Accept a goal, after asking the callback if there is one.
+        """Accept a goal after asking the ``goal_callback``, if there is one.
 
-        If ``is_streamed`` is true, the goal's feedback is kept.
+        If ``is_streamed`` is true, the goal's feedback is kept for a client that reads it later.
         """
         try:
             if self.durable is not None:
@@ -252,9 +257,9 @@ class LocalActionServer:
     async def _take_durably(
         self, order: GoalOrder, durable: DurableGoals, *, is_streamed: bool
     ) -> Goal:
-        """Accept a goal once it is on disk, or join the goal that already has its id.
+        """Accept a goal once it is on disk, or return the known goal with the same id.
 
-        Cancelling: takes effect at the next wait after the server holds the goal.
+        Cancelling: while the goal is being written, has no effect until the caller's next wait.
         """
         await durable.restored.wait()
         goal_id = order.goal_id or new_goal_id()
@@ -273,7 +278,7 @@ class LocalActionServer:
     async def _accept_durably(
         self, order: GoalOrder, durable: DurableGoals, *, is_streamed: bool
     ) -> Goal:
-        """Put a goal on disk and admit it. If the file already has its id, join that goal."""
+        """Write a goal to the journal and admit it, or return the known goal with the same id."""
         request = await self._prepare(order)
         goal = self._new_goal(order, request, is_streamed=is_streamed)
         status = _EXECUTING if self.slot is None else _ACCEPTED
@@ -290,14 +295,14 @@ class LocalActionServer:
             raise
 
     def _join(self, goal: Goal, request: object, *, is_streamed: bool) -> Goal:
-        """Return a known goal if it was sent with the same request; otherwise raise an error."""
+        """Return a known goal if its request equals ``request``; otherwise raise GoalRejected."""
         if self.durable is None or not self.durable.is_same(goal, request):
             raise GoalRejected(f"the id {goal.hex} belongs to another goal")
         goal.is_streamed = goal.is_streamed or is_streamed
         return goal
 
     def _find_known(self, record: GoalRecord, durable: DurableGoals) -> Goal:
-        """Return the goal of a record. If the goal's result has expired, the goal is held again."""
+        """Return the goal of a record. If the server has forgotten the goal, restore it."""
         goal = self.find(record.id)
         if goal is None:
             if not durable.owns(record) or not record.ended:
@@ -308,7 +313,7 @@ class LocalActionServer:
         return goal
 
     async def _prepare(self, order: GoalOrder) -> object:
-        """Let other tasks run, ask the ``goal_callback``, and return the request to admit.
+        """Let other tasks run, ask the ``goal_callback``, and return the request of the goal.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
@@ -338,7 +343,7 @@ class LocalActionServer:
         return f"the server of '{self.name}' is shutting down"
 
     def _new_goal(self, order: GoalOrder, request: object, *, is_streamed: bool = False) -> Goal:
-        """Make a goal that starts at once. If the goal has to wait, its state is set back later.
+        """Make a goal in the state EXECUTING. `_enter` changes the state if there is a slot.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
@@ -362,10 +367,10 @@ class LocalActionServer:
         )
 
     def _admit(self, goal: Goal) -> Goal:
-        """Hold a goal, then start it or let it wait.
+        """Add a goal to the goals that the server holds, then start the goal or let it wait.
 
         Raises:
-            GoalRejected: if it is rejected.
+            GoalRejected: if the slot rejects the goal, or the server has a goal with that id.
         """
         if not self._table.add(goal):
             raise GoalRejected(f"the server still holds a goal with the id {goal.hex}")
@@ -380,10 +385,10 @@ class LocalActionServer:
         return goal
 
     def _show_accepted(self, goal: Goal) -> None:
-        """Show observers a goal that starts at once. If one of them wants that, show it ACCEPTED.
+        """When a goal starts at once, tell the observers the goal's state.
 
-        An observer may cancel the goal. A goal that an observer cancels never becomes EXECUTING and
-        never starts.
+        If an observer must hear that the goal is ACCEPTED, the goal is first ACCEPTED and then
+        EXECUTING. If an observer cancels the ACCEPTED goal, the goal never becomes EXECUTING.
         """
         if not self.observers.want_acceptance:
             self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _EXECUTING)
@@ -394,7 +399,7 @@ class LocalActionServer:
             self.execution.move(goal, GoalEvent.EXECUTE)
 
     def _enter(self, goal: Goal, slot: Slot[SlotRequest]) -> None:
-        """Start a goal in its slot, or give it a place to wait in."""
+        """Request a place in the slot for a goal: the goal starts, waits or is rejected."""
         goal.status, goal.history = _ACCEPTED, ()
         request = goal.body = SlotRequest(self, goal)
         entry = slot.enter(request)
@@ -417,7 +422,7 @@ class LocalActionServer:
                 each.evict(entry.reason)
 
     def _release(self, goal: Goal) -> Callable[[], None] | None:
-        """Give the place of an ended goal to the next goal; return a function that starts it."""
+        """Free an ended goal's place. Return a function that starts the next goal, or None."""
         slot = self.slot
         if slot is None:  # the server is closed
             return None
@@ -430,11 +435,11 @@ class LocalActionServer:
     # goals that are held
 
     def find(self, goal_id: bytes) -> Goal | None:
-        """Return the goal with that id; None if it is unknown or has been forgotten."""
+        """Return the goal with that id; None if the server does not hold such a goal."""
         return self._table.find(goal_id, self._now())
 
     async def attach(self, goal_id: bytes) -> Goal | None:
-        """Return the goal with that id, or None. From now on, the goal's feedback is kept."""
+        """Do the same as `find`, and from now on keep the goal's feedback for readers."""
         if self.durable is not None:
             await self.durable.restored.wait()
         goal = self.find(goal_id)
@@ -450,7 +455,7 @@ class LocalActionServer:
         return self._table.ids(self._now())
 
     def held(self) -> list[Goal]:
-        """All goals that the server holds: active goals, and ended goals with a kept result."""
+        """All goals that the server holds: active goals, and ended goals whose results it keeps."""
         return self._table.held(self._now())
 
     async def wait_for_end(self, goal: Goal) -> None:
@@ -472,7 +477,7 @@ class LocalActionServer:
         return goal.listener  # type: ignore[return-value]  # only this method sets it
 
     def name_goal(self, goal: Goal) -> bytes:
-        """Return the goal's id. A goal without an id gets one, and can then be found by it."""
+        """Return the goal's id. If the goal has no id yet, give it one."""
         return self.execution.name_goal(goal)
 
     def info(self, goal: Goal) -> GoalInfo:
@@ -482,7 +487,7 @@ class LocalActionServer:
     # canceling
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
-        """Answer a cancel request. The id and the stamp (ns) select the goals."""
+        """Cancel the goals that `turtleact.goal.select` chooses, and return the answer."""
         wanted = goal_id if goal_id and any(goal_id) else None
         named = self.find(wanted) if wanted else None
         by_id = wanted is not None and not stamp
@@ -498,7 +503,10 @@ class LocalActionServer:
         return CancelGoal.Response(int(code), [self.info(goal) for goal in canceled])
 
     async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
-        """Answer a request to cancel one goal, even if the server has forgotten the goal."""
+        """Cancel one goal, and return the answer.
+
+        If the server has forgotten the goal, the answer is UNKNOWN_GOAL_ID.
+        """
         if goal.ended and self.find(self.name_goal(goal)) is not goal:
             return CancelGoal.Response(CancelCode.UNKNOWN_GOAL_ID)
         if self._callbacks.ask_about_cancels:
@@ -515,7 +523,7 @@ class LocalActionServer:
     def cancel_goal_nowait(self, goal: Goal) -> None:
         """Cancel a goal without waiting.
 
-        A ``cancel_callback`` that is still deciding is not asked again.
+        If the ``cancel_callback`` is still deciding about this goal, it is not asked again.
         """
         if not self._callbacks.ask_about_cancels:
             self._cancel(goal)
@@ -525,7 +533,7 @@ class LocalActionServer:
                 self._cancels[goal] = asking
 
     async def _ask_and_cancel(self, goal: Goal) -> bool:
-        """Cancel a goal if the user agrees. Return whether the goal is being canceled."""
+        """Cancel a goal if the ``cancel_callback`` agrees. Return whether it is being canceled."""
         has_ended = not goal.status.is_active  # perhaps while the user was asked about another goal
         if has_ended or not self._callbacks.ask_about_cancels or goal.status is _CANCELING:
             return self._cancel(goal)
@@ -539,7 +547,7 @@ class LocalActionServer:
             self._cancels.pop(goal, None)
 
     def _cancel(self, goal: Goal) -> bool:
-        """Cancel a goal. Return False if the goal has ended or is about to end."""
+        """Cancel a goal. Return False if the goal's end is already decided."""
         if goal.is_decided:
             return False
         if goal.status is not _CANCELING:
@@ -549,7 +557,7 @@ class LocalActionServer:
         return True
 
     def evict(self, goal: Goal, reason: str) -> None:
-        """Cancel a goal because the server decided so, unless its cancellation is under way."""
+        """Cancel a goal for a reason of the server, unless the goal is already being canceled."""
         is_wanted = goal.status.is_active and goal.status is not _CANCELING
         if is_wanted and not goal.reason and not goal.is_decided:
             if not self.execution.is_suspended:  # a paused goal is still paused after a restart
@@ -569,7 +577,7 @@ class LocalActionServer:
         await self.pauses.resume(goal)
 
     def client_lost(self, sender: object) -> None:
-        """Handle the loss of a client. With ``on_client_lost="cancel"``, its goals are canceled."""
+        """With ``on_client_lost="cancel"``, cancel the goals of a client that is gone."""
         if self._cancels_lost:
             if sender in self._preparing:
                 self._lost.add(sender)
@@ -580,12 +588,12 @@ class LocalActionServer:
     # after a restart
 
     async def wait_until_restored(self) -> None:
-        """Wait until the server holds the goals of an earlier process again. Cancelling: safe."""
+        """Wait until `restore_all` has restored the goals in the journal. Cancelling: safe."""
         if self.durable is not None:
             await self.durable.restored.wait()
 
     def restore(self, record: GoalRecord) -> None:
-        """Hold a goal of an earlier process again. If the goal has not ended, go on with it."""
+        """Restore a goal of an earlier process. If the goal is unfinished, resume it or end it."""
         durable = self.durable
         if durable is None or not self.is_open or self.find(record.id) is not None:
             return
@@ -628,7 +636,6 @@ class LocalActionServer:
     async def _suspend(self, durable: DurableGoals) -> None:
         """Stop the bodies. The goals of these bodies go on after a restart."""
         self.execution.is_suspended = True
-        self.slot = None
         for goal in self._table.active:
             if goal.status is not _ACCEPTED:  # waiting goals keep their place in the queue
                 self.evict(goal, SHUTDOWN)
@@ -644,11 +651,11 @@ class LocalActionServer:
         await self.execution.wait_until_idle()
 
     async def aclose(self) -> None:
-        """Stop accepting goals, cancel running goals, drop waiting ones, and wait for all ends.
+        """Stop accepting goals, cancel all goals that run or wait, and wait until they have ended.
 
-        The goals end ABORTED with the `closing_reason`, and everybody who waits for a goal gets an
-        answer. A body that ignores its cancellation for `grace` seconds is given up; see
-        `Execution`.
+        The goals end ABORTED with the `closing_reason`, and everybody who waits for a goal gets its
+        result. A body that ignores its cancellation for `grace` seconds is given up; see
+        `Execution.wait_for_bodies`.
 
         With a journal and ``on_restart="resume"``, goals do not end but go on after a restart.
         Everybody who waits for such a goal gets `ServerUnavailable`.
@@ -668,12 +675,12 @@ class LocalActionServer:
 
 
 def restore_all(servers: list[LocalActionServer]) -> None:
-    """Let servers go on with the goals that their journals hold.
+    """Restore the goals in the journals of these servers.
 
     Servers may share a slot. Therefore the goals of all servers are restored in one order: first
-    the goals that ran, then those that waited for their turn. If several servers share the name of
-    a goal's action, the server with the goal's type takes the goal. If no server has that type, the
-    goal is aborted, because its type has changed.
+    the goals that ran, then those that waited for their turn. If several servers have the same
+    action name, a goal goes to the server with the goal's action type. If no server has that type,
+    an unfinished goal is not resumed, because the action type has changed.
     """
     durable = [(server, server.durable) for server in servers if server.durable is not None]
     found: dict[bytes, tuple[GoalRecord, LocalActionServer]] = {}

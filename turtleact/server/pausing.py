@@ -1,12 +1,13 @@
 """Pauses goals: the body of a paused goal stands still until the goal is resumed.
 
-A generator stands still at a ``yield``, because the server does not step it further. A coroutine
-body stands still at ``await handle.checkpoint()``, if it is declared with ``pausable=True``. Then
-``on_pause``, if there is one, brings the robot to rest. Any other body runs on, and ``on_pause``
-alone pauses its goal.
+A generator stands still at a ``yield``, because the server does not continue it. A coroutine body
+stands still at ``await handle.checkpoint()``, if it is declared with ``pausable=True``. Once the
+body stands still, the server calls ``on_pause``, if there is one, to bring the robot to rest.
+If the body is of neither kind, it runs on, and a pause only calls ``on_pause``.
 
-ROS 2 has no state for this: a paused goal is EXECUTING. A paused goal keeps its place in its slot.
-A cancel, a preemption and the server's shutdown reach a paused goal at once.
+ROS 2 has no state for paused goals, so a pause does not change the state of a goal. A paused goal
+keeps its place in its slot. A cancel, a preemption and the server's shutdown reach a paused goal at
+once.
 
 Source: VDA 5050 ``startPause`` and ``stopPause``, for what users expect of a pause.
 """
@@ -43,8 +44,9 @@ class Hold:
 
     Attributes:
         is_standing: Whether the body stands still.
-        is_before_start: Whether the body has not begun.
-        changed: Fires when one of the two values above changes, and when the request is withdrawn.
+        is_before_start: Whether the goal is held before its body begins.
+        changed: A signal that fires when the body begins to stand still or sends a goal, and when
+            the request is withdrawn.
     """
 
     __slots__ = ("changed", "is_before_start", "is_standing")
@@ -62,21 +64,21 @@ class Keeper(Protocol):
     observers: Observers
 
     def make_handle(self, goal: Goal) -> object:
-        """Make the handle that the callbacks get."""
+        """Make the handle that ``on_pause`` and ``on_resume`` get."""
 
 
 class Pauses:
     """Pauses and resumes the goals of one server.
 
     Args:
-        body: The body.
+        body: The body of the goals.
         options: The server's options, with ``pausable``, ``on_pause`` and ``on_resume``.
         keeper: The execution, which makes handles and has the journal and the observers.
-        tasks: The task functions of the event loop.
-        now: Returns the current time (ns since the epoch).
+        tasks: The functions for tasks on the event loop, asyncio or trio.
+        now: A function that returns the current time (ns since the epoch).
 
     Attributes:
-        paused: The paused goals, each with the time of its pause (ns).
+        paused: The paused goals, each with the time when it was paused (ns since the epoch).
     """
 
     def __init__(
@@ -101,7 +103,8 @@ class Pauses:
     async def pause(self, goal: Goal, timeout: float) -> None:
         """Pause a goal and the goals that its body has sent. Return when all of them stand still.
 
-        Pausing a paused goal does nothing. Cancelling: withdraws the request.
+        Pausing a paused goal does nothing. Cancelling: the goal and the goals that its body has
+        sent go on.
 
         Args:
             goal: The goal.
@@ -165,7 +168,7 @@ class Pauses:
             await self.stand(goal)
 
     def paused_time(self, goal: Goal) -> float:
-        """How long a goal has been paused (s)."""
+        """How long a goal has been paused in total (s, by the graph's clock)."""
         since = self.paused.get(goal)
         return (goal.paused_ns + (0 if since is None else self._since(since))) / 1e9
 
@@ -173,7 +176,7 @@ class Pauses:
         return max(0, self._now() - moment)  # the clock may have been set back
 
     def let_go(self, goal: Goal) -> None:
-        """Let the body go on, or withdraw the request to stand still."""
+        """Withdraw the request to stand still, so that the body goes on."""
         hold, goal.hold = goal.hold, None
         if isinstance(hold, Hold):
             hold.changed.fire()
@@ -186,7 +189,7 @@ class Pauses:
             self._set(goal, is_paused=False)
 
     def hold(self, goal: Goal) -> None:
-        """Make a goal begin paused. The goal waits for its turn or was restored."""
+        """Pause a goal whose body has not started, so that the body starts only after `resume`."""
         goal.hold = Hold(self._tasks.signal(), is_before_start=True)
         self._set(goal, is_paused=True)
 
@@ -228,10 +231,10 @@ class Pauses:
         self._set(goal, is_paused=True)
 
     def enter(self, goal: Goal, parent: Goal) -> None:
-        """Make a new goal a child of its parent. The parent's body has sent it.
+        """Make a new goal a child of ``parent``, whose body has sent the goal.
 
-        If the parent is paused or being paused, the goal begins paused. Parent and child are
-        resumed together.
+        If the parent is paused or being paused, the child begins paused, and is resumed with the
+        parent.
         """
         goal.enter_parent(parent, self)
         if parent.is_paused or parent.hold is not None:
@@ -241,7 +244,7 @@ class Pauses:
                 parent.hold.changed.fire()
 
     def leave(self, goal: Goal) -> None:
-        """Forget that an ending goal is paused. Children that were paused with it go on."""
+        """Forget that an ending goal is paused. Resume the children that were paused with it."""
         self.end(goal)
         if left := _paused_children(goal):
             self._orphans = [each for each in self._orphans if not each.has_ended]
@@ -249,7 +252,10 @@ class Pauses:
             self._orphans.append(Background(freeing, f"children of goal {goal.hex}", self._tasks))
 
     async def aclose(self, grace: float) -> None:
-        """Stop the tasks that let children go on; wait at most ``grace`` s (loop time) for them."""
+        """Stop the tasks that resume the children of ended goals.
+
+        Wait at most ``grace`` seconds (event loop time) for each task.
+        """
         for each in self._orphans:
             await each.aclose(grace)
 
@@ -265,7 +271,7 @@ class Pauses:
                 await pauses.resume(child)
 
     async def pause_unless_ended(self, goal: Goal, timeout: float) -> bool:
-        """Pause a goal like `pause`. Return False if the goal is ending anyway.
+        """Pause a goal like `pause`, but return False if the goal is ending or has ended.
 
         Raises:
             PauseRefused: if the goal cannot be paused in time. The goal then goes on.
@@ -281,7 +287,8 @@ class Pauses:
     async def _bring_to_rest(self, goal: Goal) -> None:
         """Call ``on_pause``.
 
-        If the callback is cancelled, start the robot again, because it may have stopped already.
+        If ``on_pause`` is cancelled, call ``on_resume``, because the robot may have stopped
+        already.
         """
         try:
             await self._call(self._on_pause, goal, "on_pause")
@@ -314,7 +321,7 @@ class Pauses:
             await callback(self._keeper.make_handle(goal))
         except Exception as error:
             told = loggable(error)
-            logger.error("the %s of goal %s failed", what, goal.hex, exc_info=told)
+            logger.error("the %s of a goal failed%s", what, goal.suffix, exc_info=told)
             raise PauseRefused(f"{what} failed: {summary(error)}") from error
 
     def _set(self, goal: Goal, *, is_paused: bool) -> None:
@@ -335,7 +342,7 @@ class Pauses:
 
 
 def _children(goal: Goal) -> list[tuple[Goal, Pauses]]:
-    """The current children of a goal. Some may end while the caller waits for another child."""
+    """Return a copy of a goal's children, because some may end while the caller uses the copy."""
     return list((goal.children or {}).items())
 
 
@@ -353,7 +360,7 @@ def _is_ending(goal: Goal) -> bool:
 
 
 class _Switch:
-    """Holds the lock of one goal. The lock exists only while somebody uses it."""
+    """Acquires the lock of one goal, and deletes the lock as soon as nobody uses it."""
 
     def __init__(self, locks: dict[Goal, anyio.Lock], goal: Goal) -> None:
         self._locks = locks

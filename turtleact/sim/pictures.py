@@ -1,8 +1,8 @@
 """Makes pictures of a world as SVG and PNG: the drawing, and the turtles on it.
 
-A picture has 500×500 pixels, like turtlesim's window. A turtle is seen from above and looks along
-its heading; it has the size of turtlesim's pictures of turtles, 45 pixels. Its colours follow from
-its name, so they are the same in every picture. All functions are pure.
+A picture has 500×500 pixels, like turtlesim's window. Turtles are seen from above and look along
+their headings. They are as large as turtlesim's pictures of turtles (45 pixels). A turtle's colours
+depend only on its name, so they are the same in every picture. All functions are pure.
 
 Source: W3C, Scalable Vector Graphics 2; W3C, Portable Network Graphics, third edition.
 """
@@ -33,6 +33,7 @@ __all__ = [
     "Figure",
     "Shades",
     "Snapshot",
+    "hue_of",
     "shades_of",
     "svg_shades",
     "thumbnail",
@@ -51,7 +52,7 @@ FINE: Final = 4
 
 
 class Shades(NamedTuple):
-    """The colours of a turtle; ``mark`` can be read on a dark and on a light terminal."""
+    """The colours of a turtle. ``mark`` is legible on dark and on light terminals."""
 
     skin: Colour
     shell: Colour
@@ -59,14 +60,20 @@ class Shades(NamedTuple):
     eye: Colour = Colour(17, 17, 17)
 
 
-def shades_of(name: str) -> Shades:
-    """The colours of a turtle: ``turtle1`` is green, ``turtle2`` orange, and so on.
+def hue_of(name: str) -> int:
+    """The hue of a turtle (degrees): ``turtle1`` is green, ``turtle2`` orange, and so on.
 
-    A turtle without a number in its name gets one of the same colours.
+    If a name does not end in a number, the whole name decides which hue the turtle gets. So a
+    turtle keeps its hue when others come and go, and every program shows it in the same hue.
     """
     number = re.search(r"[0-9]+$", name)
     index = int(number[0]) - 1 if number else zlib.crc32(name.encode())
-    hue = HUES[index % len(HUES)] / 360
+    return HUES[index % len(HUES)]
+
+
+def shades_of(name: str) -> Shades:
+    """The colours of a turtle, in its hue."""
+    hue = hue_of(name) / 360
     return Shades(_colour(hue, 0.64, 0.65), _colour(hue, 0.3, 0.6), _colour(hue, 0.5, 0.65))
 
 
@@ -83,10 +90,10 @@ class Snapshot(NamedTuple):
 
     Attributes:
         background: The colour where nothing was drawn.
-        pixels: The drawing, as `Drawing.pixels` gives it.
-        base: The part of the drawing that the polylines leave out, in the same form as ``pixels``,
-            or None.
-        polylines: The rest of the drawing.
+        pixels: The whole drawing, as `Drawing.pixels` gives it.
+        base: The lines that are not in ``polylines``, in the same form as ``pixels``; None if there
+            are none.
+        polylines: All lines of the drawing that are not in ``base``.
         turtles: The turtles, in the order in which they are painted.
     """
 
@@ -98,7 +105,7 @@ class Snapshot(NamedTuple):
 
 
 def to_svg(snapshot: Snapshot) -> str:
-    """Draw a picture that scales: polylines, and an image of everything kept only as pixels.
+    """Draw a scalable picture: the polylines as vectors, over an image of ``base``.
 
     A polyline covers the polylines that began before it.
     """
@@ -127,7 +134,7 @@ def to_svg(snapshot: Snapshot) -> str:
 
 
 def to_png(snapshot: Snapshot) -> bytes:
-    """Draw a picture in which the drawing equals that of turtlesim's window, pixel by pixel."""
+    """Draw a picture whose lines equal those in turtlesim's window, pixel by pixel."""
     import numpy as np
 
     layers = np.frombuffer(snapshot.pixels, np.uint8).reshape(SIZE, SIZE, 4)
@@ -142,10 +149,10 @@ def to_png(snapshot: Snapshot) -> bytes:
 
 
 def thumbnail(pixels: bytes, width: int, height: int) -> list[list[Colour | None]]:
-    """A drawing in fewer pixels, row by row from the top; None where nothing was drawn.
+    """Scale a drawing down to rows of colours, top row first; None where nothing was drawn.
 
-    A pixel gets a colour that was drawn there. If several colours were drawn there, it gets the one
-    with most blue.
+    A pixel of the result gets a colour that was drawn there. If several colours were drawn there,
+    the pixel gets the colour with the highest blue value.
 
     Args:
         pixels: The drawing, as `Drawing.pixels` gives it.
@@ -165,27 +172,27 @@ def _unpacked(pixel: int) -> Colour | None:
 
 
 def svg_shades(name: str) -> str:
-    """The attributes that give `SVG_TURTLE` the colours of a turtle."""
+    """The SVG attributes that give `SVG_TURTLE` the colours of a turtle."""
     shades = shades_of(name)
     return f'fill="{_css(shades.skin)}" color="{_css(shades.shell)}"'
 
 
 class _Part(NamedTuple):
-    """The shade and outline of a part of a turtle that is at 0 and looks to the right."""
+    """The shade and outline (pixels) of a part of a turtle that stands at 0 and looks right."""
 
     shade: str
     outline: tuple[complex, ...]
 
 
 def _ellipse(centre: complex, across: float, up: float, turn: float = 0.0) -> tuple[complex, ...]:
-    """An ellipse; lengths in metres, the outline in pixels."""
+    """The outline of an ellipse (pixels). ``turn`` is in rad; the other arguments are in metres."""
     angles = (math.tau * i / 32 for i in range(32))
     points = (complex(across * math.cos(each), up * math.sin(each)) for each in angles)
     return tuple((centre + point * cmath.rect(1.0, turn)) * METER for point in points)
 
 
 def _seam(angle: float) -> tuple[complex, ...]:
-    """A line on the shell, from the middle plate to the edge."""
+    """The corners (pixels) of a thin stripe on the shell, from the middle plate to the edge."""
     start, end = (complex(a * math.cos(angle), b * math.sin(angle)) for a, b in _SEAM)
     aside = 1j * (end - start) / abs(end - start) * _LINE / 2
     return tuple(each * METER for each in (start + aside, end + aside, end - aside, start - aside))
@@ -214,7 +221,7 @@ def _svg_points(points: Sequence[complex]) -> str:
 
 
 def _short(number: float) -> str:
-    """A number with two decimals: a hundredth of a pixel is more than enough."""
+    """Format a number with at most two decimals, because a hundredth of a pixel is exact enough."""
     return f"{number:.2f}".rstrip("0").rstrip(".")
 
 
@@ -248,12 +255,12 @@ def _paint(
 
 
 def _shown(start: int, length: int) -> slice:
-    """The part of some rows or columns that lies in the picture."""
+    """The part of a range of rows or columns that lies in the picture."""
     return slice(*(min(max(end, 0), SIZE) for end in (start, start + length)))
 
 
 def _png(pixels: bytes, *, channels: int) -> bytes:
-    """A PNG of rows of red, green, blue and, if there are four channels, alpha."""
+    """Encode rows of pixels as PNG. With four channels, alpha follows red, green and blue."""
     stride = SIZE * channels
     rows = (b"\0" + pixels[at : at + stride] for at in range(0, len(pixels), stride))  # no filter
     colour_type = {3: 2, 4: 6}[channels]

@@ -1,17 +1,24 @@
-"""Makes two spans for each goal: one at its client, from the request to the end, one at its server.
+"""Makes two spans for each goal: one at the goal's client, and one at its server.
 
 ========================  ==========  ==========================================================
 span                      kind        parent
 ========================  ==========  ==========================================================
-``send_goal /patrol``     CLIENT      the current span; INTERNAL if the server is in this process
-``execute /patrol``       SERVER      the client's span, or only a link to it (`new_traces`)
+``send_goal /patrol``     CLIENT      the current span
+``execute /patrol``       SERVER      the client's span; with `new_traces`, a link instead
 ========================  ==========  ==========================================================
 
-The server's span is current in the body, so goals that the body sends are its children. A request
-to another process carries the ids of the client's span in a note (`turtleact.goal_wire.GoalNote`).
-If a client sends no note, its goal begins a new trace.
+The client's span begins when the client sends the goal, and the server's span begins when the
+server accepts it. Both spans end with the goal, but the client's span ends earlier if the client
+detaches the goal or closes. If the server is in the client's process, the client's span has the
+kind INTERNAL instead of CLIENT.
 
-If the client is in this process and its span is not sampled, the server makes no span either.
+The server's span is current in the body, so the spans of goals that the body sends are its
+children. A request to another process carries the ids of the client's span in a note
+(`turtleact.goal_wire.GoalNote`). If such a request has no note, the server's span begins a new
+trace.
+
+If the client is in the server's process and the client's span is not sampled, the server makes no
+span.
 
 This module uses only OpenTelemetry's API, which never blocks. An exception of a sampler or span
 processor is logged and does not affect the goal.
@@ -53,22 +60,21 @@ from turtleact.transports.base import REQUEST_NOTE
 __all__ = ["Tracing"]
 
 LONGEST_STATE: Final = 512
-"""A ``tracestate`` longer than this (characters) is left out. W3C asks for at least this limit."""
+"""A ``tracestate`` of more characters is left out. W3C asks for a limit of at least 512."""
 
 PROPAGATOR: Final = TraceContextTextMapPropagator()
 
-ENDS: Final = {GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED}
-
 
 class Tracing:
-    """Makes the spans of a node's goals.
+    """Makes spans for the goals of a node's servers and clients.
 
     Args:
         node: The node.
-        provider: The provider that gets the spans; None for the program's global provider.
+        provider: OpenTelemetry's tracer provider, which makes the spans; None for the program's
+            global provider.
 
     Attributes:
-        is_off: Whether the program wants no traces.
+        is_off: Whether OpenTelemetry is switched off, so that no spans are made.
     """
 
     def __init__(self, node: Node, provider: trace.TracerProvider | None) -> None:
@@ -106,7 +112,7 @@ class Tracing:
 
 
 class _Record:
-    """A span, and the values that are written to it later.
+    """A span, and the values that will be written to it.
 
     Attributes:
         span: The span.
@@ -129,7 +135,7 @@ class _Record:
             self.span.add_event("feedback", {"ros.feedback.number": 1}, self._last)
 
     def end(self, status: str) -> None:
-        """End the span."""
+        """End the span. ``status`` is the goal's final status; empty if it is not known."""
         span = self.span
         if self._count > 1:
             span.add_event("feedback", {"ros.feedback.number": self._count}, self._last)
@@ -161,9 +167,9 @@ class _Spans(GoalObserver):
         self._recording: _Recording | None = None
 
     def begin(self, span: Span, goal_id: bytes) -> _Record:
-        """Write what happens to a goal into this span from now on.
+        """From now on, write what happens to a goal into this span.
 
-        If the client has sent the same goal before, the goal keeps its first span.
+        If the client has already sent a goal with this id, the goal keeps its first span.
         """
         if self._recording is None:  # it costs each message something, so there is none before
             self._recording = _Recording(self.records)
@@ -175,11 +181,11 @@ class _Spans(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """No: if a goal starts at once, its event "accepted" is written when it starts."""
+        """False, because `goal_changed` writes the event "accepted" in any case."""
         return False
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
-        """Called after a goal has changed its state."""
+        """Write a change of a goal's state into its span."""
         record = self.records.get(goal.id)
         if record is None:
             return
@@ -194,19 +200,19 @@ class _Spans(GoalObserver):
         del self.records[goal.id]
         if after is GoalStatus.ABORTED:
             record.fail("GoalAborted", goal.reason, after.name)
-        elif after in ENDS:
+        elif after.is_terminal:
             record.end(after.name)
         else:
             record.fail(type(goal.error).__name__, str(goal.error), after.name)
 
     def pause_changed(self, goal: Goal) -> None:
-        """Called after a server has paused or resumed a goal."""
+        """Write into a goal's span that a server has paused or resumed the goal."""
         record = self.records.get(goal.id)
         if record is not None:
             record.span.add_event("paused" if goal.is_paused else "resumed")
 
     def noted(self, goal: Goal, news: News) -> None:
-        """Called when something else happens to a goal."""
+        """Write into a goal's span that the goal was lost or detached, or has lost feedback."""
         record = self.records.get(goal.id)
         if record is None:
             return
@@ -223,19 +229,19 @@ class _Spans(GoalObserver):
 
 
 class _Recording(GoalObserver):
-    """Counts the feedback of goals with spans, and makes a goal's span current in its body."""
+    """Counts the feedback of goals that have spans, and makes a goal's span current in its body."""
 
     def __init__(self, records: dict[bytes | None, _Record]) -> None:
         self._records = records
 
     def feedback_published(self, goal: Goal, feedback: object) -> None:  # noqa: ARG002
-        """Called with each feedback message."""
+        """Count a feedback message of a goal that has a span."""
         record = self._records.get(goal.id)
         if record is not None:
             record.feedback()
 
     def enter_body(self, goal: Goal) -> None:
-        """Make the goal's span the current span of its body."""
+        """Make the goal's span the current span in the goal's body."""
         record = self._records.get(goal.id)
         if record is not None:
             contexts.attach(trace.set_span_in_context(record.span))
@@ -244,12 +250,12 @@ class _Recording(GoalObserver):
 
 
 class _ServerSpans(_Spans):
-    """The spans of one server's goals.
+    """Makes the spans of one server's goals.
 
     Args:
         server: The server.
         tracer: Makes the spans.
-        attributes: The attributes of all these spans.
+        attributes: The attributes of each of these spans.
     """
 
     def __init__(
@@ -263,14 +269,14 @@ class _ServerSpans(_Spans):
         self._attributes = attributes
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
-        """Called after a goal has changed its state."""
+        """Begin the span of a new goal, and write a change of a goal's state into its span."""
         if before is GoalStatus.UNKNOWN:
             self._begin(goal)
         if self.records:
             super().goal_changed(goal, before, after)
 
     def noted(self, goal: Goal, news: News) -> None:
-        """Called when something else happens to a goal."""
+        """Write a body's exception, lost feedback, or the loss of the goal into the goal's span."""
         record = self.records.get(goal.id)
         if record is not None and isinstance(news, BodyFailed):
             record.span.record_exception(news.error)
@@ -303,7 +309,7 @@ class _ClientSpans(GoalObserver):
     Args:
         client: The client.
         tracer: Makes the spans.
-        attributes: The attributes of all these spans.
+        attributes: The attributes of each of these spans.
         node: The client's node.
     """
 
@@ -347,7 +353,7 @@ class _ClientSpans(GoalObserver):
     def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
         """End the goal's span if the goal was not accepted.
 
-        Otherwise the span ends with the goal.
+        The span of an accepted goal ends when the goal ends.
         """
         record = self._sending.pop(order, None)
         if record is None or record.is_accepted or not record.span.is_recording():
@@ -362,7 +368,7 @@ class _ClientSpans(GoalObserver):
             record.end("")
 
     def closed(self) -> None:
-        """End the spans of goals that go on without the client."""
+        """End the spans of the client's goals, because a closed client hears no more of them."""
         sent = self._spans.records
         for record in {*sent.values(), *self._sending.values()}:
             if record.span.is_recording():
@@ -372,7 +378,7 @@ class _ClientSpans(GoalObserver):
 
 
 def _current() -> Context:
-    """The current context. Without a current span, it is that of the request being handled."""
+    """Return the current context, or if it has no span, that of the request being handled."""
     context, note = contexts.get_current(), REQUEST_NOTE.get()
     if not note or trace.get_current_span(context).get_span_context().is_valid:
         return context
@@ -380,7 +386,7 @@ def _current() -> Context:
 
 
 def _context_in(note: GoalNote) -> Context:
-    """The context that a note carries. If the note has no span, the context has none."""
+    """Return the context that a note carries. If the note has no span, neither has the context."""
     if not note.traceparent:
         return Context()
     carrier = {"traceparent": note.traceparent}
@@ -390,7 +396,7 @@ def _context_in(note: GoalNote) -> Context:
 
 
 def _note(span: Span, *, is_detached: bool) -> str:
-    """The note that carries a span."""
+    """Return a note with the ids of a span."""
     here = span.get_span_context()
     parent = f"00-{here.trace_id:032x}-{here.span_id:016x}-{here.trace_flags:02x}"
     state = here.trace_state.to_header() if here.trace_state else ""

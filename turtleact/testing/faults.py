@@ -1,13 +1,12 @@
-"""A bad link: a transport that delays, loses and repeats messages, and can be cut.
+"""A transport for tests that delays, loses and repeats messages, and whose link can be cut.
 
-The faulty transport wraps any other transport and affects only topics. Inside one process, clients
-call the object that serves an action or service directly. Such calls do not pass through a
-transport, so they are never late or lost. Messages that a body publishes or reads on topics may be
-late or lost.
+The faulty transport wraps another transport and affects only topics. Goals and service calls are
+never late or lost, because inside one process a client calls the server's object directly, without
+a transport. Messages that a body publishes or reads on topics may be late or lost.
 
-The faults are random and depend on a seed. Each subscription has its own random numbers, made from
-the seed and the names of its node and topic. A new subscription therefore changes nothing for the
-others.
+The faults are random, and the same seed gives the same faults. Each subscription draws its own
+random numbers from the seed and the names of its node and topic. A new subscription therefore does
+not change the faults of the others.
 """
 
 from __future__ import annotations
@@ -45,14 +44,14 @@ logger = logging.getLogger("turtleact.transport")
 
 
 class Faults(msgspec.Struct, frozen=True):
-    """What happened to the messages, counted once for each subscription.
+    """How many messages were delivered or lost. A message counts once for each subscription.
 
     Attributes:
         delivered: How many messages arrived.
         repeated: How many of the delivered messages arrived twice.
         dropped: How many messages were lost by chance.
         cut: How many messages were lost because the link was cut.
-        on_their_way: How many messages have yet to arrive.
+        on_their_way: How many messages are delayed and have not arrived yet.
     """
 
     delivered: int = 0
@@ -65,29 +64,31 @@ class Faults(msgspec.Struct, frozen=True):
 class FaultyTransport:
     """A transport that delivers messages late, twice or not at all.
 
-    Faults happen once, on the way to a subscription opened on this transport. Nodes on the wrapped
-    transport see the same graph without faults. As in every transport, messages keep their order: a
-    late message holds up the messages behind it. Messages may be lost with any quality of service.
+    Only messages to subscriptions that are opened on this transport are affected. Nodes that are
+    opened on the wrapped transport share the same graph, without faults. As in every transport,
+    messages keep their order: a late message also delays the messages behind it. Messages may be
+    lost even if their topic's quality of service is reliable.
 
-    Close the transport, or use it as an async context manager. Messages that are on their way when
-    it closes are lost.
+    Close the transport, or use it as an async context manager. Delayed messages are lost when it
+    closes.
 
     Args:
         transport: The transport to wrap.
-        seed: Determines which messages are affected.
-        delay: How late messages are (s of the transport's clock): one number for all messages, or a
-            pair of limits between which each delay is drawn.
+        seed: Determines the random faults.
+        delay: How late messages are (s of the transport's clock). Give one number for all messages,
+            or the shortest and the longest delay. In the second case, the delay of each message is
+            drawn between these two.
         drop: The share of messages that are lost, from 0 to 1.
-        repeat: The share of messages that arrive twice, from 0 to 1. Lost messages do not count.
+        repeat: The share of delivered messages that arrive twice, from 0 to 1.
 
     Attributes:
-        clock: The time of the wrapped transport.
-        round_trip: The round-trip time of the wrapped transport.
-        discovery_ends: When the discovery of the wrapped transport ends.
+        clock: The clock of the wrapped transport.
+        round_trip: The value of the wrapped transport; see `turtleact.transports.Transport`.
+        discovery_ends: The value of the wrapped transport; see `turtleact.transports.Transport`.
         delay: The shortest and the longest delay (s). You may change it at any time.
         drop: The share of messages that are lost. You may change it at any time.
-        repeat: The share of messages that arrive twice. You may change it at any time.
-        is_cut: Whether nothing gets through.
+        repeat: The share of delivered messages that arrive twice. You may change it at any time.
+        is_cut: Whether the link is cut, so that no message arrives.
 
     Raises:
         SimError: if an option is out of range.
@@ -122,16 +123,19 @@ class FaultyTransport:
         self._names: Counter[str] = Counter()
 
     def cut(self) -> None:
-        """Deliver nothing from now on. A message on its way is lost if it is due before `mend`."""
+        """Cut the link: no message arrives until `mend` is called.
+
+        Messages that are due in the meantime are lost, even if they were sent before the cut.
+        """
         self.is_cut = True
 
     def mend(self) -> None:
-        """Deliver messages again. Messages lost meanwhile stay lost."""
+        """Mend the link, so that messages arrive again. Lost messages stay lost."""
         self.is_cut = False
 
     @contextmanager
     def cut_off(self) -> Iterator[None]:
-        """Cut the link at the start of a block, and mend it at the end."""
+        """Cut the link at the start of a ``with`` block, and mend it at the end."""
         self.cut()
         try:
             yield
@@ -139,7 +143,7 @@ class FaultyTransport:
             self.mend()
 
     def statistics(self) -> Faults:
-        """Return what has happened to the messages so far."""
+        """Return how many messages have been delivered or lost so far."""
         return Faults(**self.counts, on_their_way=sum(map(len, self._links)))
 
     def subscribe(
@@ -150,7 +154,7 @@ class FaultyTransport:
         *,
         in_any_thread: bool = False,  # noqa: ARG002  # the delayed come in the event loop
     ) -> Closeable:
-        """Open the receiving end of a topic, with faults."""
+        """Open a subscription of a topic, with faults."""
         name = f"{endpoint.node} {endpoint.name}"
         self._names[name] += 1
         chance = random.Random(f"{self._seed} {name} {self._names[name]}")  # noqa: S311  # no secret
@@ -162,7 +166,7 @@ class FaultyTransport:
     def advertise(
         self, endpoint: Endpoint, format: Format, source: Source | None = None
     ) -> Publication:
-        """Open the sending end of a topic."""
+        """Open a publisher of a topic."""
         return self._transport.advertise(endpoint, format, source)
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
@@ -170,15 +174,24 @@ class FaultyTransport:
         return self._transport.serve(endpoint, format, handler)
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
-        """Show a client of a service on the graph. Faults do not affect its calls."""
+        """Show a client of a service on the graph, and return the object that calls the service.
+
+        Faults do not affect the client's calls.
+        """
         return self._transport.join(endpoint, format, target)
 
     def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
-        """All handlers that serve a service, whether the link is cut or not."""
+        """Return all handlers in this process that serve a service.
+
+        This works even while the link is cut.
+        """
         return self._transport.all_local(name, type_name)
 
     def local(self, name: str, type_name: str) -> object | None:
-        """The handler that has served a service the longest, whether the link is cut or not."""
+        """Return the oldest handler in this process that serves a service.
+
+        This works even while the link is cut.
+        """
         return self._transport.local(name, type_name)
 
     def enter(self, node: str) -> Closeable:
@@ -186,33 +199,33 @@ class FaultyTransport:
         return self._transport.enter(node)
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints on the graph, or those with a name."""
+        """Return all endpoints on the graph, or only those of the topic or service ``name``."""
         return self._transport.endpoints(name)
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The endpoints opened in this process, or those with a name."""
+        """Return all endpoints opened in this process, or only those called ``name``."""
         return self._transport.local_endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
-        """The names of all nodes."""
+        """Return the names of all nodes on the graph."""
         return self._transport.nodes()
 
     @property
     def changes(self) -> int:
-        """How often a node or endpoint has come or gone."""
+        """How many times a node or endpoint has appeared or disappeared."""
         return self._transport.changes
 
     async def wait_for_change(self) -> None:
-        """Wait until a node or endpoint comes or goes. Cancelling: safe."""
+        """Wait until a node or endpoint appears or disappears. Cancelling: safe."""
         await self._transport.wait_for_change()
 
     def forget(self, link: _Link) -> None:
-        """Drop a link that is closed and has no task."""
+        """Forget a link that is closed and has no running task."""
         if link in self._links:
             self._links.remove(link)
 
     async def aclose(self) -> None:
-        """Drop the messages on their way, and deliver nothing more."""
+        """Close the transport: delayed messages are lost, and no more messages arrive."""
         self.cut()
         for link in tuple(self._links):
             await link.aclose()
@@ -230,7 +243,7 @@ class FaultyTransport:
 
 
 class _Link:
-    """The faulty link to one subscription."""
+    """The faulty link to one subscription. Its `len` is the number of delayed messages."""
 
     inner: Closeable
 
@@ -249,7 +262,7 @@ class _Link:
         return len(self._late)
 
     def take(self, message: object) -> None:
-        """Take a message from the wrapped transport and decide what happens to it."""
+        """Take a message from the wrapped transport, and deliver, delay or lose it."""
         transport, chance = self._transport, self._chance
         is_dropped = chance.random() < transport.drop  # Always draw three numbers per message, so
         is_repeated = chance.random() < transport.repeat  # that one fault does not change the rest.
@@ -270,7 +283,7 @@ class _Link:
             self._transport.forget(self)
 
     async def aclose(self) -> None:
-        """Close the link, and wait for its task to end."""
+        """Close the link, and wait for the end of the task that delivers its delayed messages."""
         self.close()
         if self._courier is not None:
             await self._courier.aclose()
@@ -285,7 +298,7 @@ class _Link:
             self._courier = Background(self._carry(), "a faulty transport")
 
     async def _carry(self) -> None:
-        """Deliver late messages, each when it is due."""
+        """Deliver each delayed message when it is due."""
         transport = self._transport
         while self._late:
             await transport.clock.sleep_until(self._late[0][0])
@@ -308,4 +321,6 @@ class _Link:
             try:
                 self._deliver(message)
             except Exception:
-                logger.exception("a subscription of topic %s failed on a message", self._topic)
+                logger.exception(
+                    "a subscription of topic %s failed to handle a message", self._topic
+                )

@@ -1,7 +1,7 @@
-"""The transport inside one process. It delivers message objects within the publisher's call.
+"""The transport inside one process. Publishing a message delivers it to all subscriptions at once.
 
 Messages are shared, not copied, so a publisher must not change a message afterwards. This transport
-uses no formats, is never congested, and works in one event loop only.
+is never congested, and works in one event loop only.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ Leave: TypeAlias = Callable[[], None]
 class MemoryTransport:
     """A graph inside one process and one event loop.
 
-    Nodes with the same transport object see each other.
+    Nodes that use the same transport object see each other.
 
     Args:
-        clock: The clock of all nodes on the graph. If left out, it is wall time.
+        clock: The clock of all nodes on the graph. The default is wall time.
     """
 
     def __init__(self, clock: Clock | None = None) -> None:
@@ -76,7 +76,8 @@ class MemoryTransport:
     ) -> Publication:
         """Open the sending end of a topic.
 
-        With a source, only the source's messages are latched.
+        If there is a ``source``, a new reader of a latched topic gets the messages of the source,
+        not those passed to `Publication.publish`.
         """
         topic = self._topic(endpoint)
         publication = _Publication(topic, endpoint.qos, format, source)
@@ -112,9 +113,10 @@ class MemoryTransport:
         format: Format,  # noqa: ARG002  # as above
         handler: object,
     ) -> Closeable:
-        """Offer ``handler`` as a server. Clients find the oldest handler.
+        """Offer ``handler`` as a server of a service. Requests go to the oldest handler.
 
-        The handlers of one node appear as one endpoint on the graph, until the last is closed.
+        If a node offers several handlers of a service, the graph shows them as one endpoint until
+        the last of them is closed.
         """
         key, offer = _key(endpoint), _Offer(handler, endpoint.node)
         offers = self._handlers.setdefault(key, [])
@@ -132,14 +134,14 @@ class MemoryTransport:
         format: Format,  # noqa: ARG002  # as above
         target: Target = EVERY_SERVER,  # noqa: ARG002  # a request goes to the first server
     ) -> Caller:
-        """Show a client of a service on the graph, and return the object to call it with."""
+        """Show a client of a service on the graph, and return the object that calls the service."""
         caller = _Caller(self, endpoint, endpoint.gid or self._opened.to_bytes(16))
         leave = partial(self._lose, caller)
         caller.on_close = self._appear_as(endpoint, leave)
         return caller
 
     def local(self, name: str, type_name: str) -> object | None:
-        """The oldest handler that serves a service, or None."""
+        """The oldest handler that serves a service; None if there is none."""
         offers = self._handlers.get((name, type_name))
         return offers[0].handler if offers else None
 
@@ -148,7 +150,7 @@ class MemoryTransport:
         return tuple(offer.handler for offer in self._handlers.get((name, type_name), ()))
 
     def handlers(self, name: str) -> list[object]:
-        """The handlers of all services with that name, of any type."""
+        """The handlers of all services called ``name``, whatever their types."""
         return [
             offer.handler
             for key, offers in self._handlers.items()
@@ -164,16 +166,17 @@ class MemoryTransport:
         return _Opened(partial(self._depart, number))
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints on the graph, or only those called ``name``, in the order they were opened.
+        """All endpoints on the graph, or only those of the topic or service ``name``.
 
-        A list of all endpoints leaves out those with ``is_unlisted``.
+        The oldest endpoint comes first. If you pass no ``name``, endpoints with ``is_unlisted`` are
+        left out.
         """
         if name:
             return tuple(self._by_name.get(name, {}).values())
         return tuple(each for each in self._endpoints.values() if not each.is_unlisted)
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The same as `endpoints`, because all endpoints are in this process."""
+        """The same endpoints as in `endpoints`, because all of them are in this process."""
         return self.endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
@@ -181,13 +184,13 @@ class MemoryTransport:
         return tuple(self._nodes.values())
 
     async def wait_for_change(self) -> None:
-        """Wait until a node or endpoint comes or goes. Cancelling: safe."""
+        """Wait until a node or endpoint appears or disappears. Cancelling: safe."""
         if self._changed is None:
             self._changed = current_tasks().signal()
         await self._changed.wait()
 
     def tell_change(self) -> None:
-        """Count a change of the graph, made here or elsewhere; wake the tasks that wait for one."""
+        """Count a change of the graph, and wake the tasks that wait for one."""
         self.changes += 1
         if self._changed is not None:
             self._changed.fire()
@@ -227,8 +230,8 @@ class MemoryTransport:
     def _appear_as(self, endpoint: Endpoint, leave: Callable[[], None]) -> Leave:
         """Show an endpoint on the graph, and return the function that removes it.
 
-        A graph may have thousands of endpoints. `partial` needs fewer objects than closures, which
-        would take ten for each endpoint.
+        The function is a `partial`, because a graph may have thousands of endpoints, and closures
+        would take ten objects for each endpoint.
         """
         number = self._number()
         self._endpoints[number] = endpoint
@@ -264,7 +267,8 @@ class _Topic:
     """The publications and readers of one topic.
 
     Attributes:
-        readers: This tuple is replaced, never changed, since readers come and go during a delivery.
+        readers: The open subscriptions. Each change makes a new tuple, because subscriptions may
+            open and close while a message is delivered.
     """
 
     def __init__(self, key: Key) -> None:
@@ -291,8 +295,8 @@ class _Publication:
     """The sending end of a topic.
 
     Attributes:
-        has_readers: As in `Publication`. It is stored because it is read for every message.
-        has_object_readers: As in `Publication`. It is stored for the same reason.
+        has_readers: See `Publication`. The value is stored, because it is needed for each message.
+        has_object_readers: See `Publication`. This value is stored, too.
     """
 
     on_close: Leave
@@ -339,14 +343,14 @@ class _Publication:
                 reader.take(message)
 
     def send(self, data: bytes) -> None:
-        """Give the bytes to the readers that take them."""
+        """Deliver the bytes to the subscriptions that accept bytes."""
         if self._is_open:
             for reader in self._topic.readers:
                 if reader.takes_bytes:
                     reader.take(data)
 
     def expect_readers(self) -> None:
-        """Do nothing: every reader is known here."""
+        """Do nothing, because all readers are in this process and the transport knows them."""
 
     def refresh(self) -> None:
         if self.source is None or not self._topic.readers:
@@ -359,7 +363,7 @@ class _Publication:
                 self.send(data)
 
     async def drained(self) -> None:
-        """Return at once: nothing is ever congested."""
+        """Return at once, because this publication is never congested."""
 
     def close(self) -> None:
         self._is_open = False
@@ -383,7 +387,9 @@ class _Reader:
             try:
                 self._deliver(message)
             except Exception:
-                logger.exception("a subscription of topic %s failed on a message", self._topic)
+                logger.exception(
+                    "a subscription of topic %s failed to handle a message", self._topic
+                )
 
     def close(self) -> None:
         self._is_open = False
@@ -400,6 +406,7 @@ class _Caller:
         self.gid = gid
         self.observer: CallObserver | None = None
         self._sequence = 0
+        self._calls = 0  # under way
         self._transport = transport
         self._is_open = True
         self._is_served = False
@@ -418,6 +425,7 @@ class _Caller:
             raise TurtleactError(f"the client of service '{name}' is closed: open another")
         if not isinstance(handler, AsyncHandler):
             raise ServerUnavailable(name, self.why_not_served(), kind="service")
+        self._calls += 1
         try:
             theirs = observer_of(handler)
             if self.observer is None and theirs is None:
@@ -427,11 +435,15 @@ class _Caller:
             raise
         except Exception as error:
             raise ServiceError(name, f"the handler failed: {summary(error)}") from error
+        finally:
+            self._calls -= 1
+            if not self._is_open:
+                self._leave_if_idle()
 
     async def _call_observed(
         self, handler: AsyncHandler, request: object, theirs: CallObserver | None
     ) -> Reply:
-        """Call a handler, and tell the observers of both ends."""
+        """Call a handler, and report the call to the observers of the client and of the handler."""
         self._sequence += 1
         sequence = self._sequence
         observers = [each for each in (self.observer, theirs) if each is not None]
@@ -448,29 +460,38 @@ class _Caller:
         on_end: Callable[[PendingCall], object] | None = None,
         note: str = "",
     ) -> None:
-        """Return None: there are no servers in other processes."""
+        """Return None, because there are no servers in other processes."""
 
     async def wait_for_route(self) -> None:
-        """Do nothing: every server in this process can be reached."""
+        """Do nothing, because every server is in this process and can be reached."""
 
     def why_not_served(self, suffix: str = "") -> str:
         endpoint = self.endpoint
         return why_not_served(self._transport.endpoints(endpoint.name), endpoint, suffix)
 
     def close(self) -> None:
+        """Remove the client from the graph, once its calls under way are over.
+
+        The client stays on the graph until then, because a server may cancel the requests of a
+        client that has left.
+        """
         self._is_open = False
-        self.on_close()
+        self._leave_if_idle()
+
+    def _leave_if_idle(self) -> None:
+        if not self._calls:
+            self.on_close()
 
     def _handler(self) -> object | None:
         return self._transport.local(self.endpoint.name, self.endpoint.type_name)
 
 
 class _Offer:
-    """A handler that is offered. No two offers are equal.
+    """A handler that a node offers. Two offers of the same handler are not equal.
 
     Attributes:
-        leave: Removes the node's endpoint from the graph. Only one offer of each node has this
-            function; the others have None.
+        leave: Removes the node's server from the graph. If the node offers several handlers of the
+            service, only one of the offers has this function, and the others have None.
     """
 
     __slots__ = ("handler", "leave", "node")
@@ -482,7 +503,7 @@ class _Offer:
 
 
 class _Opened:
-    """An endpoint or node that was opened, other than an offer."""
+    """A node or handler on the graph. ``close`` removes it."""
 
     def __init__(self, on_close: Leave) -> None:
         self.close = on_close

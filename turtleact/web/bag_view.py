@@ -1,11 +1,11 @@
-"""Shows a bag in the browser: turtles on the map, goals as bars on a time line, and a slider.
+"""Shows a bag in the browser: turtles on a map, goals as bars on a time line, and a time slider.
 
-The page asks only for what it shows: the poses of some seconds around the chosen moment. The index
-of the bag leads to these poses, so a large bag opens as quickly as a small one. The page asks for
-the goals separately, because they are spread over the whole bag.
+The page requests only the poses of some seconds around the chosen moment. The server finds these
+poses through the index of the bag, so a large bag opens as quickly as a small one. The page
+requests the goals separately, because their messages are spread over the whole bag.
 
-Like the server of a node's page, this server listens on the loopback, and refuses requests for
-other host names.
+This server listens on a loopback address. It refuses requests whose Host header is neither an IP
+address nor a loopback name.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import json
 import math
 import secrets
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -29,6 +28,7 @@ from starlette.responses import Response
 from turtleact.http_server import bound, serving
 from turtleact.interfaces import to_json
 from turtleact.interfaces.types import fields
+from turtleact.opening import opening
 from turtleact.recording.bag import Bag, reader_of
 from turtleact.recording.metadata import BagError
 from turtleact.recording.recorded_goals import ENDED, RecordedGoal, goals
@@ -37,6 +37,7 @@ from turtleact.recording.selection import part_of
 from turtleact.recording.storage import Channel, Range, Raw
 from turtleact.web.access import Access, Refusals
 from turtleact.web.bridge import FILES, HEADERS, page_file, plain_text
+from turtleact.web.page_values import hues
 from turtleact.web.server import READ_AHEAD, Config
 
 if TYPE_CHECKING:
@@ -58,13 +59,13 @@ FURTHEST: Final = 1_000_000_000
 """The poses may begin at most this far from the start of the bag (s)."""
 
 CLOSEST: Final = 25_000_000
-"""A pose of a turtle is left out if it comes within this time of the one before (ns)."""
+"""A turtle's pose is left out if it comes less than this time after the last one kept (ns)."""
 
 MOST_TURTLES: Final = 64
 MOST_CONNECTIONS: Final = 64
 MOST_REACHED: Final = 1000
 MOST_SKIPPED: Final = 100
-"""The first pose is looked for in this many messages of its topic."""
+"""How many messages of a topic are searched for its first pose."""
 
 COORDINATES: Final = frozenset({"x", "y", "theta"})
 """The fields of a pose that can be drawn."""
@@ -77,7 +78,7 @@ class BagView:
         bag: The bag.
 
     Attributes:
-        refusals: The counter of refused requests.
+        refusals: Counts and logs refused connections.
     """
 
     def __init__(self, bag: Bag) -> None:
@@ -93,7 +94,7 @@ class BagView:
         }
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request."""
+        """Answer an HTTP request."""
         if scope["type"] == "http":
             response = await self._answer(Request(scope))
             await response(scope, receive, send)
@@ -131,12 +132,16 @@ class BagView:
             "messages": info.count,
             "is_closed": info.is_closed,
             "poses": {topic: each.schema.name for topic, each in self._channels().items()},
+            "hues": hues(self._channels()),
             "first": self._first_poses(),
             "topics": [[each.name, each.type_name, each.count] for each in info.topics],
         }
 
     def _first_poses(self) -> dict[str, list[float]]:
-        """The first pose of each topic that has one: time since the start (s), x, y and theta."""
+        """Return the first pose of each topic, in the form of `_pose`.
+
+        Topics without a finite pose in their first `MOST_SKIPPED` messages are left out.
+        """
         found: dict[str, list[float]] = {}
         counts = {each.name: each.count for each in self._bag.info.topics}
         for topic, channel in self._channels().items():
@@ -150,14 +155,17 @@ class BagView:
         return found
 
     def _pose(self, raw: Raw, read: Callable[[bytes], Any]) -> list[float] | None:
-        """Time since the start (s), x, y and theta; None for a pose that is not finite."""
+        """Return the time since the start of the bag (s), and the x, y and theta of a message.
+
+        The result is None if the message cannot be decoded, or if one of the numbers is not finite.
+        """
         pose = read(raw.data)
         if pose is None or not all(map(math.isfinite, (pose.x, pose.y, pose.theta))):
             return None
         return [(raw.stamp - self._bag.info.start) / 1e9, pose.x, pose.y, pose.theta]
 
     def _find_poses(self, asked: Request) -> dict[str, list[list[float]]]:
-        """The poses between two moments: time since the start (s), x, y and theta."""
+        """Return the poses of each topic between two moments, in the form of `_pose`."""
         origin, channels = self._bag.info.start, self._channels()
         start, end = (float(asked.query_params.get(name, "nan")) for name in ("start", "end"))
         if not 0 <= end - start <= LONGEST:
@@ -184,7 +192,11 @@ class BagView:
         return [{**_goal(each, origin), "reached": reached.get(each.id, [])} for each in found]
 
     def _reached(self) -> dict[bytes, list[float]]:
-        """The times (s) at which each goal reached its targets, if its feedback counts them."""
+        """Return the times at which each goal reached its targets, keyed by goal id.
+
+        The times are in seconds since the start of the bag. Only goals whose feedback has a number
+        ``reached`` are included.
+        """
         times: dict[bytes, list[float]] = {}
         readers: dict[str, Callable[[bytes], Any]] = {}
         for raw in self._bag.messages(Range(wants=lambda topic: part_of(topic).part == "feedback")):
@@ -200,7 +212,7 @@ class BagView:
         return times
 
     def _channels(self) -> dict[str, Channel]:
-        """The topics of the bag with poses."""
+        """Return the bag's channels of poses by topic, at most `MOST_TURTLES`."""
         if not self._poses:
             found = (each for each in self._bag.channels() if _is_pose(each))
             self._poses = {each.topic: each for each in [*found][:MOST_TURTLES]}
@@ -208,7 +220,7 @@ class BagView:
 
 
 class Shown(msgspec.Struct, frozen=True):
-    """A bag that is being shown.
+    """A bag that is shown on a page.
 
     Attributes:
         url: The address of the page.
@@ -217,11 +229,13 @@ class Shown(msgspec.Struct, frozen=True):
     url: str
 
 
-@asynccontextmanager
+@opening
 async def open_bag_view(
     path: str | Path, host: str = "127.0.0.1", port: int = 0
 ) -> AsyncIterator[Shown]:
-    """Show a bag on a page for the length of a block. This needs asyncio or uvloop.
+    """Serve a page that shows a bag, for the length of a block.
+
+    The event loop must be that of asyncio or uvloop.
 
     Args:
         path: The folder of the bag, or a single file.
@@ -229,8 +243,8 @@ async def open_bag_view(
         port: The port, or 0 for any free one.
 
     Raises:
-        BagError: if there is no bag.
-        InvalidOption: if the port cannot be bound.
+        BagError: if the bag does not exist or cannot be read.
+        InvalidOption: if the host or the port cannot be bound.
     """
     bag = await anyio.to_thread.run_sync(Bag, path)
     try:

@@ -1,7 +1,7 @@
 """Serves a node as an ASGI app: rosbridge on a WebSocket for programs, and a page for people.
 
-The app is a plain callable over a running node. It has no lifespan, so you can mount it into any
-other app. The app runs on asyncio and trio, under any ASGI server.
+The app is a callable that uses a running node. It does not need ASGI's lifespan events, so you can
+mount it into any other app. The app runs on asyncio and trio, under any ASGI server.
 
 Source: ASGI 3.0; rosbridge v2.
 """
@@ -9,7 +9,6 @@ Source: ASGI 3.0; rosbridge v2.
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Collection
-from contextlib import asynccontextmanager
 from functools import cache
 from importlib import resources
 from typing import Final
@@ -23,14 +22,15 @@ from starlette.websockets import WebSocket
 
 from turtleact.errors import TurtleactError
 from turtleact.node import Node
+from turtleact.opening import opening
 from turtleact.web.access import Access, Refusals
 from turtleact.web.connection import TRY_AGAIN_LATER, Connection
 from turtleact.web.shared import Limits, Shared
 
-__all__ = ["Bridge", "Statistics", "open_bridge", "page_file", "plain_text"]
+__all__ = ["FAREWELL", "Bridge", "Statistics", "open_bridge", "page_file", "plain_text"]
 
 FAREWELL: Final = 2.0
-"""When the bridge is closed, clients have this long to take their last frames (s)."""
+"""When the bridge is closed, clients have this long to read their last frames (s)."""
 
 POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
@@ -72,13 +72,13 @@ FILES: Final = {
 
 
 class Statistics(msgspec.Struct, frozen=True):
-    """A snapshot of a bridge.
+    """Counts of a bridge at one moment.
 
     Attributes:
         connections: How many clients are connected.
-        goals: How many goals of these clients are under way.
-        waiting: How many frames wait to be sent.
-        dropped: How many frames the connected clients have lost because they were too slow.
+        goals: How many goals of clients are under way, including those of disconnected clients.
+        waiting: How many frames wait to be sent to the connected clients.
+        dropped: How many frames the connected clients have lost because they read too slowly.
     """
 
     connections: int
@@ -88,12 +88,12 @@ class Statistics(msgspec.Struct, frozen=True):
 
 
 class Bridge:
-    """An ASGI app over a node. `open_bridge` makes one.
+    """An ASGI app that serves a node. Use `open_bridge` to create one.
 
     Attributes:
-        is_open: Whether it takes connections.
-        budget: How much memory all clients together may hold.
-        refusals: Logs the connections that are refused.
+        is_open: Whether the bridge accepts new connections.
+        budget: Limits the memory that all clients together hold.
+        refusals: Counts and logs refused connections.
     """
 
     def __init__(self, shared: Shared, access: Access) -> None:
@@ -106,7 +106,7 @@ class Bridge:
         self._left = shared.tasks.signal()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve one request. An ASGI server, or an app around this one, calls this."""
+        """Serve one HTTP request or one WebSocket, as ASGI demands."""
         if scope["type"] == "websocket":
             await self._connect(WebSocket(scope, receive, send))
         elif scope["type"] == "http":
@@ -117,7 +117,7 @@ class Bridge:
             )
 
     def statistics(self) -> Statistics:
-        """A snapshot of the bridge."""
+        """Return the bridge's counts at this moment."""
         boxes = [connection.mailbox for connection in self._connections]
         return Statistics(
             connections=len(boxes),
@@ -127,16 +127,19 @@ class Bridge:
         )
 
     async def aclose(self) -> None:
-        """Take no more connections, and end the existing connections.
+        """Accept no more connections, and close the existing ones.
 
-        Each client gets the frames that must still arrive, and a close frame. A client has
-        `FAREWELL` seconds to take them. Clients that wait for a goal or a call are told that no
-        answer will come.
+        Each client gets the frames that are still to be sent, and then a close frame. A client that
+        has not read these frames after `FAREWELL` seconds is disconnected. Clients that wait for
+        a goal or a service call are told that no answer will come.
         """
-        # First the clients are told that they will hear no more of their goals. Then their
-        # connections are closed. What they share is closed last, because an open connection may use
-        # it.
+        # First the results of goals that have ended are waited for. Then the clients are told that
+        # they will hear no more of their goals, and their connections are closed. What they share
+        # is closed last, because an open connection may use it.
         self.is_open = False
+        with anyio.move_on_after(FAREWELL, shield=True):
+            await self._shared.goals.wait_until_told()
+            await self._shared.watch.wait_until_told()
         self._shared.goals.leave()
         for connection in self._connections:
             connection.close()
@@ -178,7 +181,7 @@ class Bridge:
         self.refusals.note(bytes(refusal.body).decode().rstrip(), anyio.current_time())
 
     def _refusal(self, websocket: WebSocket) -> Response | None:
-        """The response to a refused client; None if the client may connect."""
+        """Return the response to a refused client; None if the client may connect."""
         if _path(websocket) != "/":
             return plain_text(404, "rosbridge is at the path /")
         problem = self._problem(websocket)
@@ -191,7 +194,7 @@ class Bridge:
         return None
 
     def _problem(self, asked: HTTPConnection) -> str:
-        """Why a client is refused; empty if it may connect."""
+        """Return why a request is refused, or an empty string if it is allowed."""
         scheme, _, token = asked.headers.get("authorization", "").partition(" ")
         return self._access.problem(
             host=asked.headers.get("host", ""),
@@ -214,7 +217,7 @@ class Bridge:
         return Response(page_file(name), media_type=media_type, headers=HEADERS)
 
 
-@asynccontextmanager
+@opening
 async def open_bridge(
     node: Node,
     *,
@@ -228,12 +231,13 @@ async def open_bridge(
 
     Args:
         node: The node to serve, on any kind of graph.
-        hosts: Host names that clients may use, besides IP addresses and loopback names.
+        hosts: The names that a Host header may have, besides IP addresses and loopback names.
         origins: The origins (``https://example.com``) of pages that may connect, besides the
             server's own origin and those of loopback hosts.
-        token: The token that clients must send: ``?token=…``, or ``Authorization: Bearer …``.
-        limits: How much clients may ask for.
-        cancel_on_disconnect: Whether a client that disconnects cancels its goals.
+        token: The token that clients must send, as ``?token=…`` or as ``Authorization: Bearer …``.
+            If empty, clients need no token.
+        limits: The limits on what clients may use. If left out, the defaults of `Limits` apply.
+        cancel_on_disconnect: Whether the goals of a client are canceled when it disconnects.
     """
     shared = Shared(node, limits or Limits(), cancel_on_disconnect=cancel_on_disconnect)
     bridge = Bridge(shared, Access(frozenset(hosts), frozenset(origins), token))
@@ -244,17 +248,17 @@ async def open_bridge(
 
 
 def plain_text(status: int, text: str) -> Response:
-    """A response with a line of text."""
+    """Return a response with one line of text."""
     return Response(f"{text}\n", status, HEADERS, media_type="text/plain")
 
 
 @cache
 def page_file(name: str, folder: str = "page") -> bytes:
-    """A file of a page."""
+    """Return the contents of one of a page's files."""
     return resources.files("turtleact.web").joinpath(folder, name).read_bytes()
 
 
 def _path(asked: HTTPConnection) -> str:
-    """The path relative to where the bridge is mounted."""
+    """Return the path of a request, relative to the path at which the bridge is mounted."""
     path: str = asked.scope["path"]
     return path.removeprefix(asked.scope.get("root_path", "")) or "/"

@@ -1,8 +1,9 @@
-"""Serves one client: a task reads, a task writes, and the connection knows what is open.
+"""Serves one client, with a task that reads frames and a task that writes frames.
 
-`turtleact.web.protocol` has the rules. This module carries them out on the node. The reader never
-waits for the writer: outgoing frames go into a mailbox. A client that reads nothing for `PATIENCE`
-seconds is disconnected. A slow client therefore slows nobody else down.
+`turtleact.web.protocol` turns each frame of the client into effects, and this module carries them
+out on the node. The reading task never waits for the writing task, because outgoing frames go into
+a mailbox. A client that reads nothing for `PATIENCE` seconds is disconnected. So a slow client does
+not slow down other clients.
 
 Source: rosbridge v2; ASGI, "HTTP and WebSocket message format".
 """
@@ -52,14 +53,14 @@ TRY_AGAIN_LATER: Final = 1013
 
 
 class Connection:
-    """One client.
+    """The connection of one client.
 
     Args:
         shared: The objects that all connections share.
-        websocket: The connection, not accepted yet.
+        websocket: The client's WebSocket, not accepted yet.
 
     Attributes:
-        mailbox: The frames that wait to be sent.
+        mailbox: The frames that wait to be sent to the client.
     """
 
     def __init__(self, shared: Shared, websocket: WebSocket) -> None:
@@ -97,18 +98,25 @@ class Connection:
             self._shared.budget.hold(self, 0)  # last: closing may still have kept frames
 
     def close(self) -> None:
-        """Send the frames that must still arrive and a close frame, then end."""
+        """Start to close the connection.
+
+        The client still gets the frames that must arrive, and then a close frame.
+        """
         # From here on nothing that may be dropped is taken (`put`), so the writer comes to an end
         # as soon as it has sent what must arrive, and then sends the close frame.
         self._is_closing = True
         for said in self._calls.values():
-            self.keep(_response(said, "the server is closing", is_result=False))
+            # A page that waits for news gets the last news, such as the results of goals that ended
+            # a moment ago.
+            news = self._shared.watch.last_news(said.service, said.args)
+            values = "the server is closing" if news is None else news
+            self.keep(_response(said, values, is_result=news is not None))
         self._calls.clear()
         self.mailbox.drop_all()
         self._filled.fire()
 
     def keep(self, frame: str) -> None:
-        """Send a frame that must arrive."""
+        """Queue a frame that must not be dropped."""
         self.mailbox.keep(frame)
         if self.mailbox.is_overfull:
             self.let_go("too much data waits for it")
@@ -116,7 +124,7 @@ class Connection:
         self._filled.fire()
 
     def put(self, source: str, frame: Frame) -> None:
-        """Send a frame, unless newer frames of the same source take its place."""
+        """Queue a frame that may be dropped if the client reads too slowly."""
         if self._is_closing:
             return
         self.mailbox.put(source, frame)
@@ -124,14 +132,21 @@ class Connection:
         self._filled.fire()
 
     def shrink(self) -> int:
-        """Hold less, because all clients together hold too much. Return how much is still held."""
+        """Free memory, because all clients together hold too much.
+
+        Drop the frames that may be dropped. If there are none, disconnect the client. Return how
+        much memory the connection still holds (bytes).
+        """
         if self.mailbox.shed():
             return self.mailbox.size
         self.let_go("too much data waits for all clients, and most of it for this one")
         return 0
 
     def let_go(self, reason: str) -> None:
-        """End at once, without a close frame, because the client would not read it."""
+        """Disconnect the client at once.
+
+        No close frame is sent, because the client would not read it.
+        """
         if self._group is None or self._group.cancel_scope.cancel_called:
             return
         logger.warning(
@@ -147,7 +162,7 @@ class Connection:
         self._group.cancel_scope.cancel()
 
     async def _accept(self) -> bool:
-        """Accept the connection. Return False if the client has gone already."""
+        """Accept the connection. Return False if the client is already gone."""
         try:
             await self._websocket.accept()
         except GONE:
@@ -175,7 +190,7 @@ class Connection:
         self._end()
 
     async def _send(self, frame: Frame) -> None:
-        """Send a frame. If the client is gone or takes nothing, end the connection."""
+        """Send a frame. If the client is gone or reads nothing for too long, end the connection."""
         # Servers take a frame while the previous one is still being sent. So this mostly waits for
         # the previous frame, whose size tells how long that may take.
         with anyio.move_on_after(PATIENCE + self._last_size / SLOWEST) as scope:
@@ -194,7 +209,7 @@ class Connection:
         cast("TaskGroup", self._group).cancel_scope.cancel()
 
     def _release(self, now: float) -> float:
-        """Send the throttled messages that are due. Return when the next one is due."""
+        """Queue the waiting messages that are due. Return the time when the next one is due."""
         due = math.inf
         for throttle, _, _ in self._readers.values():
             message = throttle.release(now)
@@ -226,7 +241,7 @@ class Connection:
             self.keep(cast("Say", effect).frame)
 
     async def _perform(self, effect: Effect) -> None:
-        """Carry out an effect. The client is told of its mistakes."""
+        """Carry out an effect. Report a failure to the client, if it wants status messages."""
         match effect:
             case Say(frame):
                 self.keep(frame)
@@ -292,7 +307,7 @@ class Connection:
         self._readers[what.key] = (throttle, feed, deliver)
 
     def _deliver(self, throttle: Throttle, message: Rendering) -> None:
-        """Take a topic's message."""
+        """Send, delay or drop a message of a topic, as its throttle decides."""
         due = throttle.due
         ready = throttle.offer(message, anyio.current_time())
         if ready is not None:
@@ -352,7 +367,7 @@ class Connection:
             cast("TaskGroup", self._group).start_soon(self._answer, self._count, said)
 
     async def _answer(self, number: int, said: CallService) -> None:
-        """Call a service and send its response, unless the client has already been answered."""
+        """Call a service and send its response, unless `close` has already answered the client."""
         try:
             frame = _response(said, await self._shared.call(said), is_result=True)
         except TurtleactError as error:
@@ -373,7 +388,7 @@ def _response(said: CallService, values: object, *, is_result: bool) -> str:
 def _place_of(
     what: Reader | Writer | operations.AdvertiseService | operations.AdvertiseAction,
 ) -> tuple[str, str]:
-    """The kind and key under which the protocol knows this object."""
+    """Return the arguments of `Protocol.forget` for a reader, a writer, a service or an action."""
     match what:
         case Reader():
             return "reader", what.key

@@ -2,7 +2,7 @@
 
 The bodies of the responses have FastAPI's form ``{"detail": "text"}``. If a goal does not fit its
 type, ``detail`` is a list of objects with ``loc``, ``msg`` and ``type``. Clients that understand
-FastAPI's validation errors therefore understand these.
+FastAPI's validation errors therefore understand these responses, too.
 
 Source: FastAPI, "Handling Errors", and its ``HTTPValidationError``; RFC 9110, section 15.5.
 """
@@ -20,6 +20,7 @@ from starlette.websockets import WebSocket
 from turtleact.errors import (
     GoalRejected,
     InvalidGoal,
+    InvalidGoalId,
     ServerUnavailable,
     TurtleactError,
     UnknownGoal,
@@ -29,6 +30,7 @@ __all__ = ["STATUS_CODES", "add_error_handlers", "location"]
 
 STATUS_CODES: Final[dict[type[TurtleactError], int]] = {
     InvalidGoal: 422,
+    InvalidGoalId: 422,
     GoalRejected: 409,
     UnknownGoal: 404,
     ServerUnavailable: 503,
@@ -41,14 +43,14 @@ part_pattern = re.compile(r"[^.\[\]]+")
 def add_error_handlers(app: Starlette) -> None:
     """Make an app answer failed goals with the right HTTP status instead of 500.
 
-    The errors in `STATUS_CODES` become JSON responses, in all routes of the app. Apps that are
-    mounted in it have handlers of their own. Routes of WebSockets still raise these errors.
+    The errors in `STATUS_CODES` become JSON responses, in all routes of the app. Other apps that
+    are mounted in the app are not affected. WebSocket routes still raise the errors.
 
     Args:
         app: An app of Starlette or FastAPI that has not started yet.
 
     Raises:
-        TurtleactError: if the app has started. A started app would ignore new handlers.
+        TurtleactError: if the app has started, because it would ignore the handlers.
     """
     if app.middleware_stack is not None:
         raise TurtleactError(
@@ -60,10 +62,11 @@ def add_error_handlers(app: Starlette) -> None:
 
 
 def location(path: str) -> list[str | int]:
-    """The place of a value in the request's body, as FastAPI writes it.
+    """Return the path of a value in a request's body, in the form of FastAPI's ``loc``.
 
     Args:
-        path: The path of an `InvalidGoal`. Its first word is the name of the whole message.
+        path: The attribute ``path`` of an `InvalidGoal`. Its first word stands for the whole
+            message, and is replaced by ``body``.
 
     >>> location("goal.targets[1].x")
     ['body', 'targets', 1, 'x']
@@ -79,4 +82,6 @@ async def _answer(connection: Request | WebSocket, error: Exception) -> JSONResp
     if isinstance(error, InvalidGoal):
         problem = {"loc": location(error.path), "msg": error.problem, "type": "value_error"}
         return JSONResponse({"detail": [problem]}, code)
+    if isinstance(error, InvalidGoalId):  # its text has a caret on a line of its own
+        return JSONResponse({"detail": f"{error.problem}: {error.name}"}, code)
     return JSONResponse({"detail": str(error)}, code)

@@ -1,20 +1,23 @@
-"""Prepares messages for the page: plain values of limited size, numbers to plot, and forms.
+"""Prepares messages for the page: excerpts, numbers to plot, and descriptions of fields.
 
-A message may hold a million numbers, but the page shows only a few. So the functions here look at
-no more values than they return. `form` describes an action's fields, so that the page can ask for a
-goal and label values. `turtleact.interfaces.comments` has the comments.
+A message may hold a million numbers, but the page shows only a few. Therefore the functions of this
+module look at no more values than they return. `form` describes an action's fields, so that the
+page can show input fields for a goal, and can label values. The comments in this description come
+from `turtleact.interfaces.comments`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from typing import Any, Final, TypeAlias, cast
 
 from turtleact.interfaces import Action, Message, fields
 from turtleact.interfaces.comments import comments
-from turtleact.interfaces.definition import INTEGER_RANGES, Field
-from turtleact.interfaces.types import nested_classes
+from turtleact.interfaces.definition import INTEGER_RANGES, Constant, Field
+from turtleact.interfaces.types import are_flags, choices, named_values, nested_classes
+from turtleact.sim.pictures import hue_of
 
 __all__ = [
     "CHARACTERS",
@@ -24,6 +27,7 @@ __all__ = [
     "Plain",
     "excerpt",
     "form",
+    "hues",
     "numbers_in",
 ]
 
@@ -48,13 +52,15 @@ NUMBERS: Final = frozenset(
     {"float32", "float64", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"}
 )
 
+QUOTED_WORD: Final = re.compile(r"``([\w-]+)``")
+
 Described: TypeAlias = dict[str, Any]
 
 
 def excerpt(message: Message) -> Plain:
-    """The values of a message in a form for JSON. Long lists and texts are cut.
+    """Return the values of a message, ready for JSON. Long lists and texts are cut.
 
-    A cut list ends with a text that says how many values are missing.
+    A cut list or text ends with the number of items or characters that are missing.
 
     >>> from turtleact.interfaces.standard import Fibonacci
     >>> excerpt(Fibonacci.Result([0, 1, 1]))
@@ -64,7 +70,10 @@ def excerpt(message: Message) -> Plain:
 
 
 def numbers_in(message: Message) -> Iterator[tuple[str, float]]:
-    """Yield up to `MOST_PLOTTED` numbers outside of lists, with their paths, outermost first."""
+    """Yield numbers of a message with their paths, at most `MOST_PLOTTED`.
+
+    Numbers in lists are left out. Numbers of the outermost message come first.
+    """
     for path, attributes in _paths(type(message)):
         value: Any = message
         for attribute in attributes:
@@ -72,11 +81,28 @@ def numbers_in(message: Message) -> Iterator[tuple[str, float]]:
         yield path, value
 
 
-def form(action: type[Action]) -> Described:
-    """The fields of an action's goal, result and feedback.
+def hues(topics: Iterable[str]) -> dict[str, int]:
+    """The hues of turtles (degrees), by the topics of their poses.
 
-    Each field has ``name``, ``type``, ``default`` and ``comment``. Where they apply, it also has
-    ``array`` (``form`` and ``size``), ``longest``, ``least``, ``most`` and ``fields``.
+    >>> hues(["/turtle1/pose"])
+    {'/turtle1/pose': 145}
+    """
+    return {topic: hue_of(topic.removesuffix("/pose").removeprefix("/")) for topic in topics}
+
+
+def form(action: type[Action]) -> Described:
+    """Describe the fields of an action's goal, result and feedback.
+
+    Each field has ``name``, ``type``, ``default`` and ``comment``. Some fields have more members:
+
+    - ``array``: the ``form`` and ``size`` of a list.
+    - ``longest``: the maximum length of a text.
+    - ``least`` and ``most``: the range of a whole number, as text.
+    - ``fields``: the fields of a nested message.
+    - ``values``: the values that the field is limited to. Each is a pair of the value and its
+      label, both as text.
+    - ``suggested``: such pairs, for a field that may have other values, too. For a text field
+      without constants, both the value and the label are a word that the field's comment quotes.
     """
     parts: dict[str, type[Message]] = {
         "goal": action.Goal,
@@ -88,7 +114,7 @@ def form(action: type[Action]) -> Described:
 
 
 class _Cutter:
-    """Makes one excerpt."""
+    """Makes one excerpt, and counts how many values the excerpt may still hold."""
 
     def __init__(self) -> None:
         self._left = MOST_VALUES
@@ -124,7 +150,7 @@ class _Cutter:
 
 
 def _first(values: Sequence[object], count: int) -> list[object]:
-    """The first values of a list, of bytes, or of an array in a decoded message."""
+    """Return the first values of a list, of bytes, or of an array in a decoded message."""
     some = values[: max(0, count)]
     return cast("list[object]", some.tolist()) if hasattr(some, "tolist") else list(some)
 
@@ -152,6 +178,7 @@ def _described(cls: type[Message], notes: dict[str, str]) -> list[Described]:
     defaults: Any = excerpt(cls())
     return [
         _field(field, nested, defaults[field.name], notes.get(field.name, ""))
+        | _named(cls, field, notes.get(field.name, ""))
         for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
     ]
 
@@ -174,3 +201,27 @@ def _field(field: Field, nested: type[Message] | None, default: object, comment:
     if nested is not None:
         said["fields"] = _described(nested, comments(nested))
     return said
+
+
+def _named(cls: type[Message], field: Field, comment: str) -> Described:
+    """Describe the named values of a field. Flags are left out, because they may be combined."""
+    limited, named = choices(cls, field), named_values(cls, field)
+    if limited:
+        return {"values": _labelled(field, limited)}
+    if named and field.type.name != "bool" and not are_flags(named):
+        return {"suggested": _labelled(field, named)}
+    words = QUOTED_WORD.findall(comment) if field.type.name == "string" else []
+    return {"suggested": [(word, word) for word in words]} if len(words) > 1 else {}
+
+
+def _labelled(field: Field, named: list[Constant]) -> list[tuple[str, str]]:
+    """Return each value as text, and its label."""
+    prefix = f"{field.name.upper()}_"
+    labels = [
+        constant.value or "(empty)"
+        if isinstance(constant.value, str)
+        else f"{constant.name.removeprefix(prefix).lower()} ({constant.value})"
+        for constant in named
+    ]
+    values = [str(constant.value) for constant in named]
+    return list(zip(values, labels, strict=True))

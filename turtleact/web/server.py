@@ -1,13 +1,14 @@
-"""Serves a node on a port for the length of a block: runs uvicorn around a bridge.
+"""Serves a node on a port: runs uvicorn, with a bridge as the app.
 
-This module needs asyncio or uvloop, because uvicorn does. On trio, mount a bridge into another ASGI
-server. Here, uvicorn's protocols are stricter with clients than usual:
+This module needs asyncio or uvloop, because uvicorn does. On trio, serve a bridge with another ASGI
+server. Here, uvicorn is stricter with clients than usual:
 
-- A client that connects and sends no whole request is disconnected, and the number of connections
-  is limited. Otherwise anybody could use up all connections that the process may have.
-- The app can cut off a client that does not read. A client that does not answer a ping counts as
-  gone, unless it is still sending a message: its answer may come after that message.
-- A text that is not UTF-8 is the client's mistake, so the log gets one line without a traceback.
+- A client that does not send a whole request in time is disconnected, and the number of connections
+  is limited. Otherwise anybody could use up all connections that the process may open.
+- The app can disconnect a client that does not read. A client that does not answer a ping is
+  disconnected, unless it is still sending a message, because its answer may follow that message.
+- A client that sends a text that is not UTF-8 is disconnected. The log gets one line without a
+  traceback, because this is the client's mistake.
 
 Source: uvicorn ``h11_impl.py`` and ``websockets_sansio_impl.py``; RFC 6455, section 8.1.
 """
@@ -18,7 +19,6 @@ import asyncio
 import logging
 import time
 from collections.abc import AsyncIterator, Collection
-from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Final, cast
 from urllib.parse import quote
 
@@ -31,6 +31,7 @@ from turtleact import http_server
 from turtleact.errors import TurtleactError
 from turtleact.http_server import bound, serving, token_for
 from turtleact.node import Node
+from turtleact.opening import opening
 from turtleact.web.access import Refusals
 from turtleact.web.bridge import Bridge, open_bridge
 from turtleact.web.connection import TRY_AGAIN_LATER
@@ -58,7 +59,7 @@ PORT: Final = 9090
 """rosbridge's own port."""
 
 ROOM: Final = 50
-"""Additional connections for the page when `Limits.connections` clients are connected."""
+"""How many connections the server accepts beyond `Limits.connections`, for the page."""
 
 READ_AHEAD: Final = 2**14
 """How much a client may send ahead (bytes). Other clients wait while this is processed."""
@@ -85,10 +86,10 @@ class Web(msgspec.Struct, frozen=True):
     """A running web server.
 
     Attributes:
-        host: The address that it is bound to.
-        port: The port.
+        host: The address on which the server listens.
+        port: The port on which the server listens.
         token: The token that clients must send; empty if none is needed.
-        bridge: The app that it serves.
+        bridge: The app that the server runs.
     """
 
     host: str
@@ -98,7 +99,7 @@ class Web(msgspec.Struct, frozen=True):
 
     @property
     def url(self) -> str:
-        """The address of the page. With ``ws:`` instead of ``http:``, it is that of rosbridge."""
+        """The page's URL. For rosbridge, put ``ws:`` in place of ``http:``."""
         query = f"?token={quote(self.token, safe='')}" if self.token else ""
         return f"{address_of(self.host, self.port)}{query}"
 
@@ -107,7 +108,7 @@ ANY: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  # told, not bo
 """The address that a browser on this machine uses if all addresses are bound."""
 
 
-@asynccontextmanager
+@opening
 async def open_web(
     node: Node,
     host: str = "127.0.0.1",
@@ -119,21 +120,22 @@ async def open_web(
     limits: Limits | None = None,
     cancel_on_disconnect: bool = False,
 ) -> AsyncIterator[Web]:
-    """Serve a node on a port. The server listens when the block begins.
+    """Serve a node on a port for the length of a block.
 
-    At the end of the block, every client gets the frames that must still arrive and a close frame.
+    The server already listens when the block begins. At the end of the block, the server sends each
+    client the frames that are still to be sent, and then a close frame.
 
     Args:
         node: The node to serve.
-        host: The address or name to bind. Other machines can reach it unless it is a loopback
-            address.
+        host: The address or name to bind. Other machines can reach the server unless this is a
+            loopback address.
         port: The port, 1 to 65535, or 0 for any free one.
-        token: The token that clients must send. If left out, no token is needed on a loopback
-            address. On any other address, a token is made for this run.
-        hosts: As for `open_bridge`. ``host`` is always among them.
-        origins: As for `open_bridge`.
-        limits: As for `open_bridge`.
-        cancel_on_disconnect: As for `open_bridge`.
+        token: The token that clients must send. If left out, there is no token on a loopback
+            address, and a new random token (`Web.token`) on any other address.
+        hosts: As in `open_bridge`. ``host`` is always allowed.
+        origins: As in `open_bridge`.
+        limits: As in `open_bridge`.
+        cancel_on_disconnect: As in `open_bridge`.
 
     Raises:
         InvalidOption: if the host or the port cannot be bound, or if the token is empty and the
@@ -164,20 +166,20 @@ async def open_web(
 
 
 class Config(http_server.Config):
-    """uvicorn's configuration, in which its protocols also find the app's budget and refusals.
+    """uvicorn's configuration, with additional settings for `Http` and `Socket`.
 
     Args:
-        app: The app.
-        refusals: The counter of refused connections.
-        limit_concurrency: How many connections may be open.
-        ws_max_size: The longest message of a WebSocket (bytes).
+        app: The ASGI app to serve.
+        refusals: Counts and logs refused connections.
+        limit_concurrency: How many connections may be open at a time.
+        ws_max_size: The maximum size of a message on a WebSocket (bytes).
 
     Attributes:
         refusals: The argument ``refusals``.
-        budget: The budget for the memory of all WebSockets. An app without WebSockets needs none.
+        budget: Limits the memory of all WebSockets. Leave it unset if the app has no WebSockets.
         request_within: How long a client may take to send its request (s).
-        spare: How many more connections may be open, whose requests are answered with 503. Any
-            further connection is reset.
+        spare: How many connections may be open beyond ``limit_concurrency``. Their requests are
+            answered with 503. Any further connection is reset.
     """
 
     budget: Budget
@@ -204,10 +206,10 @@ class Config(http_server.Config):
 
 
 class _Log(logging.Logger):
-    """The log of uvicorn's protocols for one connection.
+    """The logger of uvicorn's protocols for one connection.
 
-    The protocols log each request that they refuse. These lines are counted, like all refusals.
-    Bugs are logged unchanged.
+    The protocols log a warning for each request that they refuse. These warnings are counted as
+    refusals, and not logged one by one. Errors are logged unchanged, because they show bugs.
     """
 
     def __init__(self, refusals: Refusals) -> None:
@@ -216,7 +218,7 @@ class _Log(logging.Logger):
         self._refusals = refusals
 
     def handle(self, record: logging.LogRecord) -> None:
-        """Count a refusal, or log a bug."""
+        """Count a refusal if the record is a warning; log the record if it is an error."""
         if record.levelno < logging.ERROR:
             self._refusals.note(record.getMessage(), time.monotonic())
         else:
@@ -224,14 +226,14 @@ class _Log(logging.Logger):
 
 
 class Http(H11Protocol):
-    """An HTTP connection, for one request.
+    """An HTTP connection, which serves one request.
 
-    At most ``limit_concurrency`` and ``spare`` connections are open, including those that have
-    become a `Socket`.
+    At most ``limit_concurrency + spare`` connections are open, including those that have become a
+    `Socket`.
     """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
-        """Take a connection, unless there are too many."""
+        """Accept a new connection, or reset it if too many are open."""
         config = cast("Config", self.config)
         self.logger = _Log(config.refusals)
         super().connection_made(transport)
@@ -251,9 +253,9 @@ class Http(H11Protocol):
 class Socket(WebSocketsSansIOProtocol):
     """The WebSocket of one client.
 
-    Everything held for its client counts towards the budget of all clients: the part of a message
-    that has arrived, messages that the app has not finished, and data that the client has not
-    received.
+    All data held for the client counts towards the budget of all clients: the part of a message
+    that has arrived, messages that the app has not handled yet, and data that the client has not
+    received yet.
     """
 
     _heard_at = 0.0
@@ -264,20 +266,23 @@ class Socket(WebSocketsSansIOProtocol):
     _is_let_go = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take over a connection."""
+        """Take over a connection from `Http`."""
         config = cast("Config", self.config)
         self._budget = config.budget
         self.logger = self.conn.logger = _Log(config.refusals)
         super().connection_made(transport)
 
     async def run_asgi(self) -> None:
-        """Serve the connection."""
+        """Run the app for the connection.
+
+        The extension ``turtleact.abort`` lets the app disconnect the client.
+        """
         extensions = cast("dict[str, object]", self.scope["extensions"])
         extensions["turtleact.abort"] = self.transport.abort
         await super().run_asgi()
 
     def data_received(self, data: bytes) -> None:
-        """Read the data that has arrived."""
+        """Handle data that has arrived."""
         if self._is_let_go:
             return
         self._heard_at = self.loop.time()
@@ -285,17 +290,17 @@ class Socket(WebSocketsSansIOProtocol):
         self._count()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Record that the connection has ended."""
+        """Record that the connection has ended, and that no data is held for it any more."""
         super().connection_lost(exc)
         self._budget.hold(self, 0)
 
     def resume_writing(self) -> None:
-        """Record that the client has received the frame."""
+        """Record that the client has received data."""
         super().resume_writing()
         self._count()
 
     def shrink(self) -> int:
-        """End the connection, because all clients hold too much, and this one holds the most."""
+        """Disconnect the client, because all clients together hold too much memory."""
         logger.warning("a web client was disconnected: %s", TOO_MUCH)
         self._is_let_go = True
         self.frames = []
@@ -315,29 +320,33 @@ class Socket(WebSocketsSansIOProtocol):
         return 0
 
     def handle_text(self, event: Frame) -> None:
-        """Take a text or its first part."""
+        """Handle a text message or its first part."""
         self._fragments = _cost(event)
         super().handle_text(event)
 
     def handle_bytes(self, event: Frame) -> None:
-        """Take a binary message or its first part."""
+        """Handle a binary message or its first part."""
         self._fragments = _cost(event)
         super().handle_bytes(event)
 
     def handle_cont(self, event: Frame) -> None:
-        """Take another part of a message."""
+        """Handle another part of a message."""
         self._fragments += _cost(event)
         super().handle_cont(event)
 
     async def receive(self) -> Message:  # type: ignore[override]  # uvicorn's types are private
-        """Give the app the next message once it has handled the earlier ones."""
+        """Return the next message to the app.
+
+        If the app calls this method when no message is queued, the app has handled all earlier
+        messages. Then these messages no longer count towards the budget.
+        """
         if self.queue.empty():
             self._unread = 0
             self._count()
         return cast("Message", await super().receive())
 
     async def send(self, message: Message) -> None:  # type: ignore[override]  # likewise
-        """Send a message of the app."""
+        """Send an ASGI message from the app to the client."""
         await super().send(message)  # type: ignore[arg-type]  # likewise
         if message["type"] == "websocket.http.response.body":
             # A refusal is an answer to the handshake, too. uvicorn does not see it that way, and
@@ -346,7 +355,7 @@ class Socket(WebSocketsSansIOProtocol):
         self._count()
 
     def _count(self) -> None:
-        """Record how much memory is held for the client."""
+        """Tell the budget how much memory is held for the client."""
         if not (self._is_let_go or self.disconnected or self.transport.is_closing()):
             incoming = len(self.conn.reader.buffer) + self._fragments + self._unread
             self._budget.hold(self, incoming + self._unsent())
@@ -355,7 +364,7 @@ class Socket(WebSocketsSansIOProtocol):
         return self.transport.get_write_buffer_size()
 
     def handle_ping(self) -> None:
-        """Answer a ping, unless so many arrive that the answers would pile up."""
+        """Answer a ping. Disconnect a client that sends over `MOST_PINGS` pings in a second."""
         now = self.loop.time()
         if now - self._pinged_at >= 1.0:
             self._pinged_at, self._pings = now, 0
@@ -369,7 +378,11 @@ class Socket(WebSocketsSansIOProtocol):
             self.transport.abort()
 
     def keepalive_timeout(self) -> None:
-        """Close the connection, unless the client is still sending and its pong may follow."""
+        """Disconnect a client that has not answered a ping in time.
+
+        A client that has sent other data since the ping stays connected, because its answer may
+        follow.
+        """
         if self._heard_at > self.ping_sent_at:
             self.pong_timer = None
             self.schedule_ping()
@@ -377,7 +390,7 @@ class Socket(WebSocketsSansIOProtocol):
             super().keepalive_timeout()
 
     def send_receive_event_to_app(self) -> None:
-        """Hand a message to the app. A text that is not UTF-8 ends the connection."""
+        """Pass a complete message to the app. A text that is not UTF-8 ends the connection."""
         self._unread += self._fragments
         self._fragments = 0
         is_read = self.curr_msg_data_type == "text" and not self.close_sent
@@ -391,13 +404,16 @@ class Socket(WebSocketsSansIOProtocol):
 
 
 def address_of(host: str, port: int) -> str:
-    """The address of a server for a browser on this machine."""
+    """Return the URL with which a browser on this machine reaches a server."""
     host = ANY.get(host, host)
     return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"
 
 
 def _cost(part: Frame) -> int:
-    """The memory used for a part of a message (bytes). Many tiny parts use much memory, too."""
+    """Return the memory used for a part of a message (bytes).
+
+    Python's overhead is included, because many tiny parts use much memory, too.
+    """
     return len(part.data) + OVERHEAD
 
 

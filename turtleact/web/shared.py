@@ -1,16 +1,17 @@
 """Holds what all clients of a bridge share: the node, topics, goals and services.
 
-- A topic is subscribed to once, however many clients read it, and each frame is made once
-  (`Feeds`). A latched topic gets a new subscription for each client, because only a new
-  subscription gets the messages that the publishers keep.
-- Clients of services and actions are kept open for the next web client (`Pool`).
-- Each goal is followed to its end (`Goals`). A goal continues when its client disconnects, unless
-  `cancel_on_disconnect` is set.
-- A client may cancel a goal that another connection has sent. Web clients choose the ids of their
-  goals themselves, so two clients may choose the same id. A cancel is meant for the client's own
-  goal with that id. If the client has none, the cancel is meant for the only goal with that id that
-  other clients have sent. A cancel that comes before the server has accepted the goal is
-  remembered.
+- All clients that read a topic share one subscription, and each frame is made once (`Feeds`). A
+  latched topic gets a new subscription for each client, because only a new subscription gets the
+  messages that the publishers keep.
+- The node's service clients and action clients stay open, so that the next web client can use them
+  (`Pool`).
+- `Goals` follows each goal until the goal ends. A goal continues when its web client disconnects,
+  unless ``cancel_on_disconnect`` is set.
+- A web client may cancel a goal that another web client has sent. Web clients choose the ids of
+  their goals themselves, so several of them may choose the same id. A request to cancel a goal
+  applies to the client's own goal with the given id. If the client has no such goal, the request
+  applies to the goal of another client with that id, if there is only one. If the action server has
+  not accepted the goal yet, the goal is canceled once it is accepted.
 
 Source: rosbridge_library ``capabilities/action_*.py``; its issues 1003, 1013, 1139 and 1152.
 """
@@ -70,9 +71,9 @@ DEPTH = 32
 """How many messages may wait for the task that hands them to all clients."""
 
 MOST_IDLE: Final = 64
-"""How many idle clients of services and actions are kept open.
+"""How many idle service clients and action clients are kept open.
 
-Opening one announces it on the whole graph.
+Opening a client announces it on the whole graph.
 """
 
 MOST_GOALS: Final = 1024
@@ -87,17 +88,19 @@ REJECTED: Final = "Action goal was rejected"
 
 
 class Limits(msgspec.Struct, frozen=True):
-    """How much clients may use.
+    """Limits on what clients may use.
 
     Attributes:
         connections: How many clients may be connected.
-        opened: How many subscriptions, advertisements, services and actions one client may have.
+        opened: How many subscriptions, advertisements, services and actions one client may have
+            open.
         calls: How many service calls of one client may be under way.
-        message_size: The longest message that a client may send (bytes).
+        message_size: The maximum size of a message that a client sends (bytes).
         memory: How much memory the server may hold for all clients together (bytes). This includes
             messages that have not arrived completely or have not been read yet, and frames that
             wait to be sent. If the limit is exceeded, the client that holds the most loses its
-            waiting topic messages and feedback. If it has none, it is disconnected.
+            waiting topic messages and feedback. If that client has no such messages, it is
+            disconnected.
     """
 
     connections: int = 100
@@ -108,11 +111,11 @@ class Limits(msgspec.Struct, frozen=True):
 
 
 class Shared:
-    """The objects that the connections share.
+    """The objects that all connections of a bridge share.
 
     Args:
-        node: The node that is served.
-        limits: How much clients may ask for.
+        node: The node through which the clients use the graph.
+        limits: The limits on what clients may use.
         cancel_on_disconnect: Whether a client's goals are canceled when it disconnects.
     """
 
@@ -131,10 +134,12 @@ class Shared:
         )
 
     async def call(self, said: CallService) -> object:
-        """Call a service of rosapi, the page or the graph, and return its response's values.
+        """Call a service, and return the values of the response.
+
+        The service is one of rosapi, one of the bridge's web page, or one on the graph.
 
         Raises:
-            TurtleactError: if no response comes.
+            TurtleactError: if the call fails.
         """
         values = await self.rosapi.call(said.service, said.args)
         if values is None:
@@ -162,22 +167,23 @@ class Shared:
             return cast("Res", await client.call(request, timeout))
 
     async def aclose(self) -> None:
-        """Close everything that was opened."""
+        """Close everything that the connections share."""
         await self.watch.aclose()
         await self.goals.aclose()
         await self._clients.aclose()
 
 
 class Feed:
-    """A topic and its readers.
+    """Delivers the messages of a topic to its readers.
 
     Args:
-        subscription: Its messages.
-        reader: The first reader. It gets the messages that have already come.
-        now: The time (ns since the epoch).
+        subscription: A new subscription to the topic.
+        reader: The first reader. It gets all messages of the subscription, including those that
+            have already arrived.
+        now: Returns the time (ns since the epoch).
 
     Attributes:
-        readers: All readers of the topic.
+        readers: The functions to which each message is delivered.
     """
 
     def __init__(
@@ -189,7 +195,7 @@ class Feed:
         self._reading = Background(self._read(), f"a reader of {subscription.topic}")
 
     async def aclose(self) -> None:
-        """Leave the topic."""
+        """Close the subscription."""
         await self._subscription.aclose()
         await self._reading.aclose()
 
@@ -203,11 +209,11 @@ class Feed:
 
 
 class Feeds:
-    """The topics that clients read.
+    """The subscriptions to the topics that clients read.
 
     Args:
-        node: The node that subscribes to them.
-        directory: Knows which topics are latched.
+        node: The node that subscribes to the topics.
+        directory: Tells which topics are latched.
     """
 
     def __init__(self, node: Node, directory: Directory) -> None:
@@ -216,7 +222,10 @@ class Feeds:
         self._shared: dict[tuple[str, type[Message]], Feed] = {}
 
     def join(self, topic: str, message_type: type[Message], deliver: Deliver) -> Feed:
-        """Deliver a topic's messages; on a latched topic, these include the kept messages.
+        """Start to deliver a topic's messages to a reader.
+
+        On a latched topic, the reader also gets the messages that the publishers have kept. Pass
+        the returned feed to `leave`.
 
         Raises:
             TurtleactError: if the node is closed.
@@ -237,7 +246,7 @@ class Feeds:
         return feed
 
     async def leave(self, feed: Feed, deliver: Deliver) -> None:
-        """Stop delivering to a reader. The last reader that leaves closes the feed."""
+        """Stop delivering messages to a reader. Close the feed if it has no other reader."""
         feed.readers.remove(deliver)
         if not feed.readers:
             # Before the await: a client that joins while this feed closes must open a new one.
@@ -246,10 +255,10 @@ class Feeds:
 
 
 class Closing(Protocol):
-    """An entry of a pool."""
+    """A resource of a pool."""
 
     async def aclose(self) -> None:
-        """Leave the graph."""
+        """Close the resource."""
 
 
 K = TypeVar("K", bound=Hashable)
@@ -257,7 +266,7 @@ C = TypeVar("C", bound=Closing)
 
 
 class Pool(Generic[K, C]):
-    """A pool of resources that are opened once and shared by their users.
+    """A pool of resources. Each resource is opened once, and shared by its users.
 
     Args:
         open: Opens the resource for a key.
@@ -270,9 +279,9 @@ class Pool(Generic[K, C]):
 
     @asynccontextmanager
     async def use(self, key: K) -> AsyncIterator[C]:
-        """Give a block the resource for a key.
+        """Open the resource for a key, or share the open one, for the length of a block.
 
-        The resource stays open at least for the length of the block.
+        The resource may stay open after the block, for later users.
         """
         # Taken out and put in again, so that the one used last stands last. No await lies between:
         # nobody else can open a second one for the key.
@@ -290,7 +299,7 @@ class Pool(Generic[K, C]):
                 await self._tidy()
 
     async def aclose(self) -> None:
-        """Close all resources in the pool."""
+        """Close all resources of the pool."""
         held, self._held = self._held, {}
         for each in held.values():
             await each.aclose()
@@ -303,27 +312,27 @@ class Pool(Generic[K, C]):
 
 
 class Teller(Protocol):
-    """The part of a connection that gets the frames of a goal."""
+    """The part of a `Connection` that sends the frames about a goal to the client."""
 
     def keep(self, frame: str) -> None:
-        """Send a frame that must arrive."""
+        """Queue a frame that must not be dropped."""
 
     def put(self, source: str, frame: str) -> None:
-        """Send a frame that newer frames of its source may replace."""
+        """Queue a frame that may be dropped if the client reads too slowly."""
 
 
 Client = ActionClient[Message, Message, Message]
 
 
 class Goals:
-    """All goals of a bridge.
+    """Sends the goals of all clients of a bridge, and follows them.
 
     Args:
-        node: Sends them.
+        node: The node that sends the goals.
         cancel_on_disconnect: Whether a client's goals are canceled when it disconnects.
 
     Attributes:
-        watch: Called with each goal that was sent, if a page watches goals.
+        watch: Records the goals that are sent or rejected, for the page.
     """
 
     def __init__(self, node: Node, *, cancel_on_disconnect: bool = False) -> None:
@@ -333,6 +342,7 @@ class Goals:
             lambda key: node.action_client(key[1], key[0])
         )
         self._sent: dict[int, _Sent] = {}
+        self._followed = current_tasks().signal()
         self._count = 0
 
     def __len__(self) -> int:
@@ -341,11 +351,14 @@ class Goals:
     def client(
         self, name: str, action_type: ActionType[Message, Message, Message]
     ) -> AbstractAsyncContextManager[Client]:
-        """Give a block a client of an action."""
+        """Open a client of an action, or share the open one, for the length of a block."""
         return self._clients.use((name, action_type))
 
     def send(self, said: SendActionGoal, teller: Teller) -> None:
-        """Send a goal, and report on it. Its end is always reported."""
+        """Send a goal, and tell the web client the goal's feedback and result.
+
+        If there is no result, the web client is told why.
+        """
         if said.id is not None and self._own(said.id, teller) is not None:
             _tell_failure(
                 said, teller, f"a goal of the id '{said.id}' is under way: use another id"
@@ -359,7 +372,7 @@ class Goals:
             sent.following = Background(self._follow(sent), f"goal {said.id} of a web client")
 
     def cancel(self, said: CancelActionGoal, teller: Teller) -> str:
-        """Cancel a goal. Return the problem, or an empty string."""
+        """Cancel a goal. Return an empty string, or the reason why the goal cannot be canceled."""
         sent = self._own(said.id, teller)
         if sent is None:
             found = [each for each in self._sent.values() if each.said.id == said.id]
@@ -371,12 +384,20 @@ class Goals:
         return ""
 
     def lose(self, teller: Teller) -> None:
-        """Stop reporting to a client that has gone."""
+        """Stop telling a client about its goals, because the client has gone.
+
+        Cancel its goals if ``cancel_on_disconnect`` is set.
+        """
         for sent in self._sent.values():
             if sent.teller is teller:
                 sent.teller = None
                 if self._cancel_on_disconnect:
                     sent.cancel()
+
+    async def wait_until_told(self) -> None:
+        """Wait until clients have the results of all goals that have ended. Cancelling: safe."""
+        while any(sent.has_ended for sent in self._sent.values()):
+            await self._followed.wait()
 
     def leave(self) -> None:
         """Tell all clients with goals under way that they will not hear how these goals end."""
@@ -386,7 +407,7 @@ class Goals:
             sent.is_over = True
 
     async def aclose(self) -> None:
-        """Stop following the goals, which continue."""
+        """Stop following the goals. The goals themselves continue."""
         # A copy, because each task removes its goal from the dict when it ends. Goals that were
         # accepted go on, because they are detached.
         for sent in list(self._sent.values()):
@@ -414,6 +435,7 @@ class Goals:
             sent.fail(f"the goal cannot be followed: {summary(error)}")
         finally:
             del self._sent[sent.number]
+            self._followed.fire()
 
     async def _run(self, sent: _Sent) -> None:
         said = sent.said
@@ -452,15 +474,15 @@ class Goals:
 
 
 class _Sent:
-    """One goal.
+    """A goal that a web client has sent.
 
     Attributes:
-        number: The number of the goal, which no other goal of the bridge has.
-        said: The ``send_action_goal`` of its client.
-        teller: Its client; None after the client has gone.
-        goal_id: Its 16 bytes.
-        following: The task that follows it.
-        is_over: Whether its client was told that nothing more will follow.
+        number: A number that no other goal of the bridge has.
+        said: The ``send_action_goal`` operation with which the client sent the goal.
+        teller: Sends frames to the client; None after the client has gone.
+        goal_id: The id of the goal on the graph (16 bytes).
+        following: The task that follows the goal.
+        is_over: Whether the client was told that it will hear no more of the goal.
     """
 
     following: Background
@@ -474,17 +496,22 @@ class _Sent:
         self._handle: ClientGoalHandle[Message, Message] | None = None
         self._is_canceled = False
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether the goal's handle has received a final status."""
+        return self._handle is not None and self._handle.status.is_terminal
+
     def accept(self, handle: ClientGoalHandle[Message, Message]) -> None:
         """Record that the server has accepted the goal.
 
-        If the client has canceled the goal meanwhile, cancel it now.
+        If the client has already asked to cancel the goal, cancel the goal now.
         """
         self._handle = handle
         if self._is_canceled:
             handle.cancel_nowait()
 
     def cancel(self) -> None:
-        """Cancel the goal as soon as it is accepted."""
+        """Cancel the goal now or, if the server has not accepted it yet, once it is accepted."""
         # Without a handle the server has not answered yet: `accept` cancels it then.
         self._is_canceled = True
         if self._handle is not None:
@@ -495,7 +522,7 @@ class _Sent:
         self.tell("action_feedback", feedback)
 
     def tell(self, op: str, message: Message, **members: object) -> None:
-        """Send the goal's client a frame, if the client is still there."""
+        """Send the goal's client a frame, unless the client has gone or `is_over` is true."""
         if self.teller is None or self.is_over:
             return
         frame = reply(
@@ -512,7 +539,7 @@ class _Sent:
             self.teller.keep(frame)
 
     def fail(self, problem: str) -> None:
-        """Tell the goal's client that there is no result."""
+        """Tell the goal's client why the goal has no result."""
         if self.teller is not None and not self.is_over:
             _tell_failure(self.said, self.teller, problem)
 

@@ -1,19 +1,20 @@
 """Watches the graph for the page: the goals of all actions, and the trails of turtles.
 
-The server keeps all of this, so that it survives a reload and is the same in every browser.
-Watching begins when the first page asks, and continues until the bridge is closed. For programs
-that only use rosbridge, it costs nothing.
+The server keeps the goals and trails, so that they survive a reload of the page and are the same in
+every browser. Watching begins when the first page asks for them, and continues until the bridge is
+closed. If no page asks, watching costs nothing.
 
-A page asks by calling services that only web clients can call, like those of rosapi:
+A page calls the services below. Like the services of rosapi, they exist only for web clients:
 
-- ``/turtleact/web/watch`` answers with the news after a revision, and waits if there is none. A
-  slow page therefore asks less often, and nothing piles up for it.
-- ``/turtleact/web/form`` describes an action's type.
+- ``/turtleact/web/watch`` returns the changes after a revision. If there are none, it waits for up
+  to `PATIENCE` seconds. The page calls it again after each answer, so a slow page calls it less
+  often, and no changes pile up for that page.
+- ``/turtleact/web/form`` describes the fields of an action's type.
 - ``/turtleact/web/clear_trails`` erases the trails.
 - ``/turtleact/web/set_paused`` pauses or resumes a goal.
 
-Each goal is followed as any other client would follow it: this module attaches to the goal when it
-appears on its action's status topic.
+This module follows goals as any other client would: it attaches to a goal when the goal appears on
+its action's status topic.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from __future__ import annotations
 import math
 import secrets
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import AbstractAsyncContextManager
 from typing import Any, Final, Protocol, TypeAlias
 
@@ -35,7 +36,13 @@ from turtleact.client import (
     ResultReceived,
     StatusChanged,
 )
-from turtleact.errors import InvalidMessage, TurtleactError, UnknownGoal, UnknownInterface
+from turtleact.errors import (
+    InvalidMessage,
+    ServerUnavailable,
+    TurtleactError,
+    UnknownGoal,
+    UnknownInterface,
+)
 from turtleact.goal import GoalStatus, status_of
 from turtleact.goal_id import new_goal_id
 from turtleact.goal_wire import PausedGoals, paused_topic
@@ -48,7 +55,7 @@ from turtleact.transports import QoS
 from turtleact.transports.base import STATUS_QOS
 from turtleact.web.goal_history import REJECTED, GoalHistory, GoalRecord
 from turtleact.web.name_lookup import action_class, message_class
-from turtleact.web.page_values import Plain, excerpt, form
+from turtleact.web.page_values import Plain, excerpt, form, hues
 from turtleact.web.pen_trails import Pen, PenTrails
 
 __all__ = [
@@ -80,7 +87,10 @@ MOST_TURTLES: Final = 64
 """The trails of at most this many turtles are kept."""
 
 MOST_REQUESTS: Final = 64
-"""The maximum number of goals that were sent but have no status yet."""
+"""The maximum number of goal messages that are kept for goals without a status so far."""
+
+STATUSES_QOS: Final = QoS(depth=8, durability="transient_local")
+"""One message would not do: each type of an action has a server, and each server publishes."""
 
 FORGOTTEN: Final = "its server has forgotten it"
 
@@ -90,26 +100,27 @@ POSE_TYPES: Final = frozenset({"turtlesim/msg/Pose", "turtlesim_msgs/msg/Pose"})
 
 Values: TypeAlias = dict[str, Any]
 Client: TypeAlias = ActionClient[Message, Message, Message]
+Handle: TypeAlias = ClientGoalHandle[Message, Message]
 AnyEvent: TypeAlias = Event[Message, Message]
 
 
 class OpenClient(Protocol):
-    """A function that opens a client of an action, or shares an open one."""
+    """A function that opens a client of an action, or shares the open one."""
 
     def __call__(self, name: str, action_type: Any) -> AbstractAsyncContextManager[Client]:  # noqa: ANN401  # any action
-        """Give a block the client of the action with a name and type."""
+        """Open or share the client of an action for the length of a block."""
 
 
 class Watch:
     """Watches a graph for the pages of a bridge.
 
     Args:
-        node: A node of the graph.
-        open_client: Opens the clients that follow goals.
+        node: A node on the graph.
+        open_client: Opens the action clients that follow goals.
 
     Attributes:
-        history: The goals.
-        trails: The trails.
+        history: The goals of all watched actions.
+        trails: The trails of all watched turtles.
     """
 
     def __init__(self, node: Node, open_client: OpenClient) -> None:
@@ -127,7 +138,7 @@ class Watch:
         self._actions: dict[tuple[str, str], _Action] = {}
         self._poses: dict[str, Subscription[Any]] = {}
         self._following: dict[str, Background] = {}
-        self._handles: dict[str, ClientGoalHandle[Message, Message]] = {}
+        self._handles: dict[str, Handle] = {}
         self._requests: dict[str, Plain] = {}
         self._services: dict[str, Callable[[Values], Awaitable[Values]]] = {
             "watch": self._watch,
@@ -138,15 +149,16 @@ class Watch:
 
     @property
     def is_watching(self) -> bool:
-        """Whether a page has asked for news, so that watching has begun."""
+        """Whether watching has begun, because a page has asked for changes."""
         return self._looked_at > -math.inf
 
     async def call(self, service: str, args: object) -> Values | None:
-        """Return the values of a response; None if the service is not for pages.
+        """Return the response of a service under ``/turtleact/web/``; None for any other service.
 
         Raises:
-            InvalidMessage: if an argument does not fit.
-            TurtleactError: if a type is not known.
+            InvalidMessage: if an argument has the wrong type.
+            TurtleactError: if a type is not known, or if a goal to pause or to resume is not
+                followed.
         """
         name = f"/{service.removeprefix('/')}"
         answer = self._services.get(name.removeprefix(SERVICES)) if SERVICES in name else None
@@ -158,8 +170,28 @@ class Watch:
 
     # called by other parts of the bridge
 
+    async def wait_until_told(self) -> None:
+        """If followed goals have ended, wait until the history has recorded their ends.
+
+        Cancelling: safe.
+        """
+        while any(map(self._is_late, self._handles)):
+            await self._changed.wait()
+
+    def last_news(self, service: str, args: object) -> Values | None:
+        """Return the changes with which to answer a waiting call of ``watch`` now.
+
+        Return None if the call is of another service, or if its arguments are not an object.
+        """
+        if f"/{service.removeprefix('/')}" != f"{SERVICES}watch" or not isinstance(args, dict):
+            return None
+        since = args.get("since")
+        if not isinstance(since, int) or args.get("session") != self._session:
+            since = 0
+        return self._news(since)
+
     def note_request(self, goal_id: bytes, request: Message) -> None:
-        """Record the message of a web client's goal, because a remote server does not send it."""
+        """Record a web client's goal message, because remote servers do not publish it."""
         if not self.is_watching:
             return
         record = self.history.find(goal_id.hex())
@@ -176,7 +208,7 @@ class Watch:
 
         Args:
             action: The name and the type of the action.
-            request: The goal.
+            request: The goal message.
             reason: Why the goal was rejected.
         """
         if self.is_watching:
@@ -185,7 +217,7 @@ class Watch:
             self.history.end(record, REJECTED)
 
     def note_call(self, service: str, request: Any) -> None:  # noqa: ANN401  # any request
-        """Note that a web client has called a service, because some services change the drawing."""
+        """Update the trails if a web client has called a service that changes the drawing."""
         if service == "/reset":
             self.trails.reset()
         elif service == "/clear":
@@ -208,9 +240,10 @@ class Watch:
     # the services
 
     async def _watch(self, args: Values) -> Values:
-        """Return the news after a revision.
+        """Return the changes after the revision ``since``.
 
-        If the revision is 0 or from another session, return everything.
+        If there are none, wait for up to `PATIENCE` seconds. If the revision is 0 or comes from
+        another session, return everything without waiting.
         """
         since = args.get("since", 0)
         if not isinstance(since, int):
@@ -247,7 +280,7 @@ class Watch:
         return {}
 
     async def _set_paused(self, args: Values) -> Values:
-        """Pause or resume the goal with the id ``id``, as ``is_paused`` says."""
+        """Pause the goal with the id ``id`` if ``is_paused`` is true; resume it otherwise."""
         handle = self._handles.get(str(args.get("id")))
         if handle is None:
             raise TurtleactError("nobody follows such a goal")
@@ -257,18 +290,22 @@ class Watch:
     # looking around
 
     def _look(self) -> None:
-        """Follow new actions and turtles on the graph, unless the last look was a moment ago."""
+        """Update the watched actions and turtles from the graph.
+
+        Do nothing if the last update was less than `PATIENCE` seconds ago.
+        """
         now = anyio.current_time()
         if now - self._looked_at < PATIENCE:
             return
         self._looked_at = now
-        graph = self._node.graph()
+        graph, poses = self._node.graph(), self._published_poses()
         seen: Values = {
             "nodes": list(graph.nodes),
             "topics": {name: types[0] for name, types in graph.topics.items()},
             "services": {name: types[0] for name, types in graph.services.items()},
             "actions": {name: types[0] for name, types in graph.actions.items()},
-            "poses": self._published_poses(),
+            "poses": poses,
+            "hues": hues(poses),
         }
         if seen != self._graph:
             self._graph, self._graph_revision = seen, self._revise()
@@ -287,7 +324,7 @@ class Watch:
                 )
 
     def _published_poses(self) -> dict[str, str]:
-        """The topics on which turtles publish their poses, with their types."""
+        """Return the topics on which turtles publish their poses, and the types of these topics."""
         # Topics of turtles that are gone are left out: they stay on the graph as long as somebody
         # reads them, and the bridge does.
         return {
@@ -322,13 +359,13 @@ class Watch:
     def _take_statuses(
         self, action: tuple[str, str], message: GoalStatusArray, known: set[str]
     ) -> set[str]:
-        """Take a status message of an action's goals, and return the goals' ids.
+        """Record the statuses in a status message of an action, and return the ids of its goals.
 
         Args:
             action: The name and the type of the action.
             message: The status message.
-            known: The ids in the message before. Goals that the history has dropped are not taken
-                up again.
+            known: The goal ids in the previous status message. If the history has dropped one of
+                these goals, the goal is not recorded again.
         """
         told: set[str] = set()
         for each in message.status_list:
@@ -356,7 +393,7 @@ class Watch:
         return told
 
     def _take_paused(self, known: set[str], paused: frozenset[str]) -> None:
-        """Record which of the known goals of an action are paused."""
+        """Record which goals of an action are paused."""
         for id in known | paused:
             record = self.history.find(id)
             if record is not None and not record.has_ended and record.is_paused != (id in paused):
@@ -364,7 +401,10 @@ class Watch:
                 self.history.change(record)
 
     def _lose(self, ids: set[str], reason: str) -> None:
-        """End these goals as UNKNOWN, except those that are followed or have ended."""
+        """Record these goals as ended with the status UNKNOWN.
+
+        Skip goals that are followed or have already ended.
+        """
         for id in ids - self._following.keys():
             record = self.history.find(id)
             if record is not None and not record.has_ended:
@@ -374,8 +414,10 @@ class Watch:
     def _new_record(
         self, id: str, action: tuple[str, str], stamp: float, status: GoalStatus
     ) -> GoalRecord:
-        age = max(0.0, self._now() - stamp)
-        record = GoalRecord(id, *action, accepted=stamp, at=time.time() - age)
+        # The server's clock may be ahead, for example if the world here was paused.
+        now = self._now()
+        accepted = min(stamp, now)
+        record = GoalRecord(id, *action, accepted=accepted, at=time.time() - (now - accepted))
         record.request = self._requests.pop(id, None)
         record.status = status.name
         record.has_ended = status.is_terminal
@@ -397,37 +439,83 @@ class Watch:
             )
 
     async def _follow(self, record: GoalRecord) -> None:
-        """Follow a goal to its end."""
+        """Follow a goal to its end.
+
+        If the action has several types, try one type after another until one fits the goal.
+        """
+        problems: list[TurtleactError] = []
         try:
-            await self._read(record, is_late=record.has_ended)
-        except UnknownInterface:
-            pass  # only its status can be known
-        except UnknownGoal:
-            if not record.has_ended:
-                record.reason = FORGOTTEN
-                self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
+            for type in self._types(record.action, record.type):
+                problem = await self._follow_as(record, type)
+                if problem is None:
+                    return
+                problems.append(problem)
+            self._give_up(record, problems)
         except TurtleactError as error:
-            record.reason = str(error)
-            self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
+            self._give_up(record, [error])
         finally:
             del self._following[record.id]
 
-    async def _read(self, record: GoalRecord, *, is_late: bool) -> None:
-        async with self._open_client(record.action, action_class(record.type)) as client:
-            # A client that was opened just now may need a moment until it can reach a server in
-            # another process.
-            await client.wait_for_server(REACHED_WITHIN)
-            handle = await client.attach(bytes.fromhex(record.id))
-            if record.request is None and handle.request is not None:
-                record.request = excerpt(handle.request)
-            record.is_resumed = handle.is_resumed
-            self.history.change(record)
-            self._handles[record.id] = handle
+    async def _follow_as(self, record: GoalRecord, type: str) -> TurtleactError | None:
+        """Follow a goal as a goal of the type ``type``, and return None when the goal has ended.
+
+        If the goal cannot be followed with this type, return the error that says why.
+        """
+        known = record.type
+        try:
+            action_type = action_class(type)
+        except UnknownInterface as error:
+            return error
+        async with self._open_client(record.action, action_type) as client:
             try:
-                async for event in handle.events():
-                    self._take_event(record, event, is_late=is_late)
-            finally:
-                del self._handles[record.id]
+                # A client that was opened just now may need a moment until it can reach a server in
+                # another process.
+                await client.wait_for_server(REACHED_WITHIN)
+                handle = await client.attach(bytes.fromhex(record.id))
+            except (UnknownGoal, ServerUnavailable) as error:
+                return error
+            record.type = type
+            try:
+                await self._read(record, handle, is_late=record.has_ended)
+            except UnknownGoal as error:
+                # All types of an action share the status topic. So a client in another process can
+                # attach to a goal of another type, until the server does not know the goal.
+                record.type = known
+                self.history.change(record)
+                return error
+        return None
+
+    def _give_up(self, record: GoalRecord, problems: list[TurtleactError]) -> None:
+        """Record that the end of a goal is unknown, unless its status can still be known.
+
+        Args:
+            record: The record of the goal.
+            problems: Why the goal cannot be followed, for each type of its action.
+        """
+        if record.has_ended or any(isinstance(each, UnknownInterface) for each in problems):
+            return
+        reasons = [str(each) for each in problems if not isinstance(each, UnknownGoal)]
+        record.reason = reasons[0] if reasons else FORGOTTEN
+        self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
+
+    def _types(self, action: str, known: str) -> Iterator[str]:
+        """Yield the types that a goal may have: first ``known``, then the action's other types."""
+        yield known
+        for type in self._node.graph().actions.get(action, ()):
+            if type != known:
+                yield type
+
+    async def _read(self, record: GoalRecord, handle: Handle, *, is_late: bool) -> None:
+        if record.request is None and handle.request is not None:
+            record.request = excerpt(handle.request)
+        record.is_resumed = handle.is_resumed
+        self.history.change(record)
+        self._handles[record.id] = handle
+        try:
+            async for event in handle.events():
+                self._take_event(record, event, is_late=is_late)
+        finally:
+            del self._handles[record.id]
 
     def _take_event(self, record: GoalRecord, event: AnyEvent, *, is_late: bool) -> None:
         match event:
@@ -442,6 +530,12 @@ class Watch:
                 now = None if is_late else self._now()
                 self.history.end(record, outcome.status.name, now)
 
+    def _is_late(self, id: str) -> bool:
+        """Whether a followed goal has ended, but the history has not recorded its end yet."""
+        record = self.history.find(id)
+        has_ended = record is None or record.has_ended
+        return not has_ended and self._handles[id].status.is_terminal
+
     def _revise(self) -> int:
         self._revision += 1
         self._changed.fire()
@@ -452,17 +546,17 @@ class Watch:
 
 
 class _Action:
-    """An action with goals that are watched.
+    """Subscribes to the status of an action's goals.
 
     Args:
-        node: The node that subscribes to its status.
-        key: Its name and type.
-        take: Called with each status message and the ids in the message before. Returns the new
-            ids.
-        take_paused: Called with the known ids and the ids of the paused goals.
+        node: The node that subscribes.
+        key: The action's name and type.
+        take: Called with ``key``, each status message, and the goal ids in the previous message.
+            Returns the goal ids in the new message.
+        take_paused: Called with `known` and the ids of the paused goals.
 
     Attributes:
-        known: The ids in the last status message.
+        known: The goal ids in the last status message.
     """
 
     def __init__(
@@ -480,16 +574,16 @@ class _Action:
         self._paused = node.subscription(PausedGoals, paused_topic(key[0]), STATUS_QOS)
         self._paused.taker = self._hear_paused
         topic = f"{key[0]}/_action/status"
-        self._statuses = node.subscription(GoalStatusArray, topic, STATUS_QOS)
+        self._statuses = node.subscription(GoalStatusArray, topic, STATUSES_QOS)
         self._reading = Background(self._read(), f"the watch of {key[0]}")
 
     def leave(self) -> None:
-        """Stop watching soon."""
+        """Close the subscriptions, but do not wait for the end of the task that reads them."""
         self._statuses.close()
         self._paused.close()
 
     async def aclose(self) -> None:
-        """Stop watching."""
+        """Close the subscriptions, and wait for the end of the task that reads them."""
         self.leave()
         await self._reading.aclose()
 
@@ -499,7 +593,8 @@ class _Action:
         return True
 
     async def _read(self) -> None:
-        # Only the newest message is kept, as each has all goals: under load, some are skipped.
+        # Each message has all goals of one server. Only the newest messages are kept, so under load
+        # some are skipped.
         async for message in self._statuses:
             self.known = self._take(self._key, message, self.known)
             self._take_paused(self.known, self._told_paused)
@@ -513,5 +608,5 @@ async def _form(args: Values) -> Values:
 
 
 def _turtle(topic: str) -> str:
-    """The name of the turtle that publishes to a topic."""
+    """Return the name of the turtle that publishes its pose to a topic."""
     return topic.removesuffix(POSE).removeprefix("/")

@@ -2,11 +2,11 @@
 
 A command function checks its arguments as far as possible and returns a job, which does the work.
 The job runs outside of Typer, because Typer handles broken pipes and interrupts in its own way.
-Each group of verbs is a module, which is imported only when it is chosen. The modules of
-`turtleact.commands` that do the work are imported even later.
+Each group of verbs is a module, which is imported only when the user chooses the group. The modules
+of `turtleact.commands` that do the work are imported even later.
 
-`Verb` and `Group` accept what ``ros2`` accepts, and explain verbs that only ``ros2`` has. The
-methods they override are part of click's documented interface.
+`Verb` accepts the forms of arguments that ``ros2`` accepts. `Group` says what to use instead of
+verbs that only ``ros2`` has. Both classes override only documented methods of click.
 """
 
 from __future__ import annotations
@@ -106,13 +106,24 @@ PANELS: Final = {
 """The heading of each verb in ``turtleact --help``."""
 
 
+_UNKNOWN: Final = ("--port", "--host")
+"""Options of other programs, which users also expect here."""
+
+_MEANT: Final = {"--web": "[HOST:]PORT", "--listen": "tcp/HOST:PORT"}
+"""The options to use instead, each with its value."""
+
+
 class Verb(TyperCommand):
-    """A command that accepts what ``ros2`` accepts. Its usage errors look like Typer's."""
+    """A command that accepts the forms of arguments that ``ros2`` accepts.
+
+    A `UsageError` is reported in the format of Typer's own usage errors.
+    """
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
-        """Read the arguments.
+        """Parse the arguments.
 
-        Values may begin with a dash. Options about the daemon are ignored.
+        Values may begin with a dash, such as ``-5``. Options about the daemon of ``ros2`` are
+        ignored.
         """
         known = {option for param in self.params for option in param.opts}
         if "--connect" in known:
@@ -121,17 +132,25 @@ class Verb(TyperCommand):
             args = [arg for arg in args if arg != "--ros-args"]
         if any(arg not in known and _VALUE.match(arg) for arg in args):
             ctx.ignore_unknown_options = True
+        typed = (arg.partition("=")[0] for arg in args)  # such as --port=9090
+        unknown = [name for name in typed if name in _UNKNOWN and name not in known]
+        if unknown and known >= _MEANT.keys():
+            options = " or ".join(f"{name} {value}" for name, value in _MEANT.items())
+            ctx.fail(f"No such option: {unknown[0]}. Did you mean {options}?")
         left = super().parse_args(ctx, args)
         for param in self.params:
             _check_text(ctx, param)
         return left
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # as above
-        """Return the options. The help shows no type for switches."""
+        """Return the options and arguments, set up so that the help shows no type for switches."""
         return _without_type(super().get_params(ctx))
 
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above; the job
-        """Make the job. Report errors of our own checks as Typer reports its own."""
+        """Call the command function, which makes the job.
+
+        Report a `UsageError` in the format of Typer's own usage errors.
+        """
         try:
             return super().invoke(ctx)
         except UsageError as error:
@@ -142,11 +161,16 @@ class Group(TyperGroup):
     """A group that suggests what to use instead of verbs that only ``ros2`` has."""
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # as above
-        """Return the options, as in `Verb`."""
+        """Return the options, set up so that the help shows no type for switches."""
         return _without_type(super().get_params(ctx))
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above
-        """Find the verb. If there is none of that name, Typer suggests the nearest one."""
+        """Find the verb.
+
+        If only ``ros2`` has the verb, the error says what to use instead. If the verb belongs to a
+        group and the group was left out, the error suggests the group. For any other unknown verb,
+        Typer suggests the nearest one.
+        """
         verb = args[0]
         if verb not in self.commands and not ctx.resilient_parsing:
             path = verb if ctx.parent is None else f"{ctx.info_name} {verb}"
@@ -160,22 +184,23 @@ class Group(TyperGroup):
 
 
 class LazyGroup(Group):
-    """The whole command line. A verb is imported when it is chosen, not when it is listed.
+    """The command ``turtleact``, a group of all verbs.
 
-    `_root` declares the help option. Typer's own help option has no default, and Typer imports
-    pydantic to recognize a missing value. Importing pydantic takes longer than importing Typer.
+    A verb is imported when the user chooses it, not when it is listed. `_root` declares the help
+    option, because Typer's own help option imports pydantic. Importing pydantic takes longer than
+    importing Typer.
     """
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # noqa: ARG002  # as in `Group`
-        """Return the options that `_root` declares, and those for completion."""
+        """Return the options that `_root` declares, and the options for shell completion."""
         return _without_type([*self.params])
 
     def get_help_option(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401, ARG002  # as above
-        """Return the help option, to which errors refer."""
+        """Return the help option, which usage errors tell the user to try."""
         return next(param for param in self.params if param.name == "_help")
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]  # noqa: ANN401  # as in `Group`
-        """Import the verb that was chosen."""
+        """Find the verb that the user chose, and import it."""
         name, command, rest = super().resolve_command(ctx, args)
         return name, load(name) if name in VERBS else command, rest
 
@@ -183,7 +208,7 @@ class LazyGroup(Group):
 def parse(arguments: Sequence[str]) -> Job:
     """Parse a command line into a job. Typer prints help, completions and usage errors.
 
-    If Typer has done everything itself, the job only returns the exit status.
+    If Typer has printed one of these, the job only returns the exit status.
     """
     jobs: list[Job | None] = []
     # The options for completion can only stand before a verb. Even when they are absent, Typer
@@ -201,11 +226,11 @@ def parse(arguments: Sequence[str]) -> Job:
 
 
 def assemble(take: Callable[..., None], *, completion: bool = True) -> typer.Typer:
-    """Make the command line: all verbs by name, none of them imported.
+    """Make the Typer app that lists all verbs, without importing them.
 
     Args:
-        take: Called with the result of the command function.
-        completion: Whether to have options that install and show completion.
+        take: Called with the job that the command function returns.
+        completion: Whether to have the options that install and show shell completion.
     """
     app = typer.Typer(
         cls=LazyGroup,
@@ -238,7 +263,8 @@ def new_group(name: str, summary: str = "") -> typer.Typer:
 
     Args:
         name: The name of the group.
-        summary: The first line of its help, unless its verbs are those of ``ros2``.
+        summary: The help text of the group. If it is empty, the help says that the group has the
+            verbs of ``ros2``.
     """
 
     def print_help(ctx: typer.Context) -> None:
@@ -256,7 +282,7 @@ def new_group(name: str, summary: str = "") -> typer.Typer:
 
 
 def without_daemon(args: Sequence[str]) -> list[str]:
-    """Remove the options about the daemon of ``ros2``: turtleact has no daemon.
+    """Remove the options about the daemon of ``ros2``, because turtleact has no daemon.
 
     >>> without_daemon(["--no-daemon", "--spin-time", "2", "-t", "--spin-time=1"])
     ['-t']
@@ -303,17 +329,17 @@ def _root(
 
 
 def _unloaded() -> None:
-    """A placeholder for a verb in the list. `LazyGroup` replaces it."""
+    """Stand in for the command function of a verb that `LazyGroup` has not imported yet."""
 
 
 def _daemon(what: Annotated[str, typer.Argument()] = "") -> Job:  # noqa: ARG001  # whatever it is
-    """Answer ``ros2 daemon``: turtleact has no daemon."""
+    """Say that the daemon of ``ros2`` is not running."""
     typer.echo("The daemon is not running: each command asks the graph itself")
     return partial(_exit_status, 0)
 
 
 def _without_type(params: list[Any]) -> list[Any]:
-    """Give switches a metavar, because the help would show ``<bool>`` for them."""
+    """Give switches an empty metavar, because the help would otherwise show ``<bool>`` for them."""
     for param in params:
         if getattr(param, "is_flag", False) and param.metavar is None:
             param.metavar = ""
@@ -325,7 +351,7 @@ def _exit_status(status: int, _: Interrupts) -> int:
 
 
 def _check_text(ctx: typer.Context, param: Any) -> None:  # noqa: ANN401  # option or argument
-    """Refuse text that is not UTF-8, except in paths, because a file may have any name."""
+    """Raise an error for text that is not UTF-8, except for paths: a file may have any name."""
     value = ctx.params.get(param.name)
     for text in value if isinstance(value, list | tuple) else [value]:
         if not isinstance(text, str):

@@ -259,7 +259,7 @@ def send_goal(
     domain: Domain = 0,
     config: Config = None,
 ) -> Job:
-    """``send-goal`` and ``action send_goal``."""
+    """Make the job of ``send-goal`` and ``action send_goal``."""
     type_name, goal = type_and_text(type_name, goal, "goal")
     only_one("how it is shown", json=json, plain=plain)
     view: View = "json" if json else "plain" if plain else "auto"
@@ -380,7 +380,7 @@ def resume(
 
 
 def _switch(given: list[str], *, is_all: bool, is_paused: bool, timeout: float) -> Look:
-    """Make the job that pauses or resumes goals, which are named by their ids or by an action."""
+    """Make the `Look` that pauses or resumes goals, given by their ids or by their action."""
     if is_all and len(given) > 1:
         raise UsageError("--all takes one action; without one, it means all actions")
     if not is_all and not given:
@@ -413,7 +413,8 @@ def watch(
         raise UsageError(
             "give the id of a goal, or an action with one running goal; 'turtleact goals' lists all"
         )
-    plan = _follow(_watched(what), "plain" if plain else "auto", hears_feedback=True)
+    options = _written(connect=connect, domain=domain, config=config, interfaces=interfaces)
+    plan = _follow(_watched(what), "plain" if plain else "auto", options, hears_feedback=True)
     return on_known_graph(reach(connect, domain, config), interfaces, plan)
 
 
@@ -433,7 +434,8 @@ def result(
     wanted = _goal_id(goal_id)
     if journal is not None:
         return _read(lambda goals: goals.print_result(journal, wanted, folder(interfaces)))
-    plan = _follow(wanted, "plain", hears_feedback=False)
+    options = _written(connect=connect, domain=domain, config=config, interfaces=interfaces)
+    plan = _follow(wanted, "plain", options, hears_feedback=False)
     return on_known_graph(reach(connect, domain, config), interfaces, plan)
 
 
@@ -547,7 +549,7 @@ def moment(text: str) -> int:
             local time.
 
     Raises:
-        UsageError: if the text is neither.
+        UsageError: if the text has neither of these forms, or if the moment is out of range.
     """
     seconds = _SECONDS.fullmatch(text)
     if seconds:
@@ -571,7 +573,9 @@ def _moment_of_iso(text: str) -> int:
 
 
 def _since(text: str) -> int:
-    """Parse the moment that ``--since`` names, as nanoseconds since the epoch.
+    """Parse the value of ``--since`` as nanoseconds since the epoch.
+
+    The value is a moment, or a length of time that ends now.
 
     Raises:
         UsageError: if the text is neither a length of time nor a moment.
@@ -588,10 +592,12 @@ def _since(text: str) -> int:
 
 
 def _parts(text: str, known: tuple[str, ...]) -> list[str] | None:
-    """Parse the parts of an action in ``--interfaces``; None if the text is a folder.
+    """Parse the value of ``--interfaces`` as names of parts of an action, separated by ``|``.
+
+    Return None if the value is a folder instead.
 
     Raises:
-        UsageError: if the text is neither.
+        UsageError: if the value is neither a list of known parts nor a folder.
     """
     parts = [each.strip().upper() for each in text.split("|")]
     if all(each in known for each in parts):
@@ -603,7 +609,7 @@ def _parts(text: str, known: tuple[str, ...]) -> list[str] | None:
 
 
 def _read(look: Callable[[ModuleType], int]) -> Job:
-    """Make the job that reads a journal."""
+    """Make the job that calls ``look`` with the module that reads journals."""
 
     def job(_: Interrupts) -> int:
         from turtleact.commands import journaled_goals
@@ -625,7 +631,7 @@ def _goal_id(text: str, *, for_all: bool = False) -> str:
 
 
 def _watched(text: str) -> str:
-    """Return the id of a goal, or the full name of an action, which begins with a slash."""
+    """Return the text as a goal's id, or as an action's full name, which begins with a slash."""
     from turtleact.names import resolve_name
 
     if _HEXADECIMAL.fullmatch(text):
@@ -636,7 +642,7 @@ def _watched(text: str) -> str:
         return _goal_id(text)  # raises an error
 
 
-def _follow(wanted: str, view: View, *, hears_feedback: bool) -> Plan:
+def _follow(wanted: str, view: View, options: str, *, hears_feedback: bool) -> Plan:
     def plan(interrupts: Interrupts) -> Look:
         from turtleact.commands import held_goals, send_goal
 
@@ -647,7 +653,9 @@ def _follow(wanted: str, view: View, *, hears_feedback: bool) -> Plan:
 
         async def look(node: Node) -> int:
             try:
-                return await held_goals.follow(node, wanted, telling, hears_feedback=hears_feedback)
+                return await held_goals.follow(
+                    node, wanted, telling, options, hears_feedback=hears_feedback
+                )
             finally:
                 telling.close()
 

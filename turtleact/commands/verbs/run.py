@@ -86,8 +86,8 @@ class How(NamedTuple):
 
     Attributes:
         face: Which rclpy the program imports; see `turtleact.rclpy.face`.
-        embedded: Whether its process has a world of turtles, too.
-        interfaces: A folder with more interfaces.
+        embedded: Whether to start a world of turtles in the program's process, too.
+        interfaces: A folder with additional interfaces; None if there is none.
         reach: The graph that the program joins with rclpy.
     """
 
@@ -101,10 +101,7 @@ class Run(Verb):
     """The command ``run``. Its help lists the programs that can be run here."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401  # click's classes
-        """Write the help.
-
-        Packages are searched for only here, because parsing a command line does not need them.
-        """
+        """Write the help, with the programs that can be run here."""
         from turtleact.commands.packages import runnable_here
 
         lines = [f"  {line}" for line in _listed(runnable_here())]
@@ -149,7 +146,7 @@ def run(
 
 
 def _listed(known: Mapping[str, Mapping[str, object]]) -> list[str]:
-    """The programs that can be run, one per line, without control characters from file names."""
+    """The lines of the help that list the programs. At most `MOST_LISTED` programs are listed."""
     pairs = [f"{package} {name}" for package in sorted(known) for name in known[package]]
     left_out = len(pairs) - MOST_LISTED
     if left_out > 0:
@@ -184,6 +181,8 @@ def _chosen(
 def _file(name: str) -> Program:
     from turtleact.commands.programs import Program
 
+    if Path(name).is_dir():
+        raise UsageError(f"{quoted(name)} is a folder, not a Python file")
     if not Path(name).is_file():
         raise UsageError(f"there is no file {quoted(name)}")
     return Program(name, file=Path(name))
@@ -208,7 +207,7 @@ def _running(program: Program, arguments: Sequence[str], how: How) -> Job:
 
 
 def _own_domain(arguments: Sequence[str], where: Reach) -> tuple[list[str], Reach]:
-    """Take ``--domain N`` from a built-in program's arguments, and put N into its graph."""
+    """Remove ``--domain N`` from a built-in program's arguments, and put N into its `Reach`."""
     rest = list(arguments)
     if "--domain" in rest[:-1]:
         place = rest.index("--domain")

@@ -145,7 +145,7 @@ Assignments: TypeAlias = Annotated[
         "--param",
         "-p",
         metavar="NAME:=VALUE",
-        help="The first value of a parameter of your modules.",
+        help="The initial value of a parameter of your modules.",
     ),
 ]
 ParamsFiles: TypeAlias = Annotated[
@@ -345,18 +345,19 @@ def _serve(known: str | None, service: Callable[[], Service], interrupts: Interr
 
 
 def _overrides(files: list[Path] | None, assignments: list[str] | None) -> tuple[Override, ...]:
-    """Read the first values of parameters. The errors are those of `read_overrides`."""
+    """Read the initial values of parameters. Raises the errors of `read_overrides`."""
     from turtleact.commands.node_parameters import read_overrides
 
     return tuple(read_overrides([str(each) for each in files or ()], assignments or ()))
 
 
 def _node_name(targets: list[str] | None, *, no_sim: bool) -> str:
-    """The name of the node with the user's actions.
+    """Return the name of the node with the user's actions.
 
-    Without a world, the node is named after the module of the actions, if that is a fit name. ROS 2
-    warns of two nodes with one name, and a server without a world often runs beside one with a
-    world.
+    Without a world, the node is named after the module of the first target. This name is used only
+    if it is a valid node name and no node of a world has it. In all other cases, the node is called
+    ``turtleact``. A server without a world often runs beside a server with one, and ROS 2 warns if
+    two nodes have the same name.
     """
     from turtleact.commands.targets import read_target
 
@@ -366,11 +367,11 @@ def _node_name(targets: list[str] | None, *, no_sim: bool) -> str:
 
 
 def _access(where: Reach, listen: tuple[str, ...], *, insecure: bool) -> dict[str, object]:
-    """Zenoh's settings for who may connect.
+    """Return the settings of Zenoh that control who may connect.
 
     Raises:
-        UsageError: if the file for access control has an error, or if there is no such file and
-            everybody who can reach this machine could connect.
+        UsageError: if the ``--config`` file has an error, or if anybody on the network could
+            connect although ``insecure`` is False.
     """
     locks = where.locks()
     if not (insecure or locks.keeps_strangers_out):
@@ -448,5 +449,5 @@ def _host_and_port(option: str, text: str) -> tuple[str, int]:
 
 
 def _listed(text: str | None) -> tuple[str, ...]:
-    """Split names that are separated by commas, as browsers write them."""
+    """Split hosts or origins at commas, and write each as browsers do."""
     return () if text is None else tuple(each.lower().rstrip("/") for each in text.split(","))

@@ -1,4 +1,4 @@
-"""Opens the endpoints of an action, with their names, types and formats."""
+"""Opens the endpoints of an action, with the right names, types and formats."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class, maker
 from turtleact.rclpy.messages.codec import encode, hash_of
 from turtleact.rclpy.qos import QoSProfile
-from turtleact.rclpy.service_introspection import ServiceEvents
+from turtleact.rclpy.service_introspection import SwitchableEvents
 from turtleact.rclpy.type_support import check_is_valid_action_type
 from turtleact.transports.base import Closeable, Target
 
@@ -41,7 +41,7 @@ _TARGETS = {
 
 
 class ActionKind:
-    """An action of a node: opens its endpoints.
+    """Opens the endpoints of one action on a node.
 
     Args:
         node: The node.
@@ -49,7 +49,7 @@ class ActionKind:
         name: The name of the action, relative or absolute.
 
     Attributes:
-        names: The full names of the endpoints.
+        names: The absolute names of the action and its endpoints.
     """
 
     def __init__(self, node: Node, action_type: Anything, name: str) -> None:
@@ -65,27 +65,30 @@ class ActionKind:
         self._time: Callable[..., Anything] = maker(interface_class("builtin_interfaces/msg/Time"))
 
     def service(self, service: str) -> Anything:
-        """Return the class of one of the services."""
+        """Return the class of ``send_goal``, ``cancel_goal`` or ``get_result``."""
         return getattr(self._type.Impl, TYPES[service])
 
     def goal_info(self, goal_id: Anything, clock: Clock | None = None) -> Anything:
-        """Return a ``GoalInfo`` with this id and, if a clock is given, the clock's time."""
+        """Return a ``GoalInfo`` with this id and the time of ``clock``.
+
+        Without a clock, the time is 0.
+        """
         now = 0 if clock is None else clock.now_ns()
         return self._info(goal_id, self._time(*divmod(now, 1_000_000_000)))
 
-    def events(self, service: str) -> ServiceEvents:
-        """Return the introspection events of the server's end of a service, switched off."""
+    def events(self, service: str) -> SwitchableEvents:
+        """Make the publisher of a service's introspection events. It is switched off at first."""
         name = getattr(self.names, service)
-        return ServiceEvents(self._node, name, self.service(service), is_client=False)
+        return SwitchableEvents(self._node, name, self.service(service), is_client=False)
 
     def serve(self, service: str, handler: RequestHandler) -> Closeable:
-        """Open the server's end of a service."""
+        """Open a server of one of the action's services."""
         name, type_name = getattr(self.names, service), self.service(service).type_name
         end = self._node.endpoint("service", name, type_name)
         return self._node.connection.serve(end, hash_of(type_name), handler)
 
     def has_built_in(self) -> bool:
-        """Whether turtleact serves a built-in action of this name, which makes way for others."""
+        """Whether a built-in action has this name. It gives way to other servers of the name."""
         nodes = {
             each.node
             for each in self._node.connection.endpoints(self.names.send_goal)
@@ -98,24 +101,24 @@ class ActionKind:
         return BUILT_INS_NODE in nodes
 
     def join(self, service: str) -> CallEnd:
-        """Open the client's end of a service."""
+        """Open a client of one of the action's services."""
         name = getattr(self.names, service)
         return self._node.join(name, self.service(service), _TARGETS[service])
 
     def advertise_feedback(self, qos: QoSProfile) -> Sender:
-        """Open the sending end of the feedback topic."""
+        """Open the publisher of the feedback topic."""
         type_name = self._feedback_type
         end = self._node.endpoint("publisher", self.names.feedback, type_name, qos)
         return self._node.connection.advertise(end, hash_of(type_name))
 
     def subscribe_feedback(self, qos: QoSProfile, deliver: Callable[[bytes], None]) -> Closeable:
-        """Open the receiving end of the feedback topic."""
+        """Open a subscription to the feedback topic."""
         type_name = self._feedback_type
         end = self._node.endpoint("subscription", self.names.feedback, type_name, qos)
         return self._node.connection.subscribe(end, hash_of(type_name), deliver)
 
     def subscribe_status(self, qos: QoSProfile, deliver: Callable[[bytes], None]) -> Closeable:
-        """Open the receiving end of the status topic."""
+        """Open a subscription to the status topic."""
         type_name = "action_msgs/msg/GoalStatusArray"
         end = self._node.endpoint("subscription", self.names.status, type_name, qos)
         return self._node.connection.subscribe(end, hash_of(type_name), deliver)

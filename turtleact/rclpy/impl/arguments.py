@@ -64,11 +64,12 @@ PARAMETERS = "ros__parameters"
 
 
 class RemapRule(msgspec.Struct, frozen=True):
-    """A rule such as ``node:from:=to``.
+    """A rule that renames a topic, service, node or namespace, such as ``node:from:=to``.
 
     Attributes:
         node: The name of the node that the rule is for; empty for all nodes.
-        source: The name to replace, or ``__node`` or ``__ns``.
+        source: The name to replace; ``__node`` for the name of the node, ``__ns`` for its
+            namespace.
         target: The new name.
     """
 
@@ -82,7 +83,7 @@ class ParameterRule(msgspec.Struct, frozen=True):
 
     Attributes:
         pattern: A full name of a node, perhaps with ``*`` and ``**``.
-        values: Plain values by the parameters' names.
+        values: The values of the parameters, by name.
     """
 
     pattern: str
@@ -93,9 +94,9 @@ class Arguments(msgspec.Struct, frozen=True):
     """The ROS arguments of a program's command line.
 
     Attributes:
-        remaps: The rules for renaming, in order. The first match counts.
+        remaps: The rules for renaming, in order. The first rule that matches is applied.
         parameters: Values of parameters. Later values replace earlier ones.
-        log_levels: Levels by the names of loggers. The empty name is the root logger.
+        log_levels: Pairs of a logger's name and its level. The empty name means the root logger.
         flags: Options without a value.
     """
 
@@ -116,9 +117,9 @@ class Arguments(msgspec.Struct, frozen=True):
         """Return the full name of a topic or service after remapping.
 
         Args:
-            full_name: The full name.
-            node: The name of the node that uses it.
-            namespace: Its namespace.
+            full_name: The full name before remapping.
+            node: The name of the node that uses the topic or service.
+            namespace: The namespace of the node.
         """
         for rule in self.remaps:
             if rule.source.startswith("__") or rule.node not in ("", node):
@@ -143,11 +144,11 @@ class Arguments(msgspec.Struct, frozen=True):
 
 
 def parse_arguments(args: Sequence[str] | None) -> Arguments:
-    """Parse the arguments of a program. None means ``sys.argv``.
+    """Parse the ROS arguments of a program. None means ``sys.argv``.
 
     Raises:
-        UnknownROSArgsError: if an argument is unknown.
-        RCLError: if the value of an option is malformed.
+        UnknownROSArgsError: if a ROS argument is unknown.
+        RCLError: if the value of an option is missing or malformed.
     """
     remaps: list[RemapRule] = []
     parameters: list[ParameterRule] = []
@@ -179,10 +180,11 @@ def parse_arguments(args: Sequence[str] | None) -> Arguments:
 
 
 def arguments_of(own: Sequence[str] | None, shared: Arguments, *, use_shared: bool) -> Arguments:
-    """Return the arguments that apply to a node. Its own arguments take precedence.
+    """Return the arguments that apply to a node. The node's own arguments take precedence.
 
     Args:
-        own: The node's own arguments, as on a command line.
+        own: The node's own arguments, in the form of a command line. None means that the node has
+            none.
         shared: The arguments of the program.
         use_shared: Whether to include the arguments of the program.
     """
@@ -200,7 +202,7 @@ def arguments_of(own: Sequence[str] | None, shared: Arguments, *, use_shared: bo
 
 
 def without_ros_arguments(args: Sequence[str]) -> list[str]:
-    """Return the arguments without those for ROS."""
+    """Return the arguments that are not for ROS."""
     kept: list[str] = []
     is_inside = False
     for arg in args:
@@ -229,7 +231,7 @@ def read_parameters(path: Path) -> list[ParameterRule]:
     """Read a file of parameters: ``NODE: {ros__parameters: {NAME: VALUE}}``.
 
     Raises:
-        RCLError: if the text is malformed.
+        RCLError: if the file is malformed.
         OSError: if the file cannot be read.
     """
     try:
@@ -244,7 +246,8 @@ def read_parameters(path: Path) -> list[ParameterRule]:
 def _trees(text: str, path: str) -> list[object]:
     """Parse a file of parameters as a whole, or block by block if a key appears twice.
 
-    ROS 2 allows repeated keys, because it reads the file from its beginning to its end.
+    A block begins with a key at the start of a line. The parser refuses repeated keys in one block,
+    but ROS 2 allows them in a file.
     """
     try:
         return [_tree(text, "parameters", path)]
@@ -305,28 +308,22 @@ def _level(text: str) -> tuple[str, int]:
 
 
 def _rules(tree: Mapping[str, object], path: str) -> Iterator[ParameterRule]:
+    from turtleact.parameters import flattened  # few programs have files of parameters
+
     for key, value in tree.items():
         if not isinstance(value, dict):
             raise RCLError(
                 f"Failed to parse ROS arguments: '{key}' has no '{PARAMETERS}' around its values"
             )
         if key == PARAMETERS:
-            yield ParameterRule(path or "/**", dict(_flat(value, "")))
+            yield ParameterRule(path or "/**", dict(flattened(value)))
         else:
             joined = f"{path.rstrip('/')}/{key.strip('/')}"
             yield from _rules(value, joined)
 
 
-def _flat(tree: Mapping[str, object], prefix: str) -> Iterator[tuple[str, object]]:
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
-
-
 def _plain(value: object) -> object:
-    """Replace words that remember their spelling for error messages with plain values."""
+    """Replace each `Spelled` in a parsed tree: ``null`` with None, any other word with its text."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -344,7 +341,10 @@ def _expanded(name: str, node: str, namespace: str) -> str:
 
 
 def _matches(pattern: str, full_name: str) -> bool:
-    """Whether a node's full name fits a pattern. ``*`` is one part, ``**`` any number of parts."""
+    """Whether a node's full name matches a pattern.
+
+    ``*`` stands for one part between slashes, ``**`` for any number of parts.
+    """
     parts = []
     for part in pattern.strip("/").split("/"):
         parts.append({"**": r"(?:/[^/]+)*", "*": r"/[^/]+"}.get(part, re.escape(f"/{part}")))

@@ -1,7 +1,8 @@
-"""Calls of services, from any thread.
+"""Calls services from any thread.
 
-A server of rclpy in the same process gets the request directly. A request to a known server in
-another process is sent without a detour through the event loop.
+A server of rclpy in the same process gets the request directly. If the server is in another process
+and is known already, the calling thread itself sends the request, without waiting for the event
+loop.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from itertools import count
 
 from turtleact.errors import TurtleactError
 from turtleact.rclpy.impl.connection import Connection, RequestHandler, Respond
-from turtleact.rclpy.service_introspection import ServiceEvents
+from turtleact.rclpy.service_introspection import SwitchableEvents
 from turtleact.transports.base import (
     EVERY_SERVER,
     Caller,
@@ -27,17 +28,17 @@ __all__ = ["CallEnd"]
 
 
 class CallEnd:
-    """The client end of a service.
+    """Sends a client's requests to the servers of a service, and receives the responses.
 
     Args:
-        connection: The graph.
-        endpoint: The description of the end.
-        type_hash: The hash of the service.
-        events: Publishes the calls, if introspection is on.
-        target: Which servers to ask.
+        connection: The connection to the graph.
+        endpoint: Describes the client on the graph.
+        type_hash: The type hash of the service.
+        events: Publishes the events of the calls, if introspection is on.
+        target: Which servers get the requests.
 
     Attributes:
-        events: The argument ``events``.
+        events: Publishes the events of the calls; the same object as the argument.
     """
 
     def __init__(
@@ -45,7 +46,7 @@ class CallEnd:
         connection: Connection,
         endpoint: Endpoint,
         type_hash: str,
-        events: ServiceEvents,
+        events: SwitchableEvents,
         target: Target = EVERY_SERVER,
     ) -> None:
         self._connection = connection
@@ -73,8 +74,8 @@ class CallEnd:
 
         Args:
             request: The encoded request.
-            answered: Called in any thread with the response and its note.
-            failed: Called in any thread if no response will come.
+            answered: Called in any thread, with the response and the note that came with it.
+            failed: Called in any thread, with the error, if no response will come.
         """
         handler = self._local()
         if handler is not None:
@@ -110,12 +111,16 @@ class CallEnd:
             self._connection.loop.start(call)
 
     def close(self) -> None:
-        """Leave the graph when all calls under way have ended."""
+        """Leave the graph when all calls under way have ended. Publish no more events.
+
+        In rcl, a client publishes the event of a response when it takes the response. A destroyed
+        client takes no more responses, so it publishes no events for them.
+        """
         self._connection.loop.post(self._caller.close)
         self.events.close()
 
     def _watched(self, handler: RequestHandler, request: bytes, respond: Respond) -> Respond:
-        """Report a call inside this process to the observers, because no transport sees it."""
+        """Report a call inside this process to the observers, because no transport reports it."""
         both = (self.events, handler.observer)
         observers = [each for each in both if each is not None and each.is_on]
         if not observers:
@@ -133,7 +138,7 @@ class CallEnd:
         return answer
 
     def _local(self) -> RequestHandler | None:
-        """Return the server in this process.
+        """Return the server in this process, if there is one.
 
         The server is looked up again whenever the graph has changed.
         """

@@ -1,7 +1,8 @@
 """Builds the configuration of a Zenoh session, and explains why a session cannot be opened.
 
-A ``peer`` finds other peers through a router and then talks with them directly, like a ROS 2 node.
-A ``client`` talks only through its router. The nodes of a machine look for the ``router``.
+A session in the mode ``peer`` finds other peers through a router and then exchanges messages with
+them directly, like a ROS 2 node. A ``client`` communicates only through its router. A ``router``
+accepts the connections of peers and clients.
 
 Source: ``DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`` of rmw_zenoh; Zenoh's ``DEFAULT_CONFIG.json5``.
 """
@@ -78,6 +79,9 @@ TIGHTER: dict[str, object] = {
 }
 
 
+#: What to do if another program listens at the endpoint.
+TAKEN = "if a router listens there, connect to it; if not, end that program or use another port"
+
 SOURCE_LINE = re.compile(r" at /\S+:[0-9]+\.?")
 
 #: Zenoh puts what happened in brackets, after an address. Before them it says what it tried.
@@ -89,11 +93,15 @@ class SessionConfig(msgspec.Struct, frozen=True):
 
     Attributes:
         domain: The ROS domain.
-        text: A complete configuration in JSON5 to start from; empty for Zenoh's own.
-        settings: Settings that always apply: path to value as JSON.
-        defaults: Settings that apply unless the text sets them: path to value as JSON.
-        connect: The endpoints that the session connects to, as far as known here.
-        listen: The endpoints at which the session listens, as far as known here.
+        text: A complete configuration in JSON5, to which ``settings`` and ``defaults`` are applied;
+            empty to start from Zenoh's default configuration.
+        settings: Settings that replace those of ``text``: a mapping from paths to values in JSON.
+        defaults: Settings that apply only where ``text`` sets no value: a mapping from paths to
+            values in JSON.
+        connect: The endpoints to connect to, for error messages. Endpoints that are given
+            only in ``text`` are left out.
+        listen: The endpoints to listen at, for error messages. Endpoints that are given
+            only in ``text`` are left out.
     """
 
     domain: int
@@ -111,7 +119,7 @@ def domain_of(environment: Mapping[str, str]) -> int:
     (7, 0, 0)
 
     Raises:
-        InvalidOption: if the variable is not a domain.
+        InvalidOption: if the value of the variable is not a number from 0 to 232.
     """
     text = environment.get(DOMAIN_VARIABLE) or "0"
     is_number = text.isascii() and text.isdigit() and len(text) <= 3
@@ -127,7 +135,7 @@ def session_config(
     domain: int,
     config: Mapping[str, object] | str,
 ) -> SessionConfig:
-    """Build the configuration of a session. The options are those of `open_zenoh`.
+    """Build the configuration of a session. The arguments are the options of `open_zenoh`.
 
     Raises:
         InvalidOption: if the value of an option is not allowed.
@@ -172,7 +180,7 @@ def _as_json(values: Mapping[str, object]) -> dict[str, str]:
 
 
 def words(text: str) -> str:
-    """Return Zenoh's message without the source lines it mentions.
+    """Return Zenoh's error message without the source files and lines that the message names.
 
     >>> words("Unicast not supported for foo protocol at /zenoh-link/src/lib.rs:183.")
     'Unicast not supported for foo protocol'
@@ -181,15 +189,15 @@ def words(text: str) -> str:
 
 
 def why_not_open(config: SessionConfig, said: str) -> str:
-    """Explain why and where a session cannot be opened, and what to do.
+    """Explain why a session cannot be opened, at which endpoint, and what to do.
 
     Args:
         config: The session's configuration.
-        said: Zenoh's message, as `words` returns it.
+        said: Zenoh's error message, as `words` returns it.
     """
     if "listener" in said or (config.listen and not config.connect):
         at = ", ".join(config.listen) or "the configured endpoints"
-        hint = "; is another router there already? connect to it" if "in use" in said else ""
+        hint = f"; {TAKEN}" if "in use" in said else ""
         inner = INNER.fullmatch(said)
         return f"cannot listen at {at}: {inner[1] if inner else said}{hint}"
     to = ", ".join(config.connect) or "the configured endpoints"
@@ -198,5 +206,8 @@ def why_not_open(config: SessionConfig, said: str) -> str:
         return f"{begins} the router at {to} rejects the connection ({said}); is a password needed?"
     if said.startswith("Unable to connect"):  # Zenoh does not say if there is a router
         return f"{begins} no router at {to} accepts the connection; {starts}"
+    if "early eof" in said:  # it answered, but did not speak Zenoh
+        no_router = f"the program that listens at {to} seems to be no router"
+        return f"{begins} {no_router} ({said}): end it, or use another port"
     more = "" if "Connection refused" in said else f" ({said})"
     return f"{begins} no router answers at {to}{more}; {starts}"

@@ -1,7 +1,7 @@
 """What the endpoints of a transport share: session, event loop, threads and local transport.
 
-An `Inbox` and an `Outbox` connect the event loop to other threads. Many messages cost a single
-wake-up of the loop, and no message ever blocks the loop.
+An `Inbox` and an `Outbox` connect the event loop to other threads. One wake-up of the event loop
+may handle many messages, and no message blocks the event loop.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ MOST_PEERS = 100
 
 
 class Named(msgspec.Struct, frozen=True):
-    """An endpoint and its names on the wire.
+    """An endpoint, with its key expression and its liveliness token.
 
     Attributes:
         endpoint: The endpoint, with its type hash and gid.
-        key: The key expression of its topic or service.
-        token: Its liveliness token.
+        key: The key expression of the endpoint's topic or service.
+        token: The endpoint's liveliness token.
     """
 
     endpoint: Endpoint
@@ -70,7 +70,7 @@ class Named(msgspec.Struct, frozen=True):
 
     @property
     def on_demand(self) -> str:
-        """The endpoint's name if it must be declared on demand, otherwise empty."""
+        """The endpoint's name if the endpoint is declared on demand; otherwise empty."""
         return self.endpoint.name if self.endpoint.on_demand else ""
 
 
@@ -78,21 +78,24 @@ class Context:
     """Everything that the endpoints of one transport share.
 
     Attributes:
-        session: The session. Only jobs in the outbox use it.
-        near: The transport inside this process.
-        tasks: The task functions of the event loop.
+        session: The Zenoh session. Only jobs in the outbox call it.
+        near: The local transport, which connects the endpoints in this process.
+        tasks: The functions for tasks on the event loop, asyncio or trio.
         inbox: Runs jobs from other threads in the event loop.
         outbox: Runs jobs that call Zenoh.
-        crew: The tasks of the transport.
+        crew: Runs the tasks of the transport.
         complaints: Logs warnings about peers.
         domain: The ROS domain.
         opened: The nodes and endpoints that are open.
-        latched: The gids of this session's latched publishers. A new latched subscription also gets
-            their messages from Zenoh. The subscription must ignore these messages, because it has
-            got them as objects already.
-        sought: How many endpoints other processes have, by name.
-        waiting: Things to open as soon as another process has an endpoint of that name.
-        asleep: Endpoints to declare as soon as another process has an endpoint of the same name.
+        latched: The gids of this session's latched publishers. A new latched subscription of this
+            session gets the messages of these publishers twice: as objects from the local
+            transport, and as bytes from Zenoh. The subscription uses the gids to recognize and
+            ignore these bytes.
+        sought: For each name, how many endpoints of this name other processes have.
+        waiting: For each name, the object to open as soon as another process has an endpoint of
+            this name.
+        asleep: For each name, the endpoints to declare as soon as another process has an endpoint
+            of this name.
         is_open: Whether the transport is open.
     """
 
@@ -113,7 +116,7 @@ class Context:
         self.is_open = True
 
     def seek(self, name: str) -> None:
-        """Record that another process has an endpoint with this name."""
+        """Record an endpoint with this name in another process, and open what waits for it."""
         self.sought[name] += 1
         if name in self.waiting:
             self.waiting.pop(name).open()
@@ -121,19 +124,19 @@ class Context:
             presence.wake()
 
     def forgo(self, name: str) -> None:
-        """Record that another process has closed an endpoint with this name."""
+        """Record that an endpoint with this name in another process is gone."""
         self.sought[name] -= 1
         if not self.sought[name]:
             del self.sought[name]
 
 
 class Sought:
-    """Something that is opened once another process looks for it.
+    """Opens an object as soon as another process has an endpoint of a given name; see `Lazy`.
 
     Args:
         context: The transport's context.
-        name: The name of the endpoint that another process must have.
-        opener: The function that opens the thing.
+        name: The name of the endpoint in the other process.
+        opener: The function that opens the object.
     """
 
     __slots__ = ("_context", "_name", "_opened", "_opener")
@@ -149,11 +152,11 @@ class Sought:
             context.waiting[name] = self
 
     def open(self) -> None:
-        """Open the thing, because another process looks for it."""
+        """Open the object, because another process now has an endpoint with the name."""
         self._opened = self._opener()
 
     def close(self) -> None:
-        """Close what was opened, or stop waiting."""
+        """Close the object if it is open. Otherwise, never open it."""
         if self._opened is not None:
             self._opened.close()
         elif self._context.waiting.get(self._name) is self:
@@ -161,10 +164,11 @@ class Sought:
 
 
 class Crew:
-    """The tasks of a transport, which waits for all of them when it is closed.
+    """Runs the tasks of a transport, and cancels them when the transport is closed.
 
     Attributes:
-        running: The tasks that have not ended, by number.
+        running: The tasks that have not ended. The keys are numbers from 1, in the order in which
+            the tasks were started.
     """
 
     def __init__(self, tasks: Tasks) -> None:
@@ -181,7 +185,7 @@ class Crew:
             self.running[number] = background
 
     async def aclose(self) -> None:
-        """Cancel all tasks, and wait at most `GRACE` seconds for them to end."""
+        """Cancel all tasks one after another, and wait at most `GRACE` seconds for each to end."""
         for background in tuple(self.running.values()):
             await background.aclose(GRACE)
 
@@ -193,7 +197,7 @@ class Crew:
 
 
 class Counter:
-    """Numbers and time-stamps the messages of one endpoint.
+    """Makes the attachments of one endpoint's messages, with sequence numbers and times.
 
     Args:
         gid: The gid of the endpoint.
@@ -211,22 +215,23 @@ class Counter:
 
 
 class Presence:
-    """An endpoint or node as other processes see it: its declarations and its liveliness token.
+    """Declares an endpoint or node to other processes, together with its liveliness token.
 
-    The token is declared last and undeclared first, so nobody sees an endpoint that cannot be
-    reached.
+    The token is declared last and undeclared first, so that no process sees an endpoint that cannot
+    be reached.
 
     Args:
         context: The transport's context.
-        token: The token.
-        declare: Declares everything except the token. The outbox calls it.
-        undeclare: Undeclares everything except the token. The outbox calls it.
-        on_demand: If not empty, the endpoint is declared only once another process has an endpoint
+        token: The liveliness token.
+        declare: Declares everything except the token. The outbox calls this function.
+        undeclare: Undeclares everything except the token. The outbox calls this function.
+        on_demand: If not empty, the endpoint is not declared before another process has an endpoint
             with this name.
-        on_wake: Called when the endpoint is declared on demand.
+        on_wake: Called when another process gets such an endpoint, so that this endpoint is
+            declared.
 
     Attributes:
-        is_asleep: Whether the endpoint still waits to be declared on demand.
+        is_asleep: Whether the endpoint is not declared yet because of ``on_demand``.
     """
 
     def __init__(
@@ -253,7 +258,7 @@ class Presence:
             self._appear()
 
     def wake(self) -> None:
-        """Declare the endpoint now, because another process has one with the same name."""
+        """Declare the endpoint now, because another process has an endpoint with the same name."""
         self._appear()
         if self._on_wake is not None:
             self._on_wake()
@@ -265,7 +270,7 @@ class Presence:
         self._context.outbox.post(self._declare_token)
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Undeclare the endpoint or node, so that it leaves the graph."""
         if not self.is_asleep:
             self._context.outbox.post(self._undeclare_token)
             if self._undeclare is not None:
@@ -286,16 +291,16 @@ class Presence:
 
 
 class Opened:
-    """Something open both inside the process and on Zenoh, until it is closed.
+    """A node or endpoint that is open both in the local transport and on Zenoh.
 
     Args:
         context: The transport's context.
-        near: Its part inside this process.
-        presence: Its part on Zenoh.
+        near: The node or endpoint in the local transport.
+        presence: Declares the node or endpoint to other processes.
 
     Attributes:
-        is_open: Whether it is open.
-        presence: Its part on Zenoh.
+        is_open: Whether the node or endpoint is open.
+        presence: Declares the node or endpoint to other processes.
     """
 
     def __init__(self, context: Context, near: Closeable, presence: Presence) -> None:
@@ -306,7 +311,7 @@ class Opened:
         context.opened.add(self)
 
     def close(self) -> None:
-        """Leave the graph. A second call does nothing."""
+        """Remove the node or endpoint from the graph. A second call does nothing."""
         if self.is_open:
             self.is_open = False
             self._near.close()
@@ -318,7 +323,7 @@ class Inbox:
     """Runs jobs from other threads in the event loop, in order.
 
     Args:
-        tasks: The task functions of the event loop.
+        tasks: The functions for tasks on the event loop, asyncio or trio.
     """
 
     def __init__(self, tasks: Tasks) -> None:
@@ -335,7 +340,7 @@ class Inbox:
             self._tasks.from_anywhere(self._work)
 
     def close(self) -> None:
-        """Run no more jobs."""
+        """Drop the waiting jobs, and run no more jobs."""
         self._is_open = False
         self._jobs.clear()
 
@@ -348,21 +353,21 @@ class Inbox:
             try:
                 jobs.popleft()()
             except Exception:
-                logger.exception("the Zenoh transport failed on a message that has come")
+                logger.exception("the Zenoh transport failed to handle a message")
         if self._jobs and not self._is_armed:
             self._is_armed = True
             self._tasks.from_anywhere(self._work)
 
 
 class Outbox:
-    """A thread that runs jobs that may block, in order, and logs their exceptions.
+    """A thread that runs blocking jobs one after another, and logs their exceptions.
 
     Args:
         name: The name of the thread.
 
     Attributes:
-        post: Adds a job, and never blocks.
-        thread: The thread.
+        post: Adds a job without blocking.
+        thread: The thread that runs the jobs.
     """
 
     def __init__(self, name: str) -> None:
@@ -373,7 +378,7 @@ class Outbox:
         self.thread.start()
 
     async def aclose(self) -> None:
-        """Run the remaining jobs and end. A job that hangs is abandoned after `GRACE` seconds."""
+        """Run the remaining jobs, and end the thread. Give up after `GRACE` seconds."""
         self._jobs.put(None)
         await anyio.to_thread.run_sync(self.thread.join, GRACE)
         if self.thread.is_alive():
@@ -390,10 +395,10 @@ class Outbox:
 
 
 class Complaints:
-    """Logs warnings about peers, a few per peer, so that no peer can fill the log.
+    """Logs warnings about peers, but only a few for each peer, so that no peer can fill the log.
 
-    The first `LOGGED` warnings about a peer are logged at once. Further warnings within `PERIOD`
-    seconds are counted, and the count is logged at the end of that time.
+    The first `LOGGED` warnings of one kind about a peer are logged at once. Further such warnings
+    within `PERIOD` seconds are counted, and the count is logged at the end of that period.
 
     Args:
         crew: Runs the task that logs the counts.
@@ -404,12 +409,12 @@ class Complaints:
         self._counts: Tally[tuple[str, str]] = Tally()
 
     def warn(self, about: str, peer: bytes, error: Exception) -> None:
-        """Log a warning, or count it.
+        """Log a warning, or only count it.
 
         Args:
             about: A sentence that says what went wrong, and where.
             peer: The gid of the sender; empty if unknown.
-            error: The cause.
+            error: The exception to report.
         """
         if not self._counts:
             self._crew.run(self._log_counts(), "the counts of complaints")

@@ -1,10 +1,10 @@
-"""Both ends of a topic, with objects inside the process and bytes between processes.
+"""Both ends of a topic. They exchange objects inside a process, and bytes between processes.
 
 A publication encodes a message only if another process reads the topic or the topic is latched.
-Outgoing messages wait in a `Lane` for the sending thread. Received messages wait in another lane
-for the event loop. The lane of a best-effort topic holds as many messages as the topic's depth. The
-lane of a reliable topic is limited only in bytes. A publisher that must not lose messages waits
-while its publication `is_congested`.
+Outgoing messages wait in a `Lane` until the sending thread takes them. Received messages wait in
+another lane until the event loop takes them. Every lane holds a limited number of bytes. If the
+topic is best-effort and not latched, the lane also holds at most as many messages as the topic's
+depth. A publisher that must not lose messages waits while `WirePublication.is_congested` is true.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Lane(Generic[T]):
     """A queue that one thread fills and another empties.
 
     Args:
-        longest: The maximum number of entries. If left out, there is no limit.
+        longest: The maximum number of entries; None for no limit.
 
     Attributes:
         dropped: How many entries were dropped because the lane was full.
@@ -68,11 +68,11 @@ class Lane(Generic[T]):
 
     @property
     def weight(self) -> int:
-        """How many bytes wait."""
+        """How many bytes wait in the lane, including `ENTRY` bytes of overhead for each entry."""
         return self._put - self._taken - self._lost
 
     def put(self, entry: T, size: int) -> bool:
-        """Add an entry. Return whether the number of waiting entries has grown."""
+        """Add an entry of ``size`` bytes. Return False if the full lane dropped an entry."""
         weight = size + ENTRY
         put = self._put = self._put + weight
         entries = self._entries
@@ -81,7 +81,7 @@ class Lane(Generic[T]):
         return not (is_full and self._drop())
 
     def take(self) -> T | None:
-        """Take the oldest entry; None if the lane is empty."""
+        """Remove and return the oldest entry; None if the lane is empty."""
         try:
             entry, weight = self._entries.popleft()
         except IndexError:
@@ -104,16 +104,18 @@ class WirePublication:
 
     Args:
         context: The transport's context.
-        named: The endpoint.
+        named: The publisher's endpoint.
         format: Encodes messages.
-        source: Makes the messages, unless they are published directly.
+        source: Makes messages from the state of an object; None if all messages are passed to
+            `publish`.
 
     Attributes:
-        is_read: Whether another process reads the topic, or may do so later (latched topics).
-        is_latched: Whether the topic's last messages are kept.
-        is_stale: Whether a new state of the source has not been sent yet.
-        presence: The publisher as other processes see it.
-        publisher: The declared publisher; None before it is declared.
+        is_read: Whether messages are sent to other processes. This is True if another process reads
+            the topic, if another process is expected to read it, or if the topic is latched.
+        is_latched: Whether the topic's last messages are kept for later readers.
+        is_stale: Whether the source has a new state that has not been sent yet.
+        presence: Declares the publisher to other processes.
+        publisher: The publisher on Zenoh; None before it is declared.
     """
 
     def __init__(
@@ -158,27 +160,27 @@ class WirePublication:
 
     @property
     def has_readers(self) -> bool:
-        """Whether a message published now has a reader, now or perhaps later (latched topics)."""
+        """Whether a new message has a reader, or (if the topic is latched) may get one later."""
         return self._is_open and (self.is_read or self._near.has_readers)
 
     @property
     def has_near_readers(self) -> bool:
-        """Whether a subscription in this process would get a message."""
+        """Whether a new message has a reader in this process, or may get one later."""
         return self._near.has_readers if self._source is None else self._has_near_readers
 
     @property
     def has_object_readers(self) -> bool:
-        """Whether a subscription in this process needs message objects, not bytes."""
+        """Whether a subscription in this process needs, or may later need, message objects."""
         return self._near.has_object_readers
 
     @property
     def is_congested(self) -> bool:
-        """Whether messages are published faster than they are sent."""
+        """Whether more than `CONGESTED` bytes wait to be sent."""
         return self._unsent.weight > CONGESTED
 
     @property
     def dropped(self) -> int:
-        """How many messages were dropped before they were sent, because too many waited."""
+        """How many messages were dropped before they were sent, because too many were waiting."""
         return self._unsent.dropped
 
     def publish(self, message: object) -> None:
@@ -192,12 +194,15 @@ class WirePublication:
             self._grow_stale()
 
     def expect_readers(self) -> None:
-        """Send from now on, even if no reader is known here."""
+        """From now on, send messages to other processes even if no reader is known there yet."""
         self._is_expected = self.is_read = True
         self._tell_source()
 
     def refresh(self) -> None:
-        """Publish the source's state: here at once, in other processes once for many calls."""
+        """Publish the source's state.
+
+        On a latched topic, several calls in a row send only the last state to other processes.
+        """
         if self._is_open and self._source is not None:
             self._near.refresh()
             if self.is_latched:
@@ -206,7 +211,7 @@ class WirePublication:
                 self._send_current()
 
     async def drained(self) -> None:
-        """Wait until the publication is not congested. Cancelling: safe."""
+        """Wait until the publication is no longer congested. Cancelling: safe."""
         if self.is_congested:
             while self._is_open:
                 self._is_awaited = True  # set before looking, or the wake-up could be missed
@@ -215,7 +220,7 @@ class WirePublication:
                 await self._sent.wait()
 
     def close(self) -> None:
-        """Leave the topic after sending the last state. A second call does nothing."""
+        """Send the source's last state, then leave the graph. A second call does nothing."""
         if not self._is_open:
             return
         if self.is_stale:
@@ -229,7 +234,10 @@ class WirePublication:
     # readers
 
     def _matching(self, is_matching: bool) -> None:
-        """Receive Zenoh's news about readers. A thread of the session calls this."""
+        """Record whether other processes have readers; called when that changes.
+
+        A thread of the session calls this.
+        """
         self._context.inbox.push(lambda: self._far_readers_changed(is_matching))
 
     def _far_readers_changed(self, has_readers: bool) -> None:
@@ -250,7 +258,7 @@ class WirePublication:
     # sending
 
     def send(self, data: bytes) -> None:
-        """Send encoded data to other processes, and to subscriptions here with a `RawFormat`."""
+        """Send an encoded message to other processes and to subscriptions with a `RawFormat`."""
         if self._near.has_readers:
             self._near.send(data)
         self._send_far(data)
@@ -267,7 +275,7 @@ class WirePublication:
                 self._source.message_lost()
 
     def _send_current(self) -> int:
-        """Send the source's state and return its size (bytes)."""
+        """Send the source's state to other processes, and return its size (bytes)."""
         self.is_stale = False
         payloads = () if self._source is None else self._source.written(self._format.encode)
         for payload in payloads:
@@ -275,7 +283,10 @@ class WirePublication:
         return sum(map(len, payloads))
 
     def _grow_stale(self) -> None:
-        """Send the source's state at the loop's next turn, once for all changes until then."""
+        """Let a task send the source's state to other processes.
+
+        Several calls in a row send only the last state.
+        """
         if self.presence.is_asleep:  # it is refreshed when it wakes
             return
         self.is_stale = True
@@ -329,7 +340,7 @@ class WireSubscription:
 
     Args:
         context: The transport's context.
-        named: The endpoint.
+        named: The subscription's endpoint.
         format: Decodes messages.
         deliver: Called with each message.
     """
@@ -351,7 +362,7 @@ class WireSubscription:
         self._opened = Opened(context, near, presence)
 
     def close(self) -> None:
-        """Leave the topic. A second call does nothing."""
+        """Close the subscription. A second call does nothing."""
         self._opened.close()
 
     def _take_latched(self, payload: bytes, attachment: bytes) -> None:
@@ -380,7 +391,7 @@ class WireSubscription:
         try:
             self._deliver(message)
         except Exception:
-            logger.exception("a subscription of topic %s failed on a message", self._topic)
+            logger.exception("a subscription of topic %s failed to handle a message", self._topic)
 
     def _complain(self, error: InvalidMessage) -> None:
         about = f"topic {self._topic}: a message cannot be read"
@@ -403,7 +414,7 @@ class WireSubscription:
 
 
 class DirectSubscription(WireSubscription):
-    """A subscription that delivers in the thread of the session that received the message.
+    """A subscription that delivers a message in the thread of the session that received it.
 
     A message may still be delivered while the subscription is being closed.
     """
@@ -417,7 +428,11 @@ class DirectSubscription(WireSubscription):
 
 
 class _Relay:
-    """Stands in for a source in the local transport, which does not know the remote readers."""
+    """Replaces the publication's source in the local transport.
+
+    The local transport knows only the readers in this process. Therefore, the relay reports them to
+    the publication, which tells the source whether any process has readers.
+    """
 
     def __init__(self, source: Source, readers_changed: Callable[[bool], None]) -> None:
         self._source = source

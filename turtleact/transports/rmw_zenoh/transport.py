@@ -1,12 +1,12 @@
 """Connects processes, including ROS 2 nodes, to one graph over Zenoh, as rmw_zenoh does.
 
-Nodes in one process that share a transport exchange objects, as on a `MemoryTransport`. Everything
-else travels over Zenoh, as bytes that ROS 2 can read.
+Nodes in one process that share a transport exchange objects, as on a `MemoryTransport`. Messages
+between processes travel over Zenoh, as bytes that ROS 2 can read.
 
-- Calls into Zenoh may block. One thread makes them all, in order.
-- Zenoh calls back in its own threads. The event loop handles what they bring.
-- A reader that stops reading delays its reliable topics once, by a second at most. Then Zenoh
-  disconnects the reader. The reader reconnects by itself when it reads again.
+- Calls into Zenoh may block. One thread makes all of them, in order.
+- Zenoh runs callbacks in its own threads. They pass what they receive to the event loop.
+- A process that stops reading can delay senders of reliable topics once, by a second at most. Then
+  Zenoh disconnects the process. The process reconnects by itself when it reads again.
 
 Source: rmw_zenoh_cpp, ``docs/design.md``.
 """
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from contextlib import asynccontextmanager
 from functools import partial
 from time import perf_counter
 from weakref import WeakValueDictionary
@@ -26,6 +25,7 @@ import msgspec
 
 from turtleact.clock import Clock, check_timeout
 from turtleact.errors import TurtleactError
+from turtleact.opening import opening
 from turtleact.tasks import current_tasks
 from turtleact.transports.base import (
     EVERY_SERVER,
@@ -53,7 +53,8 @@ from turtleact.transports.rmw_zenoh.keys import (
     gid_of,
     node_token,
 )
-from turtleact.transports.rmw_zenoh.services import WireCaller, WireService
+from turtleact.transports.rmw_zenoh.service_clients import WireCaller
+from turtleact.transports.rmw_zenoh.service_servers import WireService
 from turtleact.transports.rmw_zenoh.session import Session
 from turtleact.transports.rmw_zenoh.topics import (
     DirectSubscription,
@@ -68,12 +69,12 @@ class ZenohTransport:
     """The transport between processes. `open_zenoh` opens and closes it.
 
     Attributes:
-        clock: The time of all nodes on the graph in this process.
-        round_trip: How long other processes took to answer `explore` (s).
-        context: Shared by the endpoints of the transport, for their use only.
+        clock: The clock of all nodes in this process that use the transport.
+        round_trip: How long other processes took to answer the last `explore` (s); 0 at first.
+        context: Data that the transport shares with its endpoints. No other code may use the data.
         graph: The nodes and endpoints of other sessions.
-        discovery_ends: Before this moment, clients wait for a server that has not been seen yet
-            (event loop time).
+        discovery_ends: The time until which clients wait for servers that are not known yet (s,
+            event loop time).
     """
 
     def __init__(
@@ -98,10 +99,12 @@ class ZenohTransport:
     def advertise(
         self, endpoint: Endpoint, format: Format, source: Source | None = None
     ) -> Publication:
-        """Open the sending end of a topic. With a source, only the source's messages are latched.
+        """Open the sending end of a topic.
 
-        A thread sends messages to readers in other processes; see `Publication.is_congested`.
-        Messages are encoded only while another process reads the topic, or if it is latched.
+        If there is a ``source``, a new reader of a latched topic gets the messages of the source,
+        not those passed to `Publication.publish`. Messages to other processes wait for a thread
+        that sends them; see `Publication.is_congested`. Messages are encoded only while another
+        process reads the topic, or if the topic is latched.
 
         Raises:
             InvalidInterface: if the message class has no type name.
@@ -117,20 +120,21 @@ class ZenohTransport:
         *,
         in_any_thread: bool = False,
     ) -> Closeable:
-        """Open the receiving end of a topic. The errors are those of `advertise`.
+        """Open the receiving end of a topic. This raises the same errors as `advertise`.
 
-        With ``in_any_thread``, one of Zenoh's threads decodes and delivers messages from other
-        processes. ``deliver`` must return quickly, because no other message arrives meanwhile.
+        With ``in_any_thread``, one of Zenoh's threads decodes each message from another process and
+        calls ``deliver``. Then ``deliver`` must return quickly, because no other message arrives
+        until it has returned.
         """
         named = self._name(endpoint, format)
         made = DirectSubscription if in_any_thread else WireSubscription
         return made(self.context, named, format, deliver)
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
-        """Offer ``handler`` as the server of a service. The errors are those of `advertise`.
+        """Offer ``handler`` as the server of a service. This raises the same errors as `advertise`.
 
-        A request is refused if a request with the same gid and sequence number is under way. A
-        handler's exception is sent to the caller. Clients of ROS 2 log it.
+        A request gets an error if another request with the same gid and sequence number is under
+        way. An exception of the handler is sent to the client. Clients of ROS 2 log the error.
         """
         self._check_open()
         is_for_others = isinstance(handler, AsyncHandler)
@@ -144,12 +148,12 @@ class ZenohTransport:
         return service.add(handler)
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
-        """Show a client of a service on the graph, and return the object to call it with.
+        """Show a client of a service on the graph, and return the object that calls the service.
 
-        A server in this process is preferred. A cancelled call ends here at once, but a server in
-        another process learns of the cancellation only when the caller is closed. If a server hangs
-        without dying, the call raises `ServiceTimeout` after ten minutes. The errors of this method
-        are those of `advertise`.
+        If a server in this process exists, it gets all requests. A cancelled call ends at once in
+        this process, but a server in another process learns of the cancellation only when the
+        `Caller` is closed. If a server hangs without dying, the call raises `ServiceTimeout` after
+        ten minutes. This method raises the same errors as `advertise`.
         """
         return WireCaller(self.context, self._name(endpoint, format), format, target, self._servers)
 
@@ -158,7 +162,7 @@ class ZenohTransport:
         return self._near.all_local(name, type_name)
 
     def local(self, name: str, type_name: str) -> object | None:
-        """The oldest handler that serves a service in this process, or None."""
+        """The oldest handler that serves a service in this process; None if there is none."""
         return self._near.local(name, type_name)
 
     def enter(self, node: str) -> Closeable:
@@ -173,31 +177,31 @@ class ZenohTransport:
         return Sought(self.context, name, open)
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints on the graph, or only those called ``name``: our own first, then others."""
+        """All endpoints, this transport's own first; given a name, only those with that name."""
         return (*self._near.endpoints(name), *self.graph.endpoints(name))
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints opened on this transport, or only those called ``name``."""
+        """All endpoints opened on this transport; given a name, only those with that name."""
         return self._near.endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
-        """The names of all nodes, our own first. A name may occur twice."""
+        """The names of all nodes, those of this transport first. A name may occur twice."""
         return (*self._near.nodes(), *self.graph.nodes())
 
     @property
     def changes(self) -> int:
-        """How often a node or endpoint has come or gone, here or elsewhere."""
+        """How many times the graph has changed, in this process or in others."""
         return self._near.changes
 
     async def wait_for_change(self) -> None:
-        """Wait until a node or endpoint comes or goes, here or elsewhere. Cancelling: safe."""
+        """Wait until a node or endpoint appears or disappears in any process. Cancelling: safe."""
         await self._near.wait_for_change()
 
     async def flush(self) -> None:
-        """Wait until every earlier request has been handed to Zenoh. Cancelling: safe.
+        """Wait until all earlier messages and declarations were passed to Zenoh. Cancelling: safe.
 
         Raises:
-            TurtleactError: if the transport is closed, now or while this waits.
+            TurtleactError: if the transport is closed before or during the call.
         """
         self._check_open()
         passed = anyio.Event()
@@ -210,7 +214,7 @@ class ZenohTransport:
         Cancelling: safe.
 
         Raises:
-            TurtleactError: if the transport is closed, now or while this waits.
+            TurtleactError: if the transport is closed before or during the call.
         """
         self._check_open()
         context, found = self.context, anyio.Event()
@@ -243,7 +247,7 @@ class ZenohTransport:
         Cancelling: safe.
 
         Raises:
-            TurtleactError: if the transport is closed, now or while this waits.
+            TurtleactError: if the transport is closed before or during the call.
         """
         self._check_open()
         context, answered = self.context, anyio.Event()
@@ -263,10 +267,12 @@ class ZenohTransport:
         return tuple(sorted(found))
 
     async def routers(self) -> dict[str, str]:
-        """The routers in reach, with each router's description of itself as JSON. Cancelling: safe.
+        """The ids of the connected routers, each with the router's own description as JSON.
+
+        The description is empty if the router's admin space is off. Cancelling: safe.
 
         Raises:
-            TurtleactError: if the transport is closed, now or while this waits.
+            TurtleactError: if the transport is closed before or during the call.
         """
         self._check_open()
         context, answered = self.context, anyio.Event()
@@ -283,9 +289,9 @@ class ZenohTransport:
         return found
 
     async def aclose(self) -> None:
-        """Close the session. Calls under way end, and handlers are cancelled.
+        """Send the waiting messages, then close the session. A second call does nothing.
 
-        Earlier messages are sent first. A second call does nothing.
+        Calls under way end with an error, and running handlers are cancelled.
         """
         context = self.context
         if not context.is_open:
@@ -319,10 +325,7 @@ class ZenohTransport:
     # names
 
     def _name(self, endpoint: Endpoint, format: Format) -> Named:
-        """Give an endpoint its key and its token.
-
-        The numbers in tokens are unique in the session.
-        """
+        """Give an endpoint its type hash, gid, key and token."""
         self._check_open()
         if (node_id := self._numbers.get(endpoint.node)) is None:
             node_id = self._numbers[endpoint.node] = self._next_number()
@@ -343,11 +346,11 @@ class ZenohTransport:
     # other sessions
 
     def _servers(self, name: str) -> list[Endpoint]:
-        """The servers of a service with that name in other sessions."""
+        """The servers of the service ``name`` in other sessions."""
         return [each for each in self.graph.endpoints(name) if each.kind == "service"]
 
     def _watch(self, session: Session) -> None:
-        """Watch the tokens of other sessions. The outbox calls this."""
+        """Watch the tokens of other sessions. The outbox calls this method."""
         inbox = self.context.inbox
         session.watch_tokens(
             all_tokens(self.context.domain),
@@ -365,7 +368,7 @@ class ZenohTransport:
         self._near.tell_change()
 
     def token_gone(self, key: str) -> None:
-        """Handle the loss of another session's token."""
+        """Handle the disappearance of another session's token."""
         for gone in self._gone_since.values():
             gone.add(key)
         token = self.graph.remove(key)
@@ -384,7 +387,7 @@ class ZenohTransport:
         self._near.tell_change()
 
 
-@asynccontextmanager
+@opening
 async def open_zenoh(
     connect: Sequence[str] | None = None,
     *,
@@ -395,30 +398,36 @@ async def open_zenoh(
     clock: Clock | None = None,
     discovery: float = 1.0,
 ) -> AsyncIterator[ZenohTransport]:
-    """Open a graph of processes for the length of a block.
+    """Open a transport between processes, which is closed at the end of the ``async with`` block.
 
     If an endpoint cannot be reached or is already in use, this raises an error within a few
-    seconds. Later, lost connections are restored silently, including those to a restarted router.
+    seconds. A connection that is lost later is restored without an error, even if the router was
+    restarted.
 
     Args:
-        connect: The endpoints of routers or peers, all of which must be reachable. The default is
-            ``tcp/localhost:7447``; a router connects to none.
-        listen: The endpoints at which others can connect to this session. The default for a peer is
-            a free port of this machine, for a router ``tcp/127.0.0.1:7447``, and for a client none.
-        mode: ``"peer"`` joins like a ROS 2 node. ``"client"`` talks only through its router.
-            ``"router"`` is what the ROS 2 nodes of this machine look for.
-        domain: The ROS domain, 0 to 232. The default is that of ``ROS_DOMAIN_ID``, or 0.
-        config: More of Zenoh's configuration: a mapping from paths (``"transport/link/tx/lease"``)
-            to values, or the text of a JSON5 file, such as those that configure ROS 2. The other
-            options take precedence over the file.
+        connect: The Zenoh endpoints of routers or peers to connect to. All of them must be
+            reachable. The default is ``tcp/localhost:7447`` for a peer or client, and none for a
+            router.
+        listen: The Zenoh endpoints at which other processes can connect to this session. The
+            default is a free port of this machine for a peer, ``tcp/127.0.0.1:7447`` for a router,
+            and none for a client.
+        mode: A ``"peer"`` connects to other peers directly, like a ROS 2 node. A ``"client"``
+            communicates only through its router. A ``"router"`` lets the ROS 2 nodes of this
+            machine find each other.
+        domain: The ROS domain, 0 to 232. The default is the value of ``ROS_DOMAIN_ID``, or 0 if it
+            is not set.
+        config: Further settings of Zenoh, as a mapping from paths (``"transport/link/tx/lease"``)
+            to values, or as the text of a JSON5 file, such as the files that configure rmw_zenoh.
+            ``connect`` and ``listen`` replace the endpoints in a file. A mode in the file takes
+            precedence over ``mode``.
         clock: The clock of the nodes in this process. The default is wall time.
-        discovery: How long after the opening a goal or call still waits for a server that has not
-            been seen yet (s, event loop time). After that time, it fails at once if there is no
-            server.
+        discovery: For this time after the opening, a goal or call waits for a server that is not
+            known yet (s, event loop time). After that time, a goal or call without a server fails
+            at once.
 
     Raises:
         InvalidOption: if the value of an option is not allowed.
-        TurtleactError: if the session cannot connect to the graph, or cannot listen.
+        TurtleactError: if the session cannot connect to an endpoint or cannot listen at one.
     """
     check_timeout(discovery, "discovery", may_be_none=False)
     if domain is None:

@@ -88,7 +88,7 @@ class Bag extends EventTarget {
     this.about = about;
     this.all = [];
     this.poses = new Poses(about, () => this.#show());
-    this.graph = {poses: about.poses};
+    this.graph = {poses: about.poses, hues: about.hues};
     const draft = Object.assign(new EventTarget(), {places: () => [], addPlace() {}, turtle: ""});
     const connection = {subscribe: (topic, _, heard) => this.heard.set(topic, heard), unsubscribe() {}};
     this.world = new World(connection, this, draft, {chosen: () => "", choose() {}});

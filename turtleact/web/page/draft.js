@@ -123,7 +123,7 @@ export class Draft extends EventTarget {
     $("command").hidden = true;
     this.#isPicked = false;
     const type = this.watch.graph.actions[action] ?? "";
-    setText($("action-type"), type.replace("/action/", "/"));
+    setText($("action-type"), type);
     if (type && !this.#controls.has(action)) {
       try {
         const form = await this.describe(type);
@@ -179,19 +179,18 @@ export class Draft extends EventTarget {
     const path = /^(?:goal\.)?([a-z_]\w*(?:\[\d+\]|\.\w+)*)/.exec(text)?.[1] ?? "";
     const names = path.match(/[^.[\]]+/g) ?? [];
     const control = this.control?.controls.has(names[0]) ? this.control.locate(names) : null;
+    const isPlace = control instanceof Leaf || control instanceof List;
     this.dispatchEvent(new Event("problem"));
-    if (control && control !== this.control) {
+    setText($("form-error"), isPlace ? "" : text);
+    if (isPlace) {
       control.complain(text.replace(/^goal\./, ""));
       control.focus();
       this.#blamed = control;
-    }
-    setText($("form-error"), control instanceof Leaf ? "" : text);
-    if (control instanceof Leaf === false) say(text);
+    } else $("form-error").scrollIntoView({block: "nearest"});
   }
 
   // The server judged a goal that the form does not hold any more.
   #forgive() {
-    if ($("form-error").textContent) say("");
     setText($("form-error"), "");
     this.#blamed?.complain("");
     this.#blamed = null;

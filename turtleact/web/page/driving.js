@@ -67,6 +67,6 @@ export class Driving {
     if (!name) return;
     const [linear, angular] = [...this.#keys].reduce(([l, a], key) => [l + DRIVES[key][0], a + DRIVES[key][1]], [0, 0]);
     const twist = {linear: {x: linear}, angular: {z: angular}};
-    this.connection.publish(`/${name}/cmd_vel`, "geometry_msgs/Twist", twist);
+    this.connection.publish(`/${name}/cmd_vel`, "geometry_msgs/msg/Twist", twist);
   }
 }

@@ -29,6 +29,11 @@ export function say(text) {
   setText($("said"), text);
 }
 
+// Says how a promise ends.
+export function report(promise, told = () => "") {
+  promise.then(answer => say(told(answer)), error => say(error.message));
+}
+
 // News for screen readers: what comes within a second is said together.
 let waiting = [];
 export function announce(text) {

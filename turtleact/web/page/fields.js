@@ -21,17 +21,21 @@ function controlOf(field, isOutermost) {
   return field.fields ? new Group(field.fields, field) : new Leaf(field);
 }
 
-const shortType = type => type.replace(/\/msg\//, "/");
-
 function limits(field) {
   const {array, longest} = field, words = [];
   if (array?.form === "fixed") words.push(`${array.size} values`);
   if (array?.form === "bounded") words.push(`at most ${array.size}`);
   if (longest !== undefined) words.push(`at most ${longest} characters`);
-  if (field.least !== undefined && field.type !== "int64" && field.type !== "uint64" && field.type !== "int32" && field.type !== "uint32") {
+  if (field.least !== undefined && !/int(32|64)$/.test(field.type)) {
     words.push(`${field.least.replace("-", "−")} to ${field.most}`);
   }
   return words.join(", ");
+}
+
+// What is typed then replaces the text of an input.
+function enter(control) {
+  control?.focus();
+  control?.select?.();
 }
 
 const noteOf = (...parts) => parts.filter(Boolean).join(" · ").replaceAll(". · ", ". ");
@@ -47,25 +51,22 @@ export function takesXY(fields) {
 const isCompact = fields => fields.length <= 4 && fields.every(
   ({type, array, comment}) => !array && !comment && (IS_FLOAT.test(type) || IS_INTEGER.test(type)));
 
-// The values of a text that its comment names, such as ``arc`` or ``forward``.
-const wordsIn = ({type, comment}) =>
-  (type === "string" ? [...comment.matchAll(/``([\w-]+)``/g)].map(([, word]) => word) : []);
-
 export class Leaf {
   constructor(field, name = label(field.name), note = noteOf(plain(field.comment), limits(field))) {
     this.field = field;
     const id = `field-${++count}`;
-    this.input = make("input", {id, "aria-describedby": `${id}-note ${id}-error`, autocomplete: "off",
+    const described = {id, "aria-describedby": `${id}-note ${id}-error`};
+    const options = (field.values ?? field.suggested)?.map(([value, text]) => make("option", {value}, text));
+    this.input = field.values ? make("select", described, ...options) : make("input", {...described, autocomplete: "off",
       type: field.type === "bool" ? "checkbox" : "text",
       inputmode: IS_FLOAT.test(field.type) || IS_INTEGER.test(field.type) ? "decimal" : null});
     this.error = make("small", {id: `${id}-error`, class: "error"});
     this.note = make("small", {id: `${id}-note`}, note);
     this.element = make("div", {class: "field"},
-      make("label", {for: id, title: shortType(field.type)}, name), this.input, this.error, this.note);
-    const words = wordsIn(field);
-    if (words.length > 1) {
+      make("label", {for: id, title: field.type}, name), this.input, this.error, this.note);
+    if (field.suggested) {
       this.input.setAttribute("list", `${id}-words`);
-      this.element.append(make("datalist", {id: `${id}-words`}, ...words.map(value => make("option", {value}))));
+      this.element.append(make("datalist", {id: `${id}-words`}, ...options));
     }
     this.input.oninput = () => this.complain("");
     this.input.onchange = () => { this.complain(""); this.read([]); };
@@ -73,7 +74,9 @@ export class Leaf {
   }
 
   write(value) {
-    if (this.field.type === "bool") this.input.checked = Boolean(value);
+    const {type, values} = this.field;
+    if (values && !values.some(([known]) => known === String(value))) return;
+    if (type === "bool") this.input.checked = Boolean(value);
     else this.input.value = value === null ? "nan" : String(value);
     this.complain("");
   }
@@ -86,7 +89,7 @@ export class Leaf {
   }
 
   focus() {
-    this.input.focus();
+    enter(this.input);
   }
 
   read(problems) {
@@ -150,7 +153,7 @@ class Group {
   complain() {}
 
   focus() {
-    this.element.querySelector("input, button")?.focus();
+    enter(this.element.querySelector("input, select, button"));
   }
 }
 
@@ -211,7 +214,7 @@ export class List {
   }
 
   focus() {
-    (this.items.querySelector("input") ?? this.add).focus();
+    enter(this.items.querySelector("input, select") ?? this.add);
   }
 
   #remove(control) {

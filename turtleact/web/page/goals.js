@@ -1,8 +1,8 @@
 // The goals: cards for those that run, lines for those that have ended.
 
-import {$, announce, make, say, setText} from "./elements.js";
+import {$, announce, make, report, setText} from "./elements.js";
 import {placesIn, progressOf, turtleOf} from "./places.js";
-import {FieldList, inWords, label, seconds, timeOfDay, unitsOf} from "./values.js";
+import {FieldList, inWords, label, notationsOf, seconds, timeOfDay} from "./values.js";
 
 const KIND = {
   ACCEPTED: "run", EXECUTING: "run", CANCELING: "warn", SUCCEEDED: "good",
@@ -23,7 +23,6 @@ export class Goals {
     watch.addEventListener("goal", ({detail}) => this.#show(detail));
     watch.addEventListener("dropped", ({detail}) => this.#remove(detail));
     watch.addEventListener("time", () => this.#tick());
-    watch.connection.addEventListener("down", () => this.#tick());
   }
 
   #show({goal, before, isNews}) {
@@ -37,11 +36,12 @@ export class Goals {
       this.#cards.set(goal.id, card);
       $(goal.has_ended ? "ended" : "active").prepend(card.element);
       this.describe(goal.type).then(
-        form => { card.units = {feedback: unitsOf(form.feedback), result: unitsOf(form.result), request: unitsOf(form.goal)};
+        form => { const lists = form.goal.filter(({array}) => array).map(({name}) => name);
+          card.notations = {feedback: notationsOf(form.feedback, lists), result: notationsOf(form.result, lists), request: notationsOf(form.goal)};
           card.show(this.watch.goals.get(goal.id) ?? goal); }, () => {});
     }
     card.show(goal);
-    if (isNews && goal.has_ended && !before?.has_ended) announce(`${goal.action} ${goal.status.toLowerCase()}${tail(goal)}`);
+    if (isNews && goal.has_ended && !before?.has_ended) announce(`${goal.action} ${stateOf(goal)}${tail(goal)}`);
   }
 
   #remove(id) {
@@ -67,13 +67,12 @@ export class Goals {
   cancel(goal) {
     const uuid = btoa(String.fromCharCode(...goal.id.match(/../g).map(pair => parseInt(pair, 16))));
     const args = {goal_info: {goal_id: {uuid}}};
-    this.watch.connection.call(`${goal.action}/_action/cancel_goal`, args).then(
-      ({return_code}) => say(return_code === 1 ? `${goal.action} does not cancel the goal` : ""),
-      error => say(error.message));
+    report(this.watch.connection.call(`${goal.action}/_action/cancel_goal`, args),
+      ({return_code}) => (return_code === 1 ? `${goal.action} does not cancel the goal` : ""));
   }
 
   setPaused(goal, isPaused) {
-    this.watch.connection.call("/turtleact/web/set_paused", {id: goal.id, is_paused: isPaused}).then(() => say(""), error => say(error.message));
+    report(this.watch.connection.call("/turtleact/web/set_paused", {id: goal.id, is_paused: isPaused}));
   }
 }
 
@@ -86,15 +85,17 @@ function heading(goal) {
   return {pill, clock, title, element: make("div", {class: "head"}, title, pill, clock)};
 }
 
-function setPill(pill, goal) {
+export const stateOf = goal => (goal.status === "UNKNOWN" ? "end unknown" : goal.status.toLowerCase());
+
+function setPill(pill, goal, isLost = false) {
   const marks = [goal.is_resumed && "resumed", goal.is_paused && "paused"].filter(Boolean);
-  setText(pill, goal.status.toLowerCase() + (marks.length ? ` (${marks.join(", ")})` : ""));
-  pill.className = `pill ${kindOf(goal.status)}`;
+  setText(pill, isLost ? "connection lost" : stateOf(goal) + (marks.length ? ` (${marks.join(", ")})` : ""));
+  pill.className = `pill ${isLost ? "bad" : kindOf(goal.status)}`;
 }
 
 class Card {
   hasEnded = false;
-  units = {};
+  notations = {};
 
   constructor(goals, goal) {
     this.goals = goals;
@@ -113,7 +114,6 @@ class Card {
 
   show(goal) {
     this.goal = goal;
-    setPill(this.head.pill, goal);
     const switchTo = goal.is_paused ? "Resume" : "Pause";
     setText(this.pause, switchTo);
     this.pause.setAttribute("aria-label", `${switchTo} ${goal.action}`);
@@ -121,16 +121,17 @@ class Card {
     if (turtle) facts.turtle = turtle;
     if (progress?.of) facts.reached = `${progress.done} of ${progress.of}`;
     const shown = goal.feedback ? "feedback" : "request";
-    this.fields.show({...facts, ...goal[shown], ...facts}, this.units[shown], goal.series);
+    this.fields.show({...facts, ...goal[shown], ...facts}, this.notations[shown], goal.series);
     this.#showProgress(progress);
     this.#showSteps(goal, progress);
     this.tick(goal);
   }
 
   tick(goal) {
-    this.cancel.disabled = this.pause.disabled =
-      !this.goals.watch.connection.isUp || !["ACCEPTED", "EXECUTING"].includes(goal.status);
-    setText(this.head.clock, seconds(Math.max(0, this.goals.watch.time() - goal.accepted)));
+    const {watch} = this.goals, isLost = !watch.connection.isUp || "seen" in goal;
+    setPill(this.head.pill, goal, isLost);
+    this.cancel.disabled = this.pause.disabled = isLost || !["ACCEPTED", "EXECUTING"].includes(goal.status);
+    setText(this.head.clock, seconds(Math.max(0, (goal.seen ?? watch.time()) - goal.accepted)));
   }
 
   #showProgress(progress) {
@@ -158,7 +159,7 @@ class Card {
 
 class Line {
   hasEnded = true;
-  units = {};
+  notations = {};
 
   constructor(goals, goal) {
     this.pill = make("span", {class: "pill"});
@@ -185,11 +186,11 @@ class Line {
     if (!this.element.open) return;
     const {goal} = this, parts = [];
     if (goal.reason) parts.push(make("p", {class: "reason"}, goal.reason));
-    for (const part of ["request", "result", "feedback"]) {
+    for (const [part, title] of Object.entries({request: "Goal", result: "Result", feedback: "Last feedback"})) {
       if (!goal[part] || !Object.keys(goal[part]).length) continue;
       const list = new FieldList();
-      list.show(goal[part], this.units[part], part === "feedback" ? goal.series : {});
-      parts.push(make("p", {class: "part"}, part === "request" ? "Goal" : part === "feedback" ? "Last feedback" : "Result"), list.element);
+      list.show(goal[part], this.notations[part], part === "feedback" ? goal.series : {});
+      parts.push(make("p", {class: "part"}, title), list.element);
     }
     parts.push(make("p", {class: "dim"}, `${goal.type} · ${goal.id}`));
     this.body.replaceChildren(...parts);

@@ -3,7 +3,7 @@
 import {Connection} from "./connection.js";
 import {Draft} from "./draft.js";
 import {Driving} from "./driving.js";
-import {$, announce, make, say, setText} from "./elements.js";
+import {$, announce, make, report, say, setText} from "./elements.js";
 import {Goals} from "./goals.js";
 import {Timeline} from "./timeline.js";
 import {Topics} from "./topics.js";
@@ -35,17 +35,18 @@ new Timeline(watch);
 
 // the header
 
-connection.addEventListener("up", () => { tell("connected", "good"); say(""); });
+connection.addEventListener("up", () => { tell("connected", "good"); say(""); watch.follow(); });
 connection.addEventListener("trying", () => tell("connecting …", ""));
-connection.addEventListener("down", ({detail}) => tell(`not connected, trying again in ${detail / 1000} s`, "bad"));
-connection.addEventListener("up", () => watch.follow());
+connection.addEventListener("down", ({detail}) => { driving.stop(); tell(`not connected, trying again in ${detail / 1000} s`, "bad"); });
 connection.addEventListener("status", ({detail}) => say(detail));
 watch.addEventListener("problem", ({detail}) => say(detail));
 
 function tell(text, kind) {
   setText($("line"), text);
   $("line").className = `pill ${kind}`;
-  document.body.classList.toggle("down", kind === "bad");
+  document.body.classList.toggle("down", kind !== "good");
+  for (const each of document.querySelectorAll("#pause, #clear, #action, [data-drive], .topic button")) each.disabled = !connection.isUp;
+  turtles.refresh();
 }
 
 const many = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
@@ -64,13 +65,12 @@ const isPaused = () => watch.rate < .001;
 watch.addEventListener("time", () => {
   // The rate is measured, so it is only about right.
   const whole = Math.round(watch.rate), isWhole = Math.abs(watch.rate / whole - 1) < .15;
-  setText($("rate"), isPaused() ? "paused" : `time ${isWhole ? whole : watch.rate.toFixed(1)}×`);
+  setText($("rate"), !connection.isUp ? "" : isPaused() ? "paused" : `time ${isWhole ? whole : watch.rate.toFixed(1)}×`);
   setText($("pause"), isPaused() ? "Resume world" : "Pause world");
 });
 $("pause").onclick = () => {
   const state = isPaused() ? 1 : 2; // STATE_PLAYING, STATE_PAUSED
-  connection.call("/world/set_simulation_state", {state: {state}}).then(
-    ({result}) => say(result.error_message), error => say(error.message));
+  report(connection.call("/world/set_simulation_state", {state: {state}}), ({result}) => result.error_message);
 };
 
 // the turtles
@@ -84,10 +84,7 @@ world.onchange = () => {
 };
 $("turtle").onchange = () => choose(chosen());
 $("spawn-here").onclick = () => turtles.spawnSomewhere();
-$("clear").onclick = () => {
-  const service = watch.has("/clear") ? "/clear" : "/turtleact/web/clear_trails";
-  turtles.attempt(connection.call(service), "");
-};
+$("clear").onclick = () => report(connection.call(watch.has("/clear") ? "/clear" : "/turtleact/web/clear_trails"));
 
 function showState() {
   const pose = world.turtles.get(chosen())?.pose;
@@ -110,18 +107,22 @@ $("all").onclick = () => { world.showAll(); $("nearer").focus(); };
 const tabs = [...document.querySelectorAll("[role=tab]")];
 function open(tab) {
   for (const each of tabs) {
-    each.setAttribute("aria-selected", String(each === tab));
+    each.setAttribute("aria-selected", each === tab);
     each.tabIndex = each === tab ? 0 : -1;
     $(each.getAttribute("aria-controls")).hidden = each !== tab;
   }
 }
 tabs.forEach((tab, index) => {
-  tab.onclick = () => open(tab);
+  const turn = tab => { // what was said belongs to the tab before
+    if (tab.getAttribute("aria-selected") !== "true") say("");
+    open(tab);
+  };
+  tab.onclick = () => turn(tab);
   tab.onkeydown = ({key}) => {
     const to = {ArrowRight: index + 1, ArrowLeft: index - 1, Home: 0, End: tabs.length - 1}[key];
     if (to === undefined) return;
     const next = tabs[(to + tabs.length) % tabs.length];
-    open(next);
+    turn(next);
     next.focus();
   };
 });

@@ -1,7 +1,7 @@
 // The time line: which goal of which action ran when.
 
 import {$, make, setText} from "./elements.js";
-import {kindOf} from "./goals.js";
+import {kindOf, stateOf} from "./goals.js";
 import {seconds} from "./values.js";
 
 const MOST_ROWS = 4;
@@ -32,6 +32,7 @@ export class Timeline {
     for (const name of names) this.#fill(name, shown.filter(goal => goal.action === name && endOf(goal, now) > now - span), now, span);
     $("rows").append(...names.flatMap(name => this.#rows.get(name)), this.scale);
     setText(this.scale.firstChild, `${inWords(span)} ago`);
+    setText(this.scale.lastChild, this.watch.connection.isUp ? "now" : "connection lost");
     $("timeline").hidden = !names.length;
   }
 
@@ -41,16 +42,16 @@ export class Timeline {
     while (lane.children.length > goals.length) lane.lastChild.remove();
     while (lane.children.length < goals.length) lane.append(make("i"));
     goals.forEach((goal, index) => {
-      const from = Math.max(0, 1 - (now - goal.accepted) / span), to = 1 - (now - endOf(goal, now)) / span;
+      const [from, to] = [goal.accepted, endOf(goal, now)].map(at => Math.min(Math.max(1 - (now - at) / span, 0), 1));
       const bar = lane.children[index];
       bar.className = kindOf(goal.status);
-      bar.title = `${goal.status.toLowerCase()}${goal.duration === null ? "" : `, ${seconds(goal.duration)}`}`;
-      bar.style.left = `${(from * 100).toFixed(2)}%`;
-      bar.style.width = `${Math.max(0, (to - from) * 100).toFixed(2)}%`;
+      bar.title = `${stateOf(goal)}${goal.duration === null ? "" : `, ${seconds(goal.duration)}`}`;
+      bar.style.left = `min(${(from * 100).toFixed(2)}%, 100% - 4px)`; // min-width
+      bar.style.width = `${((to - from) * 100).toFixed(2)}%`;
     });
     lane.setAttribute("aria-label", `${goals.length} ${goals.length === 1 ? "goal" : "goals"} of ${name} in the last ${inWords(span)}`);
   }
 }
 
 const inWords = span => (span < 60 ? `${span} s` : `${span / 60} min`);
-const endOf = (goal, now) => (goal.has_ended ? goal.accepted + (goal.duration ?? 0) : now);
+const endOf = (goal, now) => goal.seen ?? (goal.has_ended ? goal.accepted + (goal.duration ?? 0) : now);

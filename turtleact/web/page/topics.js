@@ -32,15 +32,14 @@ export class Topics {
       else this.#open(topic, row);
     }}, "Show");
     row.element = make("div", {class: "topic"}, make("div", {class: "head"}, make("span", {}, topic, " ",
-      make("span", {class: "dim"}, type.replace("/msg/", "/"))), row.button), row.body);
+      make("span", {class: "dim"}, type)), row.button), row.body);
     this.#rows.set(topic, row);
   }
 
   #open(topic, row) {
     row.list = new FieldList();
     row.body.replaceChildren(make("p", {class: "dim"}, "No message yet"));
-    row.button.setAttribute("aria-expanded", "true");
-    row.button.textContent = "Hide";
+    this.#mark(row, "Hide");
     row.heard = message => {
       row.list.show(message);
       if (row.body.firstChild !== row.list.element) row.body.replaceChildren(row.list.element);
@@ -48,12 +47,16 @@ export class Topics {
     this.connection.subscribe(topic, row.type, row.heard, EVERY);
   }
 
+  #mark({button, list}, text) {
+    button.setAttribute("aria-expanded", list !== null);
+    button.textContent = text;
+  }
+
   #close(topic, row) {
     if (!row.list) return;
     row.list = null;
     row.body.replaceChildren();
-    row.button.setAttribute("aria-expanded", "false");
-    row.button.textContent = "Show";
+    this.#mark(row, "Show");
     this.connection.unsubscribe(topic, row.heard);
   }
 }

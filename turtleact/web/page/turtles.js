@@ -1,6 +1,6 @@
 // The tab Turtles: where they are, their pens, and who comes and goes.
 
-import {$, make, say, setText} from "./elements.js";
+import {$, make, report, say, setText} from "./elements.js";
 import {degrees, number} from "./values.js";
 import {SIDE} from "./world.js";
 
@@ -9,17 +9,17 @@ export class Turtles {
 
   constructor(connection, watch, world, {chosen, choose}) {
     Object.assign(this, {connection, watch, world, chosen, choose});
-    const input = (name, attributes) => make("label", {}, `${name} `, (this[name.replace(" ", "")] = make("input", attributes)));
+    const input = (name, attributes) => make("label", {}, `${name} `, (this[name] = make("input", attributes)));
     this.body = make("tbody");
     this.setPen = make("button", {}, "Set pen");
     this.pen = make("form", {class: "row", "aria-label": "Pen", onsubmit: event => { event.preventDefault(); this.#pen(); }},
       input("Colour", {type: "color", value: "#b3b8ff"}), input("Width", {inputmode: "numeric", value: "3"}),
       make("label", {}, this.off = make("input", {type: "checkbox"}), " off"), this.setPen);
     this.doSpawn = make("button", {}, "Spawn");
-    this.form = make("form", {class: "row", "aria-label": "Spawn a turtle", onsubmit: event => { event.preventDefault(); this.#spawn(); }},
+    this.form = make("form", {class: "row", "aria-label": "Spawn a turtle", onsubmit: event => { event.preventDefault(); this.#spawnThere(); }},
       input("x", {inputmode: "decimal", value: "3"}), input("y", {inputmode: "decimal", value: "3"}),
       input("Name", {placeholder: "any", autocomplete: "off"}), this.doSpawn);
-    this.reset = make("button", {onclick: () => this.attempt(connection.call("/reset"), "The world was reset")}, "Reset world");
+    this.reset = make("button", {onclick: () => report(connection.call("/reset"), () => "The world was reset")}, "Reset world");
     const head = make("tr", {}, ...["name", "x", "y", "heading", "speed"].map(text => make("th", {scope: "col"}, text)),
       make("th", {scope: "col"}, make("span", {class: "unseen"}, "actions")));
     this.title = make("h3");
@@ -28,15 +28,16 @@ export class Turtles {
   }
 
   refresh() {
-    const has = name => this.watch.has(name), name = this.chosen();
+    const name = this.chosen(), has = service => this.connection.isUp && this.watch.has(service);
     for (const [id, [, row]] of this.#rows) if (!this.world.turtles.has(id)) { row.remove(); this.#rows.delete(id); }
     for (const id of this.world.names) if (!this.#rows.has(id)) this.#add(id);
     setText(this.title, name ? `Pen of ${name}` : "");
-    this.pen.hidden = this.title.hidden = !has(`/${name}/set_pen`);
+    this.pen.hidden = this.title.hidden = !this.watch.has(`/${name}/set_pen`);
+    this.setPen.disabled = !this.connection.isUp;
     this.doSpawn.disabled = $("spawn-here").disabled = !has("/spawn");
     this.reset.disabled = !has("/reset");
     for (const [id, [, , buttons]] of this.#rows) {
-      buttons[0].setAttribute("aria-pressed", String(id === name));
+      buttons[0].setAttribute("aria-pressed", id === name);
       buttons[1].disabled = !has("/kill");
     }
   }
@@ -52,18 +53,14 @@ export class Turtles {
 
   spawnSomewhere() {
     const [x, y] = [0, 0].map(() => +(1 + Math.random() * (SIDE - 2)).toFixed(2));
-    this.attempt(this.connection.call("/spawn", {x, y, theta: 0, name: ""}).then(({name}) => say(`${name} is there`)));
-  }
-
-  attempt(promise, text = null) {
-    return promise.then(() => { if (text !== null) say(text); }, error => say(error.message));
+    this.#spawn(x, y, "");
   }
 
   #add(name) {
     const cells = [0, 1, 2, 3].map(() => make("td"));
     const buttons = [
       make("button", {onclick: () => this.choose(name), "aria-label": `Choose ${name}`}, "Choose"),
-      make("button", {onclick: () => this.attempt(this.connection.call("/kill", {name})), "aria-label": `Kill ${name}`}, "Kill"),
+      make("button", {onclick: () => report(this.connection.call("/kill", {name})), "aria-label": `Kill ${name}`}, "Kill"),
     ];
     const row = make("tr", {}, make("th", {scope: "row"}, name), ...cells, make("td", {}, make("div", {class: "row"}, ...buttons)));
     this.body.append(row);
@@ -74,13 +71,19 @@ export class Turtles {
     const [r, g, b] = [1, 3, 5].map(at => parseInt(this.Colour.value.slice(at, at + 2), 16)), width = +this.Width.value;
     if (!Number.isInteger(width) || width < 1 || width > 255) return say("The width of a pen is a whole number from 1 to 255");
     const args = {r, g, b, width, off: +this.off.checked};
-    this.attempt(this.connection.call(`/${this.chosen()}/set_pen`, args), `The pen of ${this.chosen()} was set`);
+    const name = this.chosen();
+    report(this.connection.call(`/${name}/set_pen`, args), () => `The pen of ${name} was set`);
   }
 
-  #spawn() {
-    const [x, y] = [+this.x.value, +this.y.value];
-    if (![x, y].every(Number.isFinite)) return say("x and y are numbers");
-    this.attempt(this.connection.call("/spawn", {x, y, theta: 0, name: this.Name.value}).then(
-      ({name}) => say(name ? `${name} is there` : "No turtle was spawned: the log of the world says why")));
+  #spawnThere() {
+    const [x, y] = [this.x, this.y].map(({value}) => (value.trim() ? +value : NaN)), name = this.Name.value.trim();
+    if (![x, y].every(each => each >= 0 && each <= SIDE)) return say("x and y are numbers from 0 to 11.08");
+    if (this.world.turtles.has(name)) return say(`There is a turtle named ${name} already`);
+    this.#spawn(x, y, name);
+  }
+
+  #spawn(x, y, wanted) {
+    report(this.connection.call("/spawn", {x, y, theta: 0, name: wanted}),
+      ({name}) => (name ? `${name} is there` : "No turtle was spawned. The terminal of the world says why."));
   }
 }

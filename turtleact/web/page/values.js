@@ -45,14 +45,25 @@ export function inWords(value) {
 
 const UNIT = /[([]((?:m|s|rad|deg|%|kg|N|V|A|Hz|°|cm|mm|ms)(?:\/s(?:\^?2|²)?)?)[)\]]/;
 
-// The units in the comments of a described message, by path.
-export function unitsOf(fields, prefix = "", units = {}) {
+// "The index of the target" and "The indices of the targets" count the goal's targets from 0.
+const INDEX = /\bind(?:ex|ices) of the (\w+)/i;
+
+// Functions that write values as the comments of a described message say: with a unit, or as an
+// index. They are kept by path. `lists` names the lists of the goal.
+export function notationsOf(fields, lists = [], prefix = "", notations = {}) {
   for (const field of fields) {
-    const unit = UNIT.exec(field.comment)?.[1];
-    if (unit) units[prefix + field.name] = unit;
-    if (field.fields && !field.array) unitsOf(field.fields, `${prefix}${field.name}.`, units);
+    const unit = UNIT.exec(field.comment)?.[1], noun = INDEX.exec(field.comment)?.[1].replace(/s$/, "");
+    if (unit) notations[prefix + field.name] = value => inWords(value) + (typeof value === "number" ? ` ${unit}` : "");
+    if (noun && lists.includes(`${noun}s`)) notations[prefix + field.name] = value => ordinals(value, noun);
+    if (field.fields && !field.array) notationsOf(field.fields, lists, `${prefix}${field.name}.`, notations);
   }
-  return units;
+  return notations;
+}
+
+// Indices count from 0, but people, the map and the steps of a goal count from 1: say both.
+function ordinals(value, noun) {
+  if (typeof value === "number") return `${noun} ${value + 1} (index ${value})`;
+  return Array.isArray(value) && value.length ? value.map(each => ordinals(each, noun)).join(", ") : inWords(value);
 }
 
 // A list of fields that is updated in place.
@@ -63,9 +74,9 @@ export class FieldList {
     this.element = make("dl");
   }
 
-  show(values, units = {}, series = {}) {
+  show(values, notations = {}, series = {}) {
     const seen = new Set();
-    this.#rowsOf(values, "", units, series, seen);
+    this.#rowsOf(values, "", notations, series, seen);
     for (const [path, row] of this.#rows) {
       if (seen.has(path)) continue;
       this.#rows.delete(path);
@@ -73,17 +84,16 @@ export class FieldList {
     }
   }
 
-  #rowsOf(values, prefix, units, series, seen) {
+  #rowsOf(values, prefix, notations, series, seen) {
     for (const [name, value] of Object.entries(values)) {
       const path = prefix + name;
       if (isObject(value) && !("x" in value) && Object.values(value).some(each => typeof each === "object")) {
-        this.#rowsOf(value, `${path}.`, units, series, seen);
+        this.#rowsOf(value, `${path}.`, notations, series, seen);
         continue;
       }
       seen.add(path);
       const [, text, plot] = this.#row(path);
-      const unit = units[path] && typeof value === "number" ? ` ${units[path]}` : "";
-      setText(text, inWords(value) + unit);
+      setText(text, (notations[path] ?? inWords)(value));
       plotInto(plot, series[path], label(path));
     }
   }

@@ -2,6 +2,8 @@
 
 const MOST_LINES = 128;
 const MOST_POINTS = 2000;
+const MOST_GOALS = 400;
+const AGAIN_WITHIN = 3000; // ms
 
 export class Watch extends EventTarget {
   goals = new Map();
@@ -17,9 +19,13 @@ export class Watch extends EventTarget {
   constructor(connection) {
     super();
     this.connection = connection;
+    connection.addEventListener("down", () => {
+      this.#stopped ??= this.time();
+      this.#tell("time");
+    });
   }
 
-  // Events: "graph", "goal" (detail: {goal, before}), "dropped" (detail: id), "trails" (detail:
+  // Events: "graph", "goal" (detail: {goal, before}), "dropped" (id), "trails" (detail:
   // whether lines were replaced), and "time".
   async follow() {
     const run = ++this.#run;
@@ -39,23 +45,31 @@ export class Watch extends EventTarget {
     }
   }
 
-  // The graph's time now (s), between two answers of the server.
+  // The graph's time now (s), between two answers of the server. Without a connection, it stands still.
   time() {
-    return this.now + this.rate * Math.min(2, (performance.now() - this.#heardAt) / 1000);
+    return this.#stopped ?? this.now + this.rate * Math.min(2, (performance.now() - this.#heardAt) / 1000);
   }
   #heardAt = 0;
+  #stopped = null;
 
   has(service) {
     return service in this.graph.services;
   }
 
   #take(news) {
+    const isOther = this.#session && news.session !== this.#session && this.goals.size < MOST_GOALS;
+    const seen = this.time();
+    this.#stopped = null;
     this.#session = news.session;
     this.#revision = news.revision;
     this.#setTime(news.now);
     if (news.is_whole) {
       const kept = new Set(news.goals.map(goal => goal.id));
-      for (const id of this.goals.keys()) if (!kept.has(id)) this.#drop(id);
+      for (const [id, goal] of this.goals) {
+        if (kept.has(id)) continue;
+        if (isOther) this.#lose(goal, seen);
+        else this.#drop(id);
+      }
       for (const name of this.trails.keys()) if (!(name in news.trails)) this.trails.delete(name);
     }
     if (news.graph) {
@@ -93,6 +107,18 @@ export class Watch extends EventTarget {
     }
     this.now = now;
     this.#heardAt = here;
+  }
+
+  // A server that was started again may not know a goal, or not yet.
+  #lose(goal, seen) {
+    if (goal.has_ended) return;
+    goal.seen = seen;
+    setTimeout(() => {
+      if (this.goals.get(goal.id) !== goal) return;
+      const lost = {...goal, has_ended: true, status: "UNKNOWN", reason: "The connection was lost before it ended"};
+      this.goals.set(goal.id, lost);
+      this.#tell("goal", {goal: lost, before: goal, isNews: true});
+    }, AGAIN_WITHIN);
   }
 
   #drop(id) {

@@ -6,7 +6,6 @@ import {number} from "./values.js";
 
 export const SIDE = 499 / 45; // of turtlesim's world (m)
 const PIXELS = 500; // of turtlesim's window, in which pens are measured
-const HUES = [145, 38, 340, 175, 15, 80, 295, 55]; // none is the blue of the sea
 const MANY = 12;
 const MOST = 64;
 const NEAREST = 1, FARTHEST = 12;
@@ -68,15 +67,11 @@ export class World {
       this.#add(name, topic, type, found.size > MANY ? 50 : 0);
       isNew = true;
     }
-    if (!isNew) return;
-    [...this.turtles.values()].sort((a, b) => a.name.localeCompare(b.name, undefined, {numeric: true}))
-      .forEach((turtle, index) => { turtle.hue = HUES[index % HUES.length]; });
-    this.#isStale = true;
-    this.onchange();
+    if (isNew) this.onchange();
   }
 
   #add(name, topic, type, rate) {
-    const turtle = {name, topic, pose: null, hue: 0};
+    const turtle = {name, topic, pose: null, hue: this.watch.graph.hues[topic]};
     turtle.heard = pose => {
       const last = turtle.pose;
       turtle.pose = pose;

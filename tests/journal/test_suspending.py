@@ -1,0 +1,127 @@
+"""Servers with a journal that are closed while goals wait for their turn."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+
+import turtleact
+from turtleact import GoalStatus, Journal, Node
+from turtleact.errors import ServerUnavailable
+from turtleact.journal import read_goals
+from turtleact.observers import GoalObserver
+
+from ..lab import ON_ASYNCIO, Count, feedback, goal, local_server, result, running, settle
+
+FIRST, SECOND = bytes(range(16)), bytes(range(1, 17))
+
+
+@asynccontextmanager
+async def opened(path: Path) -> AsyncIterator[tuple[Journal, Node]]:
+    async with turtleact.open_journal(path) as journal, turtleact.open_node("lab") as node:
+        yield journal, node
+
+
+class Changes(GoalObserver):
+    """Tells when the second goal has been accepted, and when a goal has succeeded."""
+
+    def __init__(self) -> None:
+        self.second_accepted, self.succeeded = anyio.Event(), anyio.Event()
+
+    def goal_changed(self, goal: Any, before: GoalStatus, after: GoalStatus) -> None:
+        if after is GoalStatus.ACCEPTED and goal.id == SECOND:
+            self.second_accepted.set()
+        if after is GoalStatus.SUCCEEDED:
+            self.succeeded.set()
+
+
+@pytest.mark.loops("asyncio", "uvloop")  # trio wakes tasks in random order
+async def test_a_goal_whose_turn_has_come_does_not_start_when_its_server_stops(tmp_path):
+    path, leave, changes, began = Path(tmp_path, "goals.db"), anyio.Event(), Changes(), list[int]()
+
+    async def act(request: Count.Goal) -> Count.Result:
+        began.append(request.upto)
+        await leave.wait()
+        return result()
+
+    async with opened(path) as (journal, node):
+        options: Any = {"journal": journal, "on_restart": "resume", "policy": "queue"}
+        server = node.action_server(Count, "count", act, **options)
+        client = node.action_client(Count, "count")
+        local_server(server).observers.add(changes)
+
+        async def stop() -> None:
+            await changes.succeeded.wait()  # the second goal is about to start
+            await server.aclose()
+
+        async with (
+            running(lambda: client.send_goal(goal(1), goal_id=FIRST)),
+            running(lambda: client.send_goal(goal(2), goal_id=SECOND)) as second,
+            running(stop),
+        ):
+            await changes.second_accepted.wait()  # a thread has written it to the journal
+            leave.set()
+            await second.done.wait()
+        await settle()
+        assert isinstance(second.error, ServerUnavailable)
+        assert began == [1]
+        left = {each.id: each.status for each in read_goals(path)}
+        assert left[SECOND] is GoalStatus.ACCEPTED
+
+
+@pytest.mark.parametrize("waiting", [[], [SECOND]], ids=["", "with a goal that waits"])
+async def test_a_server_that_stops_gives_up_its_places_in_a_shared_slot(tmp_path, waiting):
+    async def wait_for_ever(request: Count.Goal) -> Count.Result:
+        await anyio.sleep_forever()
+        raise AssertionError
+
+    async def act(request: Count.Goal) -> Count.Result:
+        return result(request.upto)
+
+    options: Any = {"policy": "queue", "slot": "arm"}
+    async with opened(Path(tmp_path, "goals.db")) as (journal, node):
+        durable: Any = {"journal": journal, "on_restart": "resume", **options}
+        stopped = node.action_server(Count, "count", wait_for_ever, **durable)
+        node.action_server(Count, "other", act, **options)
+        client, other = node.action_client(Count, "count"), node.action_client(Count, "other")
+        for goal_id in (FIRST, *waiting):
+            (await client.send_goal(goal(), goal_id=goal_id).__aenter__()).detach()
+        async with running(lambda: other.send_goal(goal(7))) as next_one:
+            await stopped.aclose()
+            with anyio.fail_after(1):
+                await next_one.done.wait()
+            assert next_one.value == result(7)
+
+
+@ON_ASYNCIO  # trio cannot abandon a body
+@pytest.mark.parametrize("kept", [None, "abort", "resume"])
+@pytest.mark.parametrize("fails", [False, True])
+async def test_a_body_that_yields_after_it_was_given_up_is_logged_once(
+    tmp_path, caplog, kept, fails
+):
+    leave = anyio.Event()
+
+    async def ignore(request: Count.Goal) -> AsyncIterator[Count.Feedback]:
+        with anyio.CancelScope(shield=True):
+            await leave.wait()
+        if fails:
+            raise ValueError
+        yield feedback()
+
+    async with opened(Path(tmp_path, "goals.db")) as (journal, node):
+        options: Any = {"journal": journal, "on_restart": kept} if kept else {}
+        server = node.action_server(Count, "count", ignore, grace=0.01, **options)
+        client = node.action_client(Count, "count")
+        (await client.send_goal(goal(), goal_id=FIRST).__aenter__()).detach()
+        await settle()
+        await server.aclose()
+        leave.set()
+        await settle()
+    given_up, *others = [each.getMessage() for each in caplog.records]
+    assert "so it is given up" in given_up
+    assert others == [f"the body of /count failed (goal {FIRST.hex()})"] * fails
