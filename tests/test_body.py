@@ -192,7 +192,7 @@ def test_arguments_of_a_declaration_may_be_given_by_name():
     ("arguments", "problem"),
     [
         ({"action_type": Count, "name": 5}, "the name of the action is 5, which is not a string"),
-        ({}, "missing 2 required positional arguments"),
+        ({}, r"the type and the name of the action are missing: write \(TYPE, 'NAME'\)$"),
     ],
 )
 def test_wrong_arguments_by_name_are_refused(arguments, problem):

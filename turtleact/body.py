@@ -30,7 +30,6 @@ from typing import (
     Any,
     Generic,
     Literal,
-    Never,
     ParamSpec,
     Protocol,
     TypeAlias,
@@ -242,25 +241,49 @@ class Declare(Protocol[G, R, F]):
     ) -> ActionDeclaration[[G, H], Coroutine[Any, Any, R]]: ...
 
 
-def _checked(function: Callable[P, T]) -> Callable[P, T]:
-    """Check the arguments of `action` before it is called.
+def _checked(check: Callable[..., None]) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Make a decorator that calls ``check`` with a function's arguments before the function.
 
-    Python reports a missing name, too, but does not say what to write. A default for the name would
-    hide the mistake from type checkers.
+    Python reports a missing argument, too, but does not say what to write. Defaults in the function
+    itself would hide the mistake from type checkers, so only ``check`` has them.
     """
 
-    @functools.wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        positional = zip(("action_type", "name"), args, strict=False)
-        given: dict[str, object] = {"name": "", **kwargs, **dict(positional)}
-        if "action_type" in given:
-            _check_arguments(given["action_type"], given["name"])
-        return function(*args, **kwargs)
+    def decorate(function: Callable[P, T]) -> Callable[P, T]:
+        @functools.wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> T:
+            check(*args, **kwargs)
+            return function(*args, **kwargs)
 
-    return call
+        return call
+
+    return decorate
 
 
-@_checked
+def _check_action(action_type: object = None, name: object = "", *_: object, **__: object) -> None:
+    """Check the arguments of `action`, so that a mistake is reported at the decorator's line."""
+    if action_type is None:
+        raise TypeError("the type and the name of the action are missing: write (TYPE, 'NAME')")
+    if inspect.isfunction(action_type):  # the decorator was written without arguments
+        call = f"@turtleact.action(TYPE, '{action_type.__name__}')"
+        raise TypeError(f"the type and the name of the action are missing: write {call}")
+    if isinstance(action_type, str) and isinstance(name, type):
+        raise TypeError(f"first the type, then the name: write ({name.__name__}, {action_type!r})")
+    expect_interface(Action, action_type)
+    if name == "":
+        call = f"@turtleact.action({getattr(action_type, '__name__', 'TYPE')}, 'NAME')"
+        raise TypeError(f"the name of the action is missing: write {call}")
+    if not isinstance(name, str):
+        raise TypeError(f"the name of the action is {name!r}, which is not a string")
+    validate_name(name)
+
+
+def _check_background(run: object = None) -> None:
+    """Check that `background` was written without parentheses."""
+    if run is None:
+        raise TypeError("write @turtleact.background without ()")
+
+
+@_checked(_check_action)
 def action(
     action_type: ActionType[G, R, F], name: str, **options: Unpack[ServerOptions]
 ) -> Declare[G, R, F]:
@@ -284,22 +307,6 @@ def action(
     return cast("Declare[G, R, F]", declare)
 
 
-def _check_arguments(action_type: object, name: object) -> None:
-    """Check the arguments of `action`, so that a mistake is reported at the decorator's line."""
-    if inspect.isfunction(action_type):  # the decorator was written without arguments
-        call = f"@turtleact.action(TYPE, '{action_type.__name__}')"
-        raise TypeError(f"the type and the name of the action are missing: write {call}")
-    if isinstance(action_type, str) and isinstance(name, type):
-        raise TypeError(f"first the type, then the name: write ({name.__name__}, {action_type!r})")
-    expect_interface(Action, action_type)
-    if name == "":
-        call = f"@turtleact.action({getattr(action_type, '__name__', 'TYPE')}, 'NAME')"
-        raise TypeError(f"the name of the action is missing: write {call}")
-    if not isinstance(name, str):
-        raise TypeError(f"the name of the action is {name!r}, which is not a string")
-    validate_name(name)
-
-
 class BackgroundDeclaration(Generic[H]):
     """A function that runs in the background while ``turtleact serve`` serves its module.
 
@@ -321,15 +328,8 @@ class BackgroundDeclaration(Generic[H]):
         return self.run(node)
 
 
-# Type checkers see a function that must be given. At run time it may be missing, so that the error
-# can say what to write. An overloaded function needs two signatures; no call fits the first one.
-@overload
-def background(run: Never, /) -> Never: ...
-@overload
-def background(run: Callable[[H], Coroutine[Any, Any, object]]) -> BackgroundDeclaration[H]: ...
-def background(
-    run: Callable[[H], Coroutine[Any, Any, object]] | None = None,
-) -> BackgroundDeclaration[H]:
+@_checked(_check_background)
+def background(run: Callable[[H], Coroutine[Any, Any, object]], /) -> BackgroundDeclaration[H]:
     """Run an ``async def`` in the background while ``turtleact serve`` serves its module.
 
     Use this as a decorator. ``turtleact serve`` calls the function with the node as soon as the
@@ -342,8 +342,6 @@ def background(
         TypeError: if the function is not a coroutine function, or cannot be called with one
             argument.
     """
-    if run is None:
-        raise TypeError("write @turtleact.background without ()")
     return BackgroundDeclaration(run)
 
 

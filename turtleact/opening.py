@@ -42,10 +42,15 @@ class _Opening(AbstractAsyncContextManager[T]):
     def __init__(self, manager: AbstractAsyncContextManager[T, bool | None], call: str) -> None:
         self._manager = manager
         self._call = call
+        self._is_entered = False
         self._advice = f"write 'async with {call} as …:'"
 
     async def __aenter__(self) -> T:
         """Open it, and return what has been opened."""
+        if self._is_entered:
+            again = f"call {self._call} again for another 'async with'"
+            raise RuntimeError(f"this result of {self._call} was used before: {again}")
+        self._is_entered = True
         return await self._manager.__aenter__()
 
     async def __aexit__(

@@ -350,12 +350,32 @@ def test_what_is_no_sqlite_file_is_refused(tmp_path, content):
         Bag(path)
 
 
-@pytest.mark.parametrize("text", ["", "[", "a: 1", "rosbag2_bagfile_information: 3"])
-def test_a_description_that_cannot_be_read_is_named(tmp_path, text):
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "it has no 'rosbag2_bagfile_information' with the description of a bag"),
+        ("a: 1", "it has no 'rosbag2_bagfile_information' with the description of a bag"),
+        ("rosbag2_bagfile_information: 3", "it has no 'rosbag2_bagfile_information'"),
+        ("[", r"it is not YAML: line \d, column \d: "),
+        ("a: \0", "it is not YAML: "),
+        (
+            "rosbag2_bagfile_information: {}",
+            "it does not describe a bag: 'starting_time' is missing",
+        ),
+    ],
+)
+def test_a_description_that_cannot_be_read_is_named(tmp_path, text, problem):
     path = write_bag(tmp_path / "run")
     (path / "metadata.yaml").write_text(text)
-    with pytest.raises(BagError, match=r"metadata\.yaml.*without this file, the bag can be read"):
+    hint = "delete or rename this file to read the bag without it$"
+    with pytest.raises(BagError, match=f"metadata.yaml': {problem}.*; {hint}"):
         Bag(path)
+
+
+def test_what_is_neither_a_file_nor_a_folder_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(BagError, match="it is neither a folder nor a regular file"):
+        Bag(tmp_path / "pipe")
 
 
 def test_what_is_not_there_is_named(tmp_path):
@@ -578,7 +598,7 @@ def test_offers_that_cannot_be_read_are_left_out():
 def test_a_description_with_a_negative_count_is_refused(tmp_path):
     path = write_bag(tmp_path / "run") / "metadata.yaml"
     path.write_text(path.read_text().replace("message_count: 10", "message_count: -10"))
-    with pytest.raises(BagError, match=r"not readable as metadata\.yaml .*message_count is -10"):
+    with pytest.raises(BagError, match="it does not describe a bag: message_count is -10"):
         Bag(path.parent)
 
 

@@ -279,7 +279,9 @@ def _lines(type_name: str, *, depth: int, comments: bool, nested_comments: bool)
     interface = get_interface(type_name)
     package = interface.type_name.partition("/")[0]
     for number, text in enumerate(commented_text(interface).splitlines(), 1):
-        shown, said = text.rstrip(), without_comment(text).strip()
+        # A comment may contain control characters, which could change the terminal's state.
+        shown = "".join(c for c in text if c.isprintable() or c == "\t").rstrip()
+        said = without_comment(shown).strip()
         if comments or said:
             kept = shown if comments else said
             yield f"{depth * chr(9)}{kept}" if kept else ""

@@ -154,6 +154,8 @@ class Bag:
     def _look(self) -> BagInfo:
         if not self.path.exists():
             raise BagError(self.path, "it does not exist")
+        if not (self.path.is_dir() or self.path.is_file()):
+            raise BagError(self.path, "it is neither a folder nor a regular file")
         if not self.path.is_dir():
             return self._from_files([self.path])
         described = self.path / METADATA

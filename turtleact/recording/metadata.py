@@ -154,8 +154,12 @@ def read_yaml(text: str) -> object:
     """
     try:
         value: object = yaml.load(text, Loader=_LOADER)  # noqa: S506  # a safe loader
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        raise ValueError(f"{where}{error.problem or error.context}") from error
     except yaml.YAMLError as error:
-        raise ValueError(str(error)) from error
+        raise ValueError(" ".join(str(error).split())) from error
     return value
 
 
@@ -189,12 +193,18 @@ def read_info(text: str, path: Path) -> BagInfo:
     Raises:
         BagError: if ``text`` is not a valid ``metadata.yaml``.
     """
+    hint = "delete or rename this file to read the bag without it"
     try:
         said: Any = read_yaml(text)
+    except ValueError as error:
+        raise BagError(path, f"it is not YAML: {error}; {hint}") from error
+    if not isinstance(said, dict) or not isinstance(said.get(ROOT), dict):
+        raise BagError(path, f"it has no '{ROOT}' with the description of a bag; {hint}")
+    try:
         return _info(said[ROOT])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        problem = f"it is not readable as metadata.yaml of a bag: {error!r}"
-        raise BagError(path, f"{problem}; without this file, the bag can be read") from error
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise BagError(path, f"it does not describe a bag: {what}; {hint}") from error
 
 
 def offers_text(offers: Iterable[Offer]) -> str:
