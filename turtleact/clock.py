@@ -5,8 +5,8 @@ jumps to the next deadline as soon as every task waits. A simulated minute there
 milliseconds, and two runs of the same program see the same times. Every clock can be stopped and
 started again.
 
-To measure durations, use `Clock.time`: it counts seconds from an arbitrary start, and never goes
-backwards. To stamp messages, use `Clock.now`: it is the ROS time, in nanoseconds since the epoch.
+To measure durations, use `Clock.time`. This time counts seconds from an arbitrary start, and never
+goes backwards. To stamp messages, use `Clock.now`: the ROS time, in nanoseconds since the epoch.
 
 Under `turtleact.testing` the event loop's own time is virtual. A `WallClock` or `ScaledClock` that
 is made in such a loop uses the loop's time instead of wall time. Every clock then agrees with
@@ -50,10 +50,10 @@ EPOCH = 1_700_000_000_000_000_000
 """ROS time at the start of virtual time (ns), the same in every run."""
 
 FASTEST = 100.0
-"""The highest factor of wall time. For higher speeds, use virtual time."""
+"""The highest speed, as a multiple of wall time. For higher speeds, use virtual time."""
 
 LEEWAY = 0.05
-"""How far a scaled clock may run past the deadline of a late sleeper (s)."""
+"""How far a scaled clock may run past the deadline of a task that wakes late (s)."""
 
 
 _LAST = sys.float_info.max
@@ -89,9 +89,9 @@ class Clock(Protocol):
 class ScaledClock:
     """A clock that runs ``factor`` times as fast as wall time, or slower if tasks cannot keep up.
 
-    If a task sleeps until a deadline but wakes late, the task holds the clock up: until the task
-    runs, the clock goes at most `LEEWAY` past the deadline. On a machine that is too slow, the
-    clock therefore runs more slowly, and no timeout expires early.
+    If a sleeping task wakes late, the clock waits for the task: the clock stops `LEEWAY` after the
+    task's deadline, until the task runs. On a machine that is too slow, the clock therefore runs
+    more slowly, and no timeout expires early.
 
     Args:
         factor: Clock seconds per wall-clock second, above zero and at most `FASTEST`.
@@ -121,7 +121,7 @@ class ScaledClock:
     def time(self) -> float:
         """Return how many seconds this clock has counted since it was made.
 
-        The clock does not count while it is held up or stopped.
+        The clock does not advance while it is stopped or waits for a late task.
         """
         if self._stands:
             return self._end
@@ -198,12 +198,12 @@ class ScaledClock:
                 return
 
     async def run(self) -> None:
-        """Only sleep until cancelled, because wall time passes by itself."""
+        """Sleep until cancelled. Wall time advances by itself."""
         await anyio.sleep_forever()
 
 
 class WallClock(ScaledClock):
-    """A clock that follows wall time. Late tasks do not hold this clock up."""
+    """A clock that follows wall time. This clock does not wait for tasks that wake late."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -307,7 +307,7 @@ class VirtualClock:
 
 
 def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
-    """Make the clock for a speed: a factor of wall time, or ``"max"`` for virtual time.
+    """Make the clock for a speed: a multiple of wall time, or ``"max"`` for virtual time.
 
     If the event loop's own time is virtual, a clock of any speed runs as fast as possible, and
     ``"max"`` means the same as 1.
@@ -385,7 +385,7 @@ def check_timeout(seconds: object, option: str = "timeout", *, may_be_none: bool
         may_be_none: Whether None is allowed and means no limit.
 
     Raises:
-        InvalidOption: if the timeout is not a number, unless it is None and None is allowed.
+        InvalidOption: if the timeout is neither a number nor an allowed None.
     """
     if may_be_none and seconds is None:
         return

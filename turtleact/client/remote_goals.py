@@ -1,16 +1,16 @@
 """Follows the goals of one client at a server in another process.
 
-The client has a `Goal` object for each goal, and messages from the server keep the object up to
-date. A goal takes two requests: the first sends the goal, the second asks for its result. How these
-requests are sent depends on the server:
+The client updates the `Goal` object of each goal when a message from the server arrives. A goal
+takes two requests: the goal request sends the goal, and the result request asks for its result. The
+client sends these requests in one of two ways:
 
-- A server of turtleact gets both requests at once, which saves a round trip. The server answers the
-  second request when the goal has ended. No task waits for the replies: the client handles each
-  reply when it arrives. If the second request arrives before the server knows the goal, the server
-  replies that the goal is unknown. From then on, the client sends this server the second request
-  only after the reply to the first.
-- Any other ROS 2 server gets the second request only after it has accepted the goal, because ROS 2
-  services may handle requests in any order.
+- The client sends a turtleact server the goal request and the result request at once, which saves a
+  round trip. The server answers the result request when the goal ends. No task waits for the
+  replies: the client handles each reply when it arrives. If the result request arrives before the
+  server knows the goal, the server replies that the goal is unknown. The client then sends that
+  server each later result request only after the reply to the goal request.
+- The client sends any other ROS 2 server the result request only after the server has accepted the
+  goal, because ROS 2 services may handle requests in any order.
 
 The client starts a task for a goal only if it must wait for something: for the replies of a server
 that is not known to run turtleact, for the answer to a cancel request, for feedback that arrives
@@ -62,13 +62,16 @@ BACK_WITHIN: Final = 0.5
 """If a server returns within this time, it was only unreachable (s, event loop time)."""
 
 ATTEMPTS: Final = 3
-"""How often to ask for a goal's result if the server seems to have returned."""
+"""Without ``reattach``, the client gives up a goal after this many failed result requests."""
 
 SETTLED: Final = 1.0
-"""A server that leaves a request open for this long is back (s, event loop time)."""
+"""A request that stays open for this long shows that its server has returned.
+
+In seconds of event loop time.
+"""
 
 PAUSE: Final = 0.1
-"""The pause between two attempts to reattach to a visible server that does not answer."""
+"""The pause between two attempts to reattach to a visible server that does not answer (s)."""
 
 CLOSING: Final = 5.0
 """How long a client that is being closed waits for its tasks, which it has cancelled (s)."""
@@ -264,9 +267,10 @@ class RemoteGoals:
     # two requests at once, without a task
 
     def _send_both(self, remote: RemoteGoal) -> bool:
-        """Send both requests for a goal, if the server allows it. Return whether both were sent.
+        """Send the goal request and the result request at once, if the server allows it.
 
-        If only the first request was sent, the task that follows the goal waits for its reply.
+        Return whether both requests were sent. If only the goal request was sent, the goal's task
+        must wait for the reply to the goal request.
         """
         endpoints = self._endpoints
         if not (endpoints.knows_ours() and endpoints.takes_both):
@@ -517,7 +521,10 @@ class RemoteGoals:
     # states
 
     def _move(self, remote: RemoteGoal, status: GoalStatus) -> None:
-        """Move a goal to a state through all states in between. Never move a goal back."""
+        """Move a goal forward to a state, through all states in between.
+
+        If the goal is already past that state, do nothing.
+        """
         # The status topic, a reply to a cancel and the result may arrive in any order, and some
         # states may never be reported. Missing states are filled in, and old news is ignored.
         for event in _STEPS.get(remote.goal.status, {}).get(status, ()):
@@ -532,10 +539,10 @@ class RemoteGoals:
                 self._observers.goal_changed(goal, before, goal.status)
 
     def _show(self, remote: RemoteGoal) -> None:
-        """Tell the observers that this client has sent a goal, unless they have been told before.
+        """Report a new goal of this client to the observers, unless the goal was reported before.
 
-        The observers must be told this before anything else about the goal. The acceptance and the
-        first feedback may arrive in either order, so this method is called for both.
+        Observers must hear that a goal was accepted before they hear anything else about the goal.
+        The acceptance and the first feedback may arrive in either order, so both call this method.
         """
         if remote.is_sender and not remote.is_observed:
             remote.is_observed = True
@@ -571,11 +578,9 @@ class RemoteGoals:
         self.by_id.pop(remote.goal_id, None)
 
     def _failure(self, error: TurtleactError, *, is_accepted: bool = False) -> TurtleactError:
-        """Turn the failure of a request into an error for the user, with the action's name.
+        """Turn the error of a failed request into an error that names the action.
 
-        The error of a request may say that the server perhaps dropped the request. The new error
-        does not say this if the goal was accepted, because the server then cannot have dropped the
-        request.
+        An error for an accepted goal never says that the server may have dropped the request.
         """
         if not self._is_open:
             return self._closed()
@@ -610,10 +615,10 @@ class RemoteGoals:
 
 
 def goal_lost(action: str, error: ServerUnavailable) -> ServerUnavailable:
-    """Return the error for an accepted goal, from the error of the request for its result.
+    """Turn the error of a result request into the error for an accepted goal.
 
-    The server has answered the goal's request, so only the end of the goal is missing. If no server
-    answers now, it has gone away since.
+    The server had answered the goal request. If the result request fails because no server answers,
+    the server has therefore gone away since it accepted the goal.
     """
     problem = error.problem.removesuffix(error.when).rstrip()
     has_gone = problem == "no server answers"
@@ -625,13 +630,13 @@ class _Patience:
     """Decides whether to send a request again after its server has gone away.
 
     Without ``reattach``, the client waits at most `BACK_WITHIN` seconds in all for the server's
-    return, because the server may have been unreachable only for a moment. It sends at most
-    `ATTEMPTS` requests.
+    return, because the server may have been unreachable only for a moment. The client gives up
+    after `ATTEMPTS` failed requests.
 
     With ``reattach``, the client waits at most ``reattach`` seconds each time that the server goes
-    away. The server counts as back when feedback arrives, or when a request has been open for
-    `SETTLED` seconds. If the server goes away again before it counts as back, the client waits only
-    for the rest of the ``reattach`` seconds.
+    away. The server has returned when feedback arrives, or when a request has been open for
+    `SETTLED` seconds. The time limit of ``reattach`` starts again only after the server has
+    returned.
 
     Args:
         endpoints: The client's endpoints.
@@ -675,5 +680,5 @@ class _Patience:
         self._asked = anyio.current_time()
 
     def _was_back(self, now: float) -> bool:
-        """Return whether the server counted as back before the request failed at ``now``."""
+        """Return whether the server had returned before the request failed at ``now``."""
         return now - self._asked > SETTLED or self._remote.received > self._received

@@ -259,7 +259,7 @@ class RemoteActionServer:
 
 
 class _Child:
-    """Pauses and resumes a child goal together with the parent goal, the sender of the child.
+    """Pauses and resumes a child goal together with the parent goal that sent the child.
 
     Args:
         server: The server in another process that holds the goal.

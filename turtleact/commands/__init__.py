@@ -1,7 +1,7 @@
 """Contains the commands: `verbs` declares them for Typer, and the other modules run them.
 
-``turtleact --help`` and the completion of verbs use only the tables in this module. They therefore
-need not import `verbs`.
+``turtleact --help`` and the completion of verbs use only the tables in this module, and do not
+import `verbs`.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ _SIZES = ("B", "KiB", "MiB", "GiB", "TiB")
 HEADINGS = ("id", "action", "state", "took", "feedback", "goal", "result", "reason")
 
 FIRST = 8
-"""How many events show whether the events of an action have contents."""
+"""How many service events of an action are checked for requests and responses."""
 
 EMPTY_EVENT = 52
 """The length of a service event without request and response (bytes), as CDR."""
@@ -114,7 +114,10 @@ def messages_told(info: BagInfo) -> str:
 
 
 def missing_goals(bag: Bag) -> list[str]:
-    """Return sentences that name the actions whose goals and results are missing from a bag."""
+    """Explain which actions have no goals and results in a bag, and why.
+
+    The list has one sentence for each reason.
+    """
     actions, sentences = _actions_of(bag.info), list[str]()
     silent = [each.name for each in actions if _lacks_goals(each)]
     if silent:
@@ -175,7 +178,10 @@ def _head(info: BagInfo) -> list[str]:
 
 
 def _count_of_owners(info: BagInfo) -> int:
-    """Return how many messages are of actions and services. ``ros2 bag info`` leaves these out."""
+    """Return how many messages belong to actions and services.
+
+    ``ros2 bag info`` leaves messages of actions and services out of its total.
+    """
     return sum(each.count for each in info.topics if part_of(each.name).owner != "topic")
 
 

@@ -45,10 +45,12 @@ OTHERS: Final = frozenset(
 def cut(path: Path, offset: float, duration: float | None) -> tuple[int, int | None]:
     """Return the first and last stamp of a section of a bag (ns since the epoch).
 
+    The last stamp is None if ``duration`` is None.
+
     Args:
         path: The bag.
         offset: Where the section begins (s from the start of the bag).
-        duration: The length of the section (s). With None, the last stamp is None.
+        duration: The length of the section (s); None for the rest of the bag.
     """
     bag = Bag(path)
     bag.close()

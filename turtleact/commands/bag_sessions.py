@@ -33,16 +33,16 @@ MOST_NAMED = 5
 """A note about lost messages names at most this many topics."""
 
 PATIENCE = 10.0
-"""After a signal, the command gives up if nothing was written for this long (s).
+"""After a signal, `record_graph` gives up if no message was written for this long (s).
 
-`play_bag` has this time to cancel its goals.
+After a signal, `play_bag` may take this long to cancel its goals.
 """
 
 LOOK = 0.5
-"""After a signal, the command checks at this interval whether something was written (s)."""
+"""After a signal, `record_graph` checks at this interval whether messages were written (s)."""
 
 TELL = 4
-"""A note about the messages that still wait follows after so many such checks."""
+"""The number of checks between two notes about unwritten messages."""
 
 TOGETHER = 1.0
 """Signals of different kinds within this time count as one (s)."""
@@ -81,7 +81,7 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
 
     Raises:
         BagError: if the bag cannot be created, or the disk is full.
-        TurtleactError: if no graph is in reach.
+        TurtleactError: if no graph can be reached.
     """
     interrupts.patience, interrupts.together = PATIENCE, TOGETHER
     recorded: list[Recording] = []
@@ -120,9 +120,9 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
 
 
 async def _watch_closing(recording: Recording, interrupts: Interrupts) -> None:
-    """After a signal, let the command go on as long as it still writes messages.
+    """After a signal, extend the command's deadline whenever messages have been written.
 
-    Print notes on how many messages are still to be written.
+    At intervals, print a note about the number of unwritten messages.
     """
     await interrupts.wait(1)
     before, looks = -1, 0
@@ -152,7 +152,7 @@ def _last_words(recording: Recording, interrupts: Interrupts) -> str:
 async def tell(recording: Recording) -> None:
     """Print a note for each topic when its recording begins.
 
-    Return only if the recording ends by itself, for example because of an error.
+    The call returns when the recording ends by itself, for example because of an error.
     """
     told = 0
     while not recording.is_over:
@@ -183,7 +183,7 @@ def play_bag(reach: Reach, order: PlayOrder, interrupts: Interrupts) -> int:
 
     Raises:
         BagError: if there is no bag, or a part of the bag is damaged.
-        TurtleactError: if no graph is in reach.
+        TurtleactError: if no graph can be reached.
     """
     interrupts.patience = PATIENCE
     with interrupts.ending_at_once():  # a bag that was not closed takes long to open
@@ -226,7 +226,10 @@ def view_bag(path: Path, port: int, interrupts: Interrupts, *, is_opened: bool) 
 
 
 def has_display() -> bool:
-    """Return whether a web browser would open a window, and not run in the terminal."""
+    """Return whether a web browser would open in a window.
+
+    Without a display, a web browser might run in the terminal.
+    """
     if sys.platform in ("win32", "darwin"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,10 +1,10 @@
 """Completes words for the Tab key: functions for Typer's ``autocompletion=``.
 
-Each function takes Typer's context, which holds the arguments typed so far, and the word that the
-user has begun. The function returns the possible values. Typer drops the values that do not begin
-with that word, and passes the others to the shell. The values are looked up again at each press of
-Tab, but no server or world is started. If anything goes wrong, nothing is offered, because an error
-would disturb the line that is being typed.
+Each completion function takes Typer's context, which holds the arguments typed so far, and the word
+that the user has begun. Each completion function returns the possible values. Typer drops the
+values that do not begin with the user's word, and passes the others to the shell. The functions
+look the values up again at each press of Tab, but start no server and no world. If a completion
+function fails, it offers no values, because an error message would disturb the user's input.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ Candidates: TypeAlias = list[str] | list[tuple[str, str]]
 Complete: TypeAlias = Callable[[typer.Context, str], Candidates]
 
 SUFFIXES: Final = {"action": "action", "service": "srv", "topic": "msg"}
-"""The words for the kinds of interfaces in type names."""
+"""The middle part of type names, such as ``srv`` in ``pkg/srv/Name``, by kind."""
 
 EMBEDDED: Final = {
     "/command_turtle": ("patrol_interfaces/action/PatrolCommandInterface",),
@@ -170,10 +170,11 @@ def goal_ids(ctx: typer.Context, incomplete: str) -> Candidates:
 
 
 def types(kind: Kind, *, of_name: bool = True) -> Complete:
-    """Return a function that offers the types of a name given earlier on the command line.
+    """Return a completion function for the type of an action, service or topic.
 
-    If that name has no known type, or ``of_name`` is False, the function offers all interfaces of
-    the kind.
+    The function offers the types that the graph has for the name given earlier on the command line.
+    If the graph has no type for the name, or ``of_name`` is False, the function offers all
+    interfaces of the kind.
     """
 
     @_silent
@@ -336,7 +337,7 @@ def _look(where: Reach) -> Graph:
     """Return the nodes and endpoints on the graph.
 
     Raises:
-        TurtleactError: if no graph is in reach.
+        TurtleactError: if no graph can be reached.
     """
     from turtleact.commands.locks import mode_of
     from turtleact.transports.rmw_zenoh.session import census

@@ -35,7 +35,7 @@ KEY_PERIOD: Final = 0.02
 """How often to ask Windows for pressed keys (s), because keys cannot wake an event loop there."""
 
 SPECIAL: Final = "\x00\xe0"
-"""The codes that come before the code of a key without a character."""
+"""The characters that Windows sends before the code of a special key, such as an arrow key."""
 
 ARROWS: Final = {"H": b"\x1b[A", "P": b"\x1b[B", "M": b"\x1b[C", "K": b"\x1b[D"}
 """The codes of the arrow keys, with the control sequences that other terminals send for them."""
@@ -44,7 +44,7 @@ CTRL_C: Final = "\x03"
 
 STDOUT: Final = -11
 VIRTUAL_TERMINAL: Final = 0x0004
-"""The handle of standard output on Windows, and the mode flag for control sequences."""
+"""Constants of the Windows API: standard output, and the mode that allows control sequences."""
 
 
 class Console(Protocol):
@@ -76,7 +76,7 @@ class Console(Protocol):
 
         Args:
             stream: Where the user types.
-            by_key: Whether each key can be read at once, instead of only whole lines.
+            by_key: Whether input is read key by key instead of line by line.
 
         Returns:
             The terminal's earlier modes, for `give_back`; None if there is nothing to restore.

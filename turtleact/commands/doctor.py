@@ -54,10 +54,10 @@ def run(reach: Reach, interrupts: Interrupts, *, as_json: bool, verbose: bool) -
 
 @asynccontextmanager
 async def _open(reach: Reach) -> AsyncIterator[Node | Fault]:
-    """Open a node on the graph, and yield it. If that fails, yield the fault instead.
+    """Open a node on the graph for a block. If the graph cannot be opened, yield the fault instead.
 
     The node connects only to the router. The router also shows nodes that hang, until their lease
-    ends. If the node were a peer, it would have to connect to such nodes before it could see them.
+    ends. A peer would have to connect to a hanging node before it could see that node.
 
     Raises:
         UsageError: if the ``--config`` file cannot be read, or has an invalid value.

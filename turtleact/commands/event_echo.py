@@ -41,7 +41,7 @@ PARTS: Final = (
     "FEEDBACK_TOPIC",
     "STATUS_TOPIC",
 )
-"""The names of ``ros2 action echo`` for the parts of an action."""
+"""The names that ``ros2 action echo`` prints for the parts of an action."""
 
 READ_QOS: Final = QoS(depth=1000)
 """How many messages are kept while the output is stuck."""
@@ -155,7 +155,7 @@ async def _print_all(node: Node, sources: Sequence[Source], style: Style) -> int
 async def _close_with(subscription: Subscription[Any], stream: Closeable) -> None:
     """Close ``stream`` when ``subscription`` is closed.
 
-    This function gets no messages, because the subscription passes them to its ``taker``.
+    The loop receives no messages, because the subscription passes all messages to its ``taker``.
     """
     async for _ in subscription:
         pass

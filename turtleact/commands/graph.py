@@ -70,7 +70,7 @@ Look: TypeAlias = Callable[[Node], Awaitable[int]]
 """A verb: a function that looks at the graph and returns the exit status."""
 
 ROUTER = "tcp/localhost:7447"
-"""Where a command looks for a router unless ``--connect`` says otherwise."""
+"""The endpoint of the router to which commands connect without ``--connect``."""
 
 PATIENCE = 2.0
 """After a signal, a verb has this long to end unless it sets `Interrupts.patience` itself (s)."""
@@ -90,7 +90,7 @@ async def open_transport(reach: Reach, mode: Mode | None = None) -> AsyncIterato
         mode: Whether to join the graph as a peer or as a client. By default, `mode_of` decides.
 
     Raises:
-        TurtleactError: if no graph is in reach.
+        TurtleactError: if no graph can be reached.
     """
     from turtleact.transports import open_zenoh
 
@@ -145,7 +145,7 @@ def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
     after `PATIENCE`.
 
     Raises:
-        TurtleactError: if no graph is in reach. Errors of the verb are raised, too.
+        TurtleactError: if no graph can be reached. Errors of the verb are raised, too.
     """
 
     async def tell_and_look(node: Node) -> int:
@@ -197,8 +197,8 @@ def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
     Args:
         base: The expected kind of interface: `Message`, `Service` or `Action`.
         type_name: The name of the interface.
-        where: The topic, service or action that has this type on the graph. The error names it. If
-            the user typed the type, ``where`` is empty.
+        where: The topic, service or action that has this type on the graph, for the error message.
+            If the user typed the type, ``where`` is empty.
 
     Raises:
         UnknownInterface: if the user typed an unknown name.
@@ -227,11 +227,11 @@ def chosen_class(
 
     Args:
         node: A node on the graph.
-        kind: Whether ``name`` is that of an action, a service or a topic.
+        kind: Whether ``name`` belongs to an action, a service or a topic.
         base: The expected kind of interface: `Message`, `Service` or `Action`.
         name: The full name of the action, service or topic.
-        type_name: The type that the user typed. With None, the first type that ``name`` has on the
-            graph is used.
+        type_name: The type that the user typed; None for the first type that ``name`` has on the
+            graph.
 
     Raises:
         TurtleactError: if the user typed no type and the name is not on the graph. The error
@@ -250,7 +250,7 @@ def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str
     """Print a note on nodes that do not hear each other because their definitions of a type differ.
 
     Args:
-        node: The node of this command. Its endpoints are not compared.
+        node: The node of this command. The node's own endpoints are not compared.
         endpoints: The endpoints to compare.
         known: The type hashes that this process has, by type name. Each type of the endpoints is
             also compared with the definition in this process.
@@ -283,7 +283,7 @@ async def none_in_domain(transport: Transport, reach: Reach, what: str = "nodes"
 
     Args:
         transport: The transport to the graph.
-        reach: The graph with the domain.
+        reach: The graph's settings, including its domain.
         what: What the domain lacks, such as ``"nodes"``.
     """
     from turtleact.transports import ZenohTransport

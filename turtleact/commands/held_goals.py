@@ -6,9 +6,8 @@ servers of turtleact can pause goals; see `turtleact.commands.pause_requests`.
 
 A server publishes its status when a goal changes, and its last status message is latched. A server
 that never had a goal may publish nothing. The commands therefore wait only a short time for latched
-messages. A latched message may also arrive from a server that hangs. To find such servers, the
-commands ask each server to cancel a goal that does not exist: a working server answers this
-request.
+messages. A latched message may also arrive from a server that hangs. To find servers that hang, the
+commands ask each server to cancel a goal that does not exist. A working server answers the request.
 
 Source: the ROS 2 design article "Actions"; action_msgs/srv/CancelGoal; rcl_action
 ``action_server.c`` for the contents and times of messages.
@@ -75,17 +74,21 @@ __all__ = [
 ]
 
 STATUS_QOS = QoS(depth=100, durability="transient_local")
-"""The depth of subscriptions.
+"""The QoS of subscriptions to the states of goals.
 
-Each server of an action keeps one message, so many may come at once.
+Each server of an action latches one message. A new subscription may therefore receive many messages
+at once.
 """
 
 LATCHED_PATIENCE = 0.5
 """How long to wait for latched messages (s, by the clock of the graph)."""
 
 ROUND_TRIPS = 5
-"""How many round trips to wait in addition: to find the publisher of a latched message, and to ask
-for the message, perhaps through a router."""
+"""How many network round trips are added to `LATCHED_PATIENCE`.
+
+The node must find the publisher of a latched message, perhaps through a router, and then request
+the message.
+"""
 
 ANSWER = 2.0
 """How long to wait for a server's answer (s, by the clock of the graph)."""
@@ -265,10 +268,11 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
 
 
 async def cancel(node: Node, wanted: Sequence[str]) -> int:
-    """Cancel goals by the beginnings of their ids, and print the outcome of each.
+    """Cancel the goals whose ids begin with the texts in ``wanted``, and print each outcome.
 
     Raises:
-        UsageError: if several ids begin with the same text in ``wanted``. No goal is then canceled.
+        UsageError: before any goal is canceled, if several ids begin with the same text in
+            ``wanted``.
     """
     goals, silent = await held_goals(node, served_actions(node, None))
     status = DONE
@@ -435,11 +439,13 @@ class WatchedGoal:
 
 
 async def switch(node: Node, wanted: Sequence[str], *, is_paused: bool, timeout: float) -> int:
-    """Pause or resume goals by the beginnings of their ids, and print the outcome of each.
+    """Pause or resume the goals whose ids begin with the texts in ``wanted``.
+
+    The outcome for each goal is printed.
 
     Raises:
-        UsageError: if several ids begin with the same text in ``wanted``. No goal is then paused or
-            resumed.
+        UsageError: before any goal is paused or resumed, if several ids begin with the same text in
+            ``wanted``.
     """
     goals, silent = await held_goals(node, served_actions(node, None))
     status = DONE
@@ -504,10 +510,7 @@ async def _listen(
 
 
 def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
-    """Return the nodes that serve these actions.
-
-    Each node is mapped to one of the actions that it serves.
-    """
+    """Return each node that serves any of these actions, with one action that the node serves."""
     services = {action_names(name).cancel_goal: name for name in actions}
     return {
         each.node: services[each.name]
@@ -569,7 +572,7 @@ def _clients(node: Node, action: str) -> list[str]:
 
 
 async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
-    """Ask a server to cancel one goal. Return why this fails, or None if it succeeds."""
+    """Ask a server to cancel one goal. Return why the request fails, or None if it succeeds."""
     response = await _request(node, goal.action, goal.goal_id, 0)
     if response is None:
         return SILENT
