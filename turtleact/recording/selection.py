@@ -1,8 +1,13 @@
 """Selects the topics, services and actions to record or play. All functions are pure.
 
-To record a service, its topic of service events is recorded. To record an action, the topics of its
-feedback and status, the events of its three services, and the reasons that turtleact's servers
-publish are recorded. Users choose these topics by the name of the action or service.
+A recorded service consists of one topic: its service events. A recorded action consists of these
+topics:
+
+- its feedback and its status
+- the service events of its three services
+- the reasons that turtleact's servers publish when a goal fails
+
+Users select all these topics by the name of the action or service.
 
 Source: rosbag2 ``record.py``, ``play.py`` and ``action_utils.cpp``.
 """
@@ -88,15 +93,15 @@ class Selection(msgspec.Struct, frozen=True, kw_only=True):
         services: Names of services to select.
         actions: Names of actions to select.
         types: Types of topics to select.
-        regex: A regular expression. Topics, services and actions are selected if it matches any
-            part of their names.
+        regex: A regular expression that selects topics, services and actions if it matches any part
+            of their names.
         all_topics: Whether to select all topics; see ``hidden``.
         all_services: Whether to select all services.
         all_actions: Whether to select all actions.
         hidden: Whether ``all_topics`` includes hidden topics.
-        exclude: Names of topics, services and actions to leave out.
-        exclude_types: Types of topics to leave out.
-        exclude_regex: A regular expression. Topics, services and actions are left out if it matches
+        exclude: Names of topics, services and actions to exclude.
+        exclude_types: Types of topics to exclude.
+        exclude_regex: A regular expression that excludes topics, services and actions if it matches
             any part of their names.
 
     Raises:

@@ -5,8 +5,8 @@ falls behind and more than ``capacity`` bytes wait, further messages are dropped
 virtual time, no message is dropped, because `put` waits until there is room, and time stands still
 meanwhile.
 
-A message may come as bytes or as an object. Objects are encoded in the writing thread. This is
-safe, because nobody changes a message after it was published.
+A message is either bytes or an object. The writing thread encodes objects, which is safe because
+nobody changes a message after publishing it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,10 @@ OVERHEAD: Final = 200
 """The bytes that an entry takes besides its data."""
 
 YIELD: Final = 64
-"""After this many messages the thread lets other threads run. Python itself switches every 5 ms."""
+"""The writing thread lets other threads run after this many messages.
+
+Otherwise, Python would switch to another thread only every 5 ms.
+"""
 
 Entry: TypeAlias = tuple[int, int, object]
 Encode: TypeAlias = Callable[[object], bytes]
@@ -50,8 +53,8 @@ class Spool:
 
     Args:
         writer: Writes the bag. The spool closes the writer when writing ends.
-        on_end: Called in the writing thread when the bag has been closed. That happens after
-            `close`, or early, for example because the disk is full.
+        on_end: Called in the writing thread when the bag has been closed. The bag is closed after
+            `close`, or earlier if writing fails, for example because the disk is full.
         capacity: How many bytes may wait to be written.
         is_patient: Whether `put` waits until there is room, instead of dropping the message.
 
@@ -97,7 +100,7 @@ class Spool:
 
         Args:
             channel: The topic.
-            encode: Encodes messages that come as objects; None if all come as bytes.
+            encode: A function that encodes messages; None if all messages are bytes already.
             is_there: Whether the bag lists the topic even if no message of the topic arrives.
         """
         with self._changed:
@@ -111,9 +114,8 @@ class Spool:
     def put(self, number: int, stamp: int, message: object) -> None:
         """Queue a message to be written. Any thread may call this.
 
-        After writing has ended or `close` was called, messages are ignored and not counted. Such
-        messages may come, because a transport may deliver messages even after a subscription is
-        closed.
+        After writing has ended or `close` was called, messages are ignored and not counted. A
+        transport may deliver messages even after a subscription is closed.
 
         Args:
             number: The number of the message's topic, from `add`.
@@ -196,7 +198,7 @@ class Spool:
             self._end()
 
     def _take(self) -> list[Entry]:
-        """Wait a moment for more entries, then remove and return all that wait."""
+        """Wait briefly for more entries, then empty the list and return its entries."""
         with self._changed:
             if not self._is_closing and self._weight <= self._capacity:
                 self._changed.wait(PAUSE)

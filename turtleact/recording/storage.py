@@ -15,7 +15,7 @@ from turtleact.recording.schemas import Schema
 __all__ = ["LONGEST", "BagStorage", "Channel", "Range", "Raw", "in_nanoseconds"]
 
 LONGEST: Final = 1_000_000_000
-"""The longest time that an option may give (s): 31 years, which fit in the stamps of all files."""
+"""The largest value of an option (s): about 31 years, which the stamps of every format can hold."""
 
 
 class Channel(msgspec.Struct, frozen=True, kw_only=True):

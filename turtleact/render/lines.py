@@ -26,7 +26,7 @@ STYLES: Final = {
 }
 
 LONGEST_LIST: Final = 8
-"""Of a longer list, only this many elements are shown: the first and the last ones."""
+"""If a list has more elements than this, only its first and last elements are shown."""
 
 LONGEST_TEXT: Final = 400
 """Longer texts are cut to this many characters; no window is wide enough for more."""
@@ -35,8 +35,8 @@ LONGEST_TEXT: Final = 400
 def lines(content: Picture, *, width: int, height: int) -> list[str]:
     """Render a picture for this terminal: at most ``height`` lines of at most ``width`` columns.
 
-    No line ends with blanks, because a terminal that becomes narrower would wrap the blanks onto an
-    extra line. The environment variables TERM, COLORTERM and NO_COLOR determine the colours.
+    Lines have no trailing blanks, because these would wrap onto an extra line if the user made the
+    terminal narrower. The environment variables TERM, COLORTERM and NO_COLOR determine the colours.
     """
     console = Console(
         file=StringIO(), width=width, height=height, force_terminal=True, highlight=False

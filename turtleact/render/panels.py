@@ -39,33 +39,39 @@ __all__ = [
 ]
 
 NARROWEST: Final = 40
-"""The width below which there is no map."""
+"""The minimum width (columns) of a window that shows a map."""
 
 NARROWEST_TABLE: Final = 26
 """At least this many columns are left for the feedback beside a map."""
 
 WIDE: Final = 72
-"""In a narrower window, the feedback stands below the map.
+"""In a window narrower than this (columns), the feedback is below the map, not beside it.
 
-A table of goals that is narrower has no ids and no progress.
+A table of goals narrower than this has no columns for ids and progress.
 """
 
 LOWEST, HIGHEST = 5, 24
-"""The rows of a map, not counting its border."""
+"""The minimum and maximum number of rows of a map, not counting its border."""
 
 LOWEST_ABOVE: Final = 6
-"""The rows of a map with the feedback below. A lower map has the feedback beside it."""
+"""The minimum height (rows) of a map with the feedback below it.
+
+A lower map has the feedback beside it, even in a narrow window.
+"""
 
 MOST_VALUE_LINES: Final = 4
-"""At most this many lines show one value."""
+"""The maximum number of lines for one value."""
 
 MOST_GOAL_LINES: Final = 3
 TALL: Final = 20
-"""A goal takes at most three lines, and only one line if the display is lower than this."""
+"""The minimum height (lines) of a window that shows a goal message in up to three lines.
+
+A lower window shows only one line of the goal message.
+"""
 
 
 class GoalView(NamedTuple):
-    """What is shown of a goal.
+    """The data of a goal to show on a display.
 
     Attributes:
         name: The name of the action.
@@ -197,10 +203,9 @@ def _rows(content: Mapping[str, str], width: int, rows: int) -> list[Picture]:
 
 
 def _rows_needed(feedback: Message | None, width: int) -> int:
-    """How many lines the feedback needs if each number in it is long.
+    """Return how many lines the feedback needs if each float in it is as wide as `LONG_NUMBER`.
 
-    The numbers change all the time. This function treats every number as long, so that the map
-    keeps its size.
+    The map would change its size with every feedback if the actual widths were used.
     """
     if feedback is None:
         return 1
@@ -220,7 +225,7 @@ def _widened(value: object) -> object:
 def _folded(text: str, width: int, rows: int) -> list[str]:
     """Wrap a text between words into at most ``rows`` lines.
 
-    The last line may be longer than ``width``.
+    If the text does not fit, its last line is longer than ``width``.
     """
     lines = wrap(text, max(width, 1), break_on_hyphens=False) or [""]
     return [*lines[: rows - 1], " ".join(lines[rows - 1 :])] if len(lines) > rows else lines
@@ -248,11 +253,11 @@ NARROWEST_BOARD: Final = 30
 """At least this many columns are left for the goals beside a map."""
 
 SHORTEST: Final = 20
-"""The width of the column of names, if no name is longer."""
+"""The minimum width of the column of names in a wide table."""
 
 LONGEST_STATUS: Final = 9
 LONGEST_DURATION: Final = 8
-"""The widths of the columns beside the names."""
+"""The widths of a table's columns for the status and the age of a goal."""
 
 LEAST_LOG: Final = 3
 """At least this many lines are left for the log below a map."""
@@ -262,7 +267,7 @@ INDENT: Final = "  "
 
 
 class GoalRow(NamedTuple):
-    """What a table shows of a goal.
+    """A goal as a row of a table.
 
     Attributes:
         name: The name of the action.
@@ -289,7 +294,7 @@ class GoalRow(NamedTuple):
 
 
 class Board(NamedTuple):
-    """What is shown of a server or a robot.
+    """The data of a server or a robot to show on a display.
 
     Attributes:
         heading: The lines at the top, which are shown even in a small window.
@@ -351,8 +356,8 @@ def _heading(lines: Sequence[str], width: int, height: int) -> list[Picture]:
 def _log(lines: Sequence[str], width: int, rows: int) -> list[Picture]:
     """Show the newest entries of the log, wrapped between words, in at most ``rows`` lines.
 
-    If there is no room for a whole entry, its beginning is shown, because an error begins with what
-    is wrong and where.
+    If an entry does not fit, its beginning is shown: an error message says first what is wrong and
+    where.
     """
     shown: list[str] = []
     for line in reversed(lines):

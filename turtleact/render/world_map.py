@@ -1,8 +1,8 @@
 """Draws a map of the world in braille characters: walls, trails, turtles and their targets.
 
-Each cell is 2 dots wide and 4 dots high. If the terminal's cells are twice as high as wide, the
-dots have the same distance in both directions. A cell has only one colour: the colour of the dot
-that was drawn last.
+Each cell is 2 dots wide and 4 dots high. The dots are evenly spaced in both directions if the
+terminal's cells are twice as high as wide. A cell has only one colour: the colour of the dot that
+was drawn last.
 
 Source: the Unicode Standard, "Braille Patterns", from U+2800, where each dot is a bit.
 """
@@ -28,7 +28,7 @@ LONGEST_NAME: Final = 12
 BLANK: Final = chr(0x2800)
 
 Marks: TypeAlias = dict[tuple[int, int], tuple[str, str]]
-"""The mark in a cell, by row from the top and column: a character and its style."""
+"""Maps the row and column of a cell to its character and style. Rows are counted from the top."""
 
 
 class Turtle(NamedTuple):
@@ -62,12 +62,12 @@ class Target(NamedTuple):
 
 
 class MapView(NamedTuple):
-    """What a map shows of the world. The world's lower left corner is at (0, 0).
+    """The part of a world that a map shows. The world's lower left corner is at (0, 0).
 
     Attributes:
         side: The length of each of the world's four walls (m), above zero.
         turtles: The turtles.
-        ink: What the turtles have drawn; None if the map does not show it.
+        ink: The drawings of the turtles; None if the map does not show them.
         targets: The targets of the turtles.
     """
 
@@ -81,9 +81,9 @@ def world_map(view: MapView, rows: int) -> Text:
     """Draw the world with ``rows`` rows and twice as many columns, and its walls around them.
 
     A target that has been reached has a check mark beside its number. A turtle hides a target in
-    the same cell. A turtle's name is drawn near the turtle. It covers no turtle, target or other
-    name, and it covers as little of the trails as possible. If there is no room near the turtle,
-    the name is left out.
+    the same cell. A turtle's name is drawn near the turtle. The name never covers a turtle, a
+    target or another name, and covers as little of the trails as possible. If there is no room near
+    the turtle, the name is left out.
     """
     columns = 2 * rows
     canvas = Braille(columns, rows) if view.ink is None else view.ink.canvas(columns, rows)
@@ -114,8 +114,8 @@ def _cell(x: float, y: float, columns: int, rows: int) -> tuple[int, int]:
 def _label(marks: Marks, turtle: Turtle, cell: tuple[int, int], drawn: Sequence[str]) -> None:
     """Put a turtle's name beside, above or below the turtle.
 
-    The name covers no other mark, and it covers as little of the trails as possible. If there is no
-    room, the name is left out.
+    The name never covers another mark, and covers as little of the trails as possible. If there is
+    no room, the name is left out.
     """
     name = shortened(printable(turtle.name), LONGEST_NAME)
     row, column = cell
@@ -204,7 +204,7 @@ class Braille:
 
 
 class Ink(Protocol):
-    """What the turtles have drawn in the world."""
+    """The drawings of the turtles in the world."""
 
     def canvas(self, columns: int, rows: int) -> Braille:
         """Return a canvas of this size (characters) with everything that was drawn.
@@ -251,7 +251,7 @@ class Trails:
         del places[:-LONGEST]
 
     def canvas(self, columns: int, rows: int) -> Braille:
-        """Return a canvas with all trails. If its size has changed, draw all trails again."""
+        """Return a canvas with all trails. If the canvas has a new size, draw all trails again."""
         if (self._canvas.width, self._canvas.height) != (2 * columns, 4 * rows):
             self._canvas = Braille(columns, rows)
             for turtle, places in self.places.items():

@@ -8,6 +8,6 @@
     local_server             decides which goals are accepted and which are canceled
     goal_handle | callbacks  the handle given to bodies; the user's callbacks
     execution                runs a body and ends its goal when the body ends
-    body_task | pausing      the task of a body; goals that stand still
-    durable                  goals that outlive their process
+    body_task | pausing      the task of a body; pausing and resuming goals
+    durable                  keeps goals on disk, to continue them after a restart
 """

@@ -85,8 +85,8 @@ class FeedbackTopic(Source):
     def emit(self, goal: Goal, feedback: object) -> bool:
         """Encode and send a body's feedback.
 
-        Return False, and send nothing, if a copy is needed, for example for a client in this
-        process.
+        If a copy is needed, for example for a client in this process, return False and send
+        nothing.
         """
         publication = self._publication
         if goal.is_streamed or goal.on_feedback or goal.ended or publication.has_object_readers:
@@ -128,9 +128,9 @@ class FeedbackTopic(Source):
 class StatusTopic(GoalObserver):
     """Publishes the status of all goals that a server holds.
 
-    When a goal changes, the topic only notes which goal it was. The message, which lists all goals,
-    is built when it is sent, because a server may hold thousands of goals. One message may
-    therefore report several changes.
+    When a goal changes, the topic only marks the goal as changed. A message lists all goals, and a
+    server may hold thousands. The topic therefore builds a message only when it sends the message,
+    and one message may report several changes.
 
     Args:
         server: The server.
@@ -175,7 +175,7 @@ class StatusTopic(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """Whether the topic has readers in this process.
+        """Whether to publish that a goal is ACCEPTED: only for readers in this process.
 
         Only readers in this process get every state of a goal. Readers in other processes get the
         newest states at the next turn of the event loop.
@@ -205,10 +205,10 @@ class StatusTopic(GoalObserver):
 
 
 class ReasonTopic(Source, GoalObserver):
-    """Publishes why goals were rejected, or ended without success, so that this can be recorded.
+    """Publishes, for recorders, why goals were rejected or ended without success.
 
-    ROS 2 has no such topic, and its messages have no field for a reason. Clients get the reason in
-    a note that is attached to a response. Recorders cannot record such a note.
+    ROS 2 has no topic for reasons, and its messages have no field for a reason. Clients get the
+    reason as an attachment of a response, but recorders cannot record attachments.
 
     Args:
         server: The server.
@@ -226,7 +226,7 @@ class ReasonTopic(Source, GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """False, because an accepted goal has no reason to publish."""
+        """False: this topic publishes nothing when a goal is accepted."""
         return False
 
     def readers_changed(self, *, has_readers: bool) -> None:

@@ -1,7 +1,7 @@
 """Runs a goal's body in a task, can cancel the body, and ends the goal after the body has ended.
 
 A body always runs in a task of its own, no matter how the client waits for the goal. The server
-owns the task: it cancels the task and waits for its end.
+owns the task, and therefore cancels the task and waits for its end.
 
 A step is the part of a body between two awaits. During a long step nothing else in the event loop
 can run, so long steps are reported.
@@ -22,7 +22,7 @@ from turtleact.tasks import Tasks
 __all__ = ["BLOCKING", "BodyTask"]
 
 BLOCKING = 0.5
-"""Longer steps are reported (s, wall clock)."""
+"""Steps that take longer than this time are reported (s, wall clock)."""
 
 
 class Runner(Protocol):
@@ -96,7 +96,7 @@ class BodyTask(Coroutine[object, object, None]):
     def cancel(self) -> None:
         """Cancel the body at its next await outside a shield.
 
-        A body that has not begun will never begin.
+        If the body has not started yet, it never starts.
         """
         # There are four cases. (1) The body has not begun: `send` never begins it. The goal ends
         # now, or stays unfinished in the journal while the server is suspended. (2) The body is in

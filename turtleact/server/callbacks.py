@@ -1,4 +1,4 @@
-"""Calls the user's callbacks, which decide whether to accept a goal and whether to cancel one.
+"""Calls the user's callbacks, which decide whether to accept a goal and whether to cancel a goal.
 
 A callback is a function or a coroutine function. If a callback fails, the request is rejected and
 the failure is logged.
@@ -28,13 +28,13 @@ class Callbacks:
     Args:
         server: The action's name.
         options: The server's options, with ``goal_callback`` and ``cancel_callback``.
-        tasks: The functions for tasks on the event loop, asyncio or trio. They tell whether the
-            task that waits for a callback was cancelled.
+        tasks: The functions for tasks on the event loop, asyncio or trio. This class uses them to
+            find out whether the task that awaits a callback was cancelled.
 
     Attributes:
         ask_about_goals: Whether there is a ``goal_callback``.
-        ask_about_cancels: Whether there is a ``cancel_callback``. Without one, every cancel request
-            is accepted.
+        ask_about_cancels: Whether there is a ``cancel_callback``. If there is no
+            ``cancel_callback``, every cancel request is accepted.
     """
 
     def __init__(self, server: str, options: ServerOptions, tasks: Tasks) -> None:

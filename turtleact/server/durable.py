@@ -2,7 +2,7 @@
 
 A server with a journal accepts a goal only after the goal is on disk, and announces a goal's end
 only after the end is on disk. It publishes feedback after the feedback has been written. If the
-disk is full, it publishes feedback that is not on disk yet, because the goal must go on. The
+disk is full, it publishes feedback that is not on disk yet, so that the goal can continue. The
 journal keeps the order of these changes.
 
 Sources: Temporal, where a retried activity gets the details of its last heartbeat; DBOS, where a
@@ -44,8 +44,8 @@ class DurableGoals:
 
     Attributes:
         resumes: Whether unfinished goals continue after a restart.
-        is_built_in: Whether the action is built into turtleact. A built-in action is withdrawn if
-            another action of the same name is served.
+        is_built_in: Whether the action is built into turtleact. turtleact withdraws a built-in
+            action when another server for an action of the same name opens.
         restored: An event that is set when the server holds the goals of the earlier process again.
     """
 

@@ -1,9 +1,8 @@
 """Opens an action's endpoints on the graph: three services and two topics, for any node.
 
-Clients in the same process do not need the endpoints to send goals. The endpoints serve all others:
-nodes that send ``SendGoal`` requests, cancel other nodes' goals, ask for results, or read feedback
-and status. Messages are created and published only after somebody has sent a request or reads a
-topic.
+Clients in the same process do not need the endpoints to send goals. The endpoints are for nodes
+that send ``SendGoal`` requests, cancel other nodes' goals, request results, or read feedback and
+status. Messages are created and published only in reply to a request or while a topic has readers.
 
 ========================  ==================================  ==================================
 ``…/_action/send_goal``   ``pkg/action/Name_SendGoal``        accepts or rejects a goal
@@ -66,10 +65,10 @@ NAMELESS = "a goal id must not be all zeros"
 """The reason for rejecting a goal with the id zero."""
 
 OURS = GoalNote().write()
-"""An empty note. Each answer has a note, which shows that the server belongs to turtleact."""
+"""A note without content, for responses. Any note shows that the server belongs to turtleact."""
 
 LATE_REQUEST = 0.5
-"""How long a closing server waits for other processes to ask for their results (s)."""
+"""How long a closing server waits for clients in other processes to request results (s)."""
 
 
 class ActionEndpoints:
@@ -171,7 +170,7 @@ class ActionEndpoints:
         await self._pausing.aclose()
 
     def _is_expected(self) -> bool:
-        """Whether a client in another process will soon ask how a goal has ended."""
+        """Whether a client in another process will probably request the result of a goal soon."""
         reasons = (self._server.closing_reason, STOPPED, CUT_OFF)
         return any(_may_be_asked_for(goal, reasons) for goal in self._server.held())
 
@@ -360,7 +359,7 @@ class _GetResult(_ActionService):
 
     A client of turtleact sends a goal and the request for its result at the same time. The request
     for the result may therefore arrive while the server still decides whether to accept the goal.
-    The service then waits for this decision.
+    In this case, the service waits until the server has decided.
     """
 
     def __init__(self, server: LocalActionServer, names: ActionNames, tasks: Tasks) -> None:
@@ -370,9 +369,9 @@ class _GetResult(_ActionService):
 
     @contextmanager
     def expecting(self, goal_id: bytes | None) -> Iterator[None]:
-        """Let requests for a goal's result wait while the ``with`` block runs.
+        """Hold requests for a goal's result while the server decides whether to accept the goal.
 
-        The block decides whether to accept the goal.
+        The code in the ``with`` block makes this decision.
         """
         self._expected.append(goal_id)
         try:
@@ -392,7 +391,8 @@ class _GetResult(_ActionService):
     ) -> bool:
         """Answer when the goal has ended.
 
-        Return False if the goal is unknown, because such a request needs a task.
+        Return False if the goal is unknown. `handle` then answers the request in a task, because
+        the goal may still arrive.
         """
         goal = self.server.find(request.goal_id.uuid)
         if goal is None:
@@ -444,7 +444,7 @@ def _unlisted(
 
 
 def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
-    """Join the answers of servers that share a cancel service. No goal is in two of the answers."""
+    """Join the answers of servers that share a cancel service. Each goal is in only one answer."""
     codes = [each.return_code for each in answers]
     known = [code for code in codes if code != CancelCode.UNKNOWN_GOAL_ID]
     return CancelGoal.Response(
@@ -454,7 +454,10 @@ def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
 
 
 def _may_be_asked_for(goal: Goal, reasons: tuple[str, ...]) -> bool:
-    """Whether another process will soon ask for the result of a goal that a shutdown has ended."""
+    """Whether a client in another process will probably request this goal's result soon.
+
+    True for a goal from another process that the shutdown has ended, until its result is requested.
+    """
     is_sent_from_elsewhere = isinstance(goal.sender, bytes) and bool(goal.sender)
     is_ended_late = goal.reason in reasons
     return is_sent_from_elsewhere and is_ended_late and not goal.is_asked_for

@@ -1,10 +1,9 @@
 """Runs goals: starts the body, publishes its feedback, and ends the goal when the body ends.
 
-A generator body is not iterated with ``async for``. If it were, a body that is canceled while it is
-suspended at a ``yield`` would only see GeneratorExit there, and a timeout or task group around the
-``yield`` would break. Instead, one task steps the generator. If a cancellation or error occurs
-between two steps, the task raises it at the ``yield``. In every case, the task closes the
-generator.
+A generator body is not iterated with ``async for``. With ``async for``, a body canceled at a
+``yield`` would only see GeneratorExit there. A timeout or task group around the ``yield`` would
+break. Instead, one task steps the generator. If a cancellation or error occurs between two steps,
+the task raises the exception at the ``yield``. In every case, the task closes the generator.
 
 Source: PEP 525; PEP 789 for the hazards of generators.
 """
@@ -95,11 +94,11 @@ class Execution:
         now: A function that returns the current time (ns since the epoch).
         release: A function called with each goal that ends. It may return a function that starts
             the next goal. ``release`` is None if goals never wait for one another.
-        options: The server's options. Only those for pausing are used.
+        options: The server's options. This class uses only the options for pausing.
 
     Attributes:
         served: The argument ``served``.
-        check_result: A function that checks and copies a result.
+        check_result: A function that validates a result and returns a copy of it.
         observers: The objects that are told of each change of a goal; some also get feedback.
         outlet: The feedback topic; None while nobody reads it.
         bodies: The tasks of the running bodies, each with its goal.
@@ -235,8 +234,8 @@ class Execution:
     def _publish_or_emit(self, goal: Goal, feedback: object) -> bool:
         """Publish feedback. Return whether a callback or observer has canceled the goal.
 
-        Without a journal, this does the same as `publish` but does not call it, because one more
-        call per message would be too slow.
+        Without a journal, this method repeats the code of `publish`, because another function call
+        for each message would be too slow.
         """
         if self.durable is not None:
             self.publish(goal, feedback)
@@ -303,7 +302,10 @@ class Execution:
             self.durable.partial_result(goal)
 
     def _announce_written(self, goal: Goal, message: Message) -> None:
-        """Publish feedback that is now in the journal, unless the server was stopped meanwhile."""
+        """Publish feedback, unless the server was stopped meanwhile.
+
+        The journal calls this function when the feedback is on disk, or when the disk is full.
+        """
         if not goal.ended:
             self._announce(goal, message)
 
@@ -334,7 +336,7 @@ class Execution:
     def report_blocking(self, goal: Goal, seconds: float) -> None:
         """Warn about a step that blocked the event loop.
 
-        The warning is wrong if the whole process was suspended during the step.
+        If the whole process was suspended during the step, the warning is a false alarm.
         """
         logger.warning(
             "the body of %s blocked the event loop for %.1f s%s, so nothing else could run:"
@@ -359,7 +361,8 @@ class Execution:
         """Change a goal's state and tell the observers.
 
         Raises:
-            InvalidTransition: if the state does not allow the event. The state stays the same.
+            InvalidTransition: if the goal's state does not allow the event. The goal then keeps its
+                state.
         """
         before = goal.status
         goal.apply(event)
@@ -430,7 +433,10 @@ class Execution:
             self._tasks.call_soon(start_next)
 
     def _announce_written_end(self, goal: Goal, event: GoalEvent, reason: str) -> None:
-        """Announce an end that is now in the journal, unless the server was stopped meanwhile."""
+        """Announce that a goal has ended, unless the server was stopped meanwhile.
+
+        The journal calls this function when the goal's end is on disk.
+        """
         if not goal.ended:
             self._announce_end(goal, event, reason)
             self._ended.fire()

@@ -90,13 +90,13 @@ class GoalHandle(Generic[G, R, F]):
         return self._execution.pauses.paused_time(self._goal)
 
     async def pause(self, timeout: float = 5.0) -> None:
-        """Pause the goal, and return when its body stands still.
+        """Pause the goal, and return when the goal is paused.
 
-        The body itself must not call this, because it would wait for itself.
+        The goal's own body must not call this method, because the body would wait for itself.
 
         Args:
-            timeout: How long the body may take to stand still (s, event loop time). If it takes
-                longer, the goal goes on.
+            timeout: How long the body may take to reach a ``yield`` or a checkpoint (s, event loop
+                time). If the body takes longer, the goal is not paused and continues.
 
         Raises:
             PauseRefused: if the goal cannot be paused, or its body takes too long.
@@ -105,10 +105,10 @@ class GoalHandle(Generic[G, R, F]):
         await self._execution.pauses.pause(self._goal, timeout)
 
     async def resume(self) -> None:
-        """Let a paused goal go on.
+        """Resume a paused goal.
 
         Raises:
-            PauseRefused: if ``on_resume`` fails. The goal stays paused.
+            PauseRefused: if ``on_resume`` fails, and the goal therefore stays paused.
         """
         self._execution.served.home.check()
         await self._execution.pauses.resume(self._goal)
