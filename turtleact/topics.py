@@ -44,8 +44,8 @@ class Publisher(Generic[M]):
     def has_subscriptions(self) -> bool:
         """Whether a message published now reaches a subscription.
 
-        On a latched topic, this is True until the publisher is closed, because a later subscription
-        gets the message, too.
+        On a latched topic, this is True until the publisher is closed, because later subscriptions
+        also get the message.
         """
         return self._publication.has_readers
 
@@ -96,15 +96,15 @@ class Subscription(Generic[M]):
 
     ``async for message in subscription`` gives the messages in order. If a reader lags behind, only
     the newest messages are kept, as many as the QoS depth, and `missed` counts the dropped ones. If
-    several tasks read the same subscription, each message goes to only one of them. Other
-    subscriptions get the same message objects, so do not change the messages. Cancelling: safe,
+    several tasks read the same subscription, each message goes to only one of them. Do not change
+    the messages, because other subscriptions get the same message objects. Cancelling: safe,
     nothing is lost.
 
     Attributes:
         topic: The fully qualified name of the topic.
         latest: The newest message, even if it has been read; None if no message has arrived.
         missed: How many messages were dropped before they were read.
-        notify: A function that is called, without arguments, after each message that is queued.
+        notify: A function that is called without arguments each time a message has been queued.
         taker: A function that is called with each message before the message is queued. If the
             function returns True, the message is not queued, no reader wakes, and ``notify`` is not
             called.

@@ -2,14 +2,13 @@
 
 These folders may hold a package:
 
-- the folder itself, and the folders in it
-- the folders one or two levels below the folder's ``src``
-- the folders one or two levels below the nearest folder ``src`` that contains the folder or is the
-  folder itself
+- the given folder, and the folders directly in it
+- the folders one or two levels below ``src`` in the given folder
+- the folders one or two levels below the nearest ``src`` among the given folder and its parents
 - the folders where colcon installs packages: ``install/PACKAGE/share/PACKAGE`` or
   ``install/share/PACKAGE``
 
-The search is limited, so that it is quick even in a home folder. It looks at no more than
+The search is limited, so that it is quick even in a home folder. The search looks at no more than
 `MOST_FOLDERS` folders, and opens no file except ``package.xml``. Folders that cannot be read are
 skipped.
 """
@@ -34,7 +33,7 @@ __all__ = [
 KINDS = ("msg", "srv", "action")
 
 MOST_FOLDERS = 1000
-"""The search looks at no more than this many folders."""
+"""The maximum number of folders that the search looks at."""
 
 LONGEST = 10_000
 """How many characters of a ``package.xml`` are searched for the name."""
@@ -77,8 +76,9 @@ def interface_files(folder: Path) -> dict[str, Path]:
 def misnamed(root: Path, type_name: str) -> tuple[Path, Path] | None:
     """Find a misnamed or misplaced file of an interface near a folder.
 
-    Return the file's path, and the path that it should have; None if there is no such file. For
-    example, ``action/count.action`` and ``actions/Count.action`` should be ``action/Count.action``.
+    Return the path of the misnamed or misplaced file, and the path that the file should have; None
+    if no such file is found. For example, ``action/count.action`` and ``actions/Count.action``
+    should be ``action/Count.action``.
     """
     package, _, rest = type_name.partition("/")
     name = rest.rpartition("/")[2]
@@ -154,8 +154,8 @@ def _parents(folder: Path) -> tuple[Path, ...]:
 def _folders(folder: Path) -> Iterator[Path]:
     """Return the folders in a folder, sorted by name.
 
-    Names with a dot are left out, because most belong to files or hidden folders. So most files
-    need no check whether they are folders.
+    Names with a dot are left out, because most such names belong to files or hidden folders.
+    Leaving them out saves a check of the file type for most files.
     """
     found = [path for path in _entries(folder) if "." not in path.name]
     return (path for path in _sorted(found)[:MOST_FOLDERS] if _is_folder(path))

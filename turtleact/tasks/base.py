@@ -29,14 +29,14 @@ class Signal(Protocol):
     """
 
     def fire(self) -> None:
-        """Wake every task that waits now."""
+        """Wake every task that is waiting."""
 
     async def wait(self) -> None:
         """Wait until the signal fires the next time. Cancelling: safe."""
 
     @property
     def waiters(self) -> int:
-        """How many tasks wait now."""
+        """How many tasks are waiting."""
 
 
 class Tasks(Protocol):
@@ -44,8 +44,8 @@ class Tasks(Protocol):
 
     Attributes:
         cancelled: The exception that cancels a task.
-        can_let_go: Whether the event loop can end although a task ignores its cancellation. An
-            asyncio loop can; trio cannot.
+        can_let_go: Whether the event loop can end although a task ignores its cancellation. True on
+            asyncio, False on trio.
     """
 
     cancelled: type[BaseException]
@@ -108,8 +108,8 @@ class Home:
     """Remembers an object's event loop and thread, and checks that the object is used only there.
 
     Without this check, using an object in another thread or event loop fails much later, with an
-    unhelpful message: "aclose(): asynchronous generator is already running". Nodes, servers and
-    clients create a `Home`, and call `check` first in every public method::
+    unhelpful message such as "aclose(): asynchronous generator is already running". Nodes, servers
+    and clients create a `Home`, and call `check` first in every public method::
 
         def __init__(self, name: str) -> None:
             self._home = Home(f"node '{name}'")
@@ -133,9 +133,9 @@ class Home:
         self._thread = get_ident()
 
     def of(self, owner: str) -> Home:
-        """Return a home with the same event loop and thread for another object.
+        """Return a `Home` for another object, with the same event loop and thread.
 
-        This works even while no event loop runs.
+        This method works even while no event loop runs.
         """
         home = copy.copy(self)
         home._owner = owner
@@ -144,7 +144,7 @@ class Home:
     def check(self) -> None:
         """Check that this call comes from the home's event loop.
 
-        While no event loop runs, a call from the home's thread is allowed, too, because nothing can
+        While no event loop runs, a call from the home's thread is also allowed, because nothing can
         interfere. For example, a notebook that runs as plain Python calls functions between two
         calls of ``runner.run(…)``. Such calls are allowed only for a home on asyncio, and only
         until its loop is closed.

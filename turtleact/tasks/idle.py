@@ -5,8 +5,9 @@ Virtual time jumps only while the loop is idle. How this module detects this dep
 - A loop made by `new_event_loop` tells its selector to wait when no callback is ready. At that
   moment, the selector wakes every task that waits in `wait_until_idle`.
 - Other asyncio loops keep the callbacks that are ready in a private queue, which this module reads.
-- For a loop without that queue (uvloop), this module calls `anyio.wait_all_tasks_blocked`, which
-  polls every 0.1 s. Because that is slow, a warning is logged once per run.
+- On asyncio loops that do not show their queue of callbacks (uvloop), this module calls
+  `anyio.wait_all_tasks_blocked`, which polls every 0.1 s. Because that is slow, a warning is logged
+  once per run.
 - On trio, this module calls trio's own function ``wait_all_tasks_blocked``.
 
 Source: asyncio ``BaseEventLoop._run_once``; trio ``wait_all_tasks_blocked``.
@@ -39,10 +40,10 @@ __all__ = [
 logger = logging.getLogger("turtleact")
 
 CALLBACK_TURNS = 3
-"""How many turns of the loop to wait for callbacks outside any task, if the loop hides them.
+"""How many turns of the loop to wait for pending callbacks if the loop hides its queue.
 
-A finished task wakes its parent with such a callback. Until the callback runs, all tasks seem to
-wait."""
+A finished task wakes its parent with a callback that belongs to no task. Until this callback runs,
+the loop looks idle although the parent is about to run."""
 
 
 def new_event_loop() -> asyncio.AbstractEventLoop:
@@ -56,8 +57,8 @@ def new_event_loop() -> asyncio.AbstractEventLoop:
 async def wait_until_idle() -> None:
     """Wait until all other tasks of the event loop are waiting.
 
-    A task that waits for the network, a thread or wall time counts as waiting, too. Several tasks
-    may call this at the same time; all of them continue together. Cancelling: safe.
+    Tasks that wait for the network, for a thread or for wall time also count as waiting. Several
+    tasks may call this function at the same time; all of them continue together. Cancelling: safe.
     """
     await idleness()()
 
@@ -208,11 +209,11 @@ def thread_work() -> ThreadWork:
 
 
 class _Turns:
-    """Detects when an event loop that turtleact did not make is idle.
+    """Detects when an asyncio event loop is idle if `new_event_loop` did not make the loop.
 
-    Each call of `wait_until_idle` sleeps for one turn of the loop at a time, so it always has one
-    callback in the loop's queue. If a call finds only the callbacks of other such calls in the
-    queue, the loop is idle.
+    Each call of `wait_until_idle` sleeps for one turn of the loop at a time, so each call always
+    has one callback in the loop's queue. If a call finds only callbacks of other `wait_until_idle`
+    calls in the queue, the loop is idle.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -229,7 +230,7 @@ class _Turns:
     async def wait_until_idle(self) -> None:
         """Wait until the loop is idle.
 
-        The first call that notices this also ends the other calls.
+        The first call that finds the loop idle also ends the other calls.
         """
         if self._ready is None:
             await anyio.wait_all_tasks_blocked()

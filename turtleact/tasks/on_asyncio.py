@@ -1,4 +1,4 @@
-"""Implements tasks and signals on asyncio (uvloop too).
+"""Implements tasks and signals on asyncio and uvloop.
 
 Source: asyncio ``Task(eager_start=...)``, Python 3.12.
 """
@@ -20,11 +20,11 @@ from turtleact.goal import Cancelable
 __all__ = ["AsyncioSignal", "AsyncioTasks", "is_in_shielded_scope"]
 
 DEEPEST = 32
-"""How many tasks may start inside each other's first steps.
+"""How deeply eager tasks may be nested, each started in the first step of the task before.
 
 A body that starts eagerly may send a goal, the body of that goal may also start eagerly, and so on.
-Each level takes about six of the 1,000 frames on Python's stack. If a body would exceed this depth,
-it starts in the loop's next turn."""
+Each level takes about six of the 1,000 frames on Python's stack. A body beyond this depth starts in
+the loop's next turn."""
 
 
 def is_in_shielded_scope(task: object) -> bool:
@@ -63,7 +63,7 @@ class AsyncioTasks:
         """Run a coroutine in a new task.
 
         With ``is_eager``, from Python 3.12 on, the first step runs before this method returns,
-        except for tasks that start more than `DEEPEST` levels inside each other.
+        unless the task is nested deeper than `DEEPEST` levels.
         """
         if sys.version_info >= (3, 12) and is_eager and self._depth < DEEPEST:
             # An eager task runs its first step inside this call. That step may spawn another task,
@@ -118,7 +118,7 @@ class AsyncioTasks:
         self._loop.call_soon(_throw, error)
 
     def stoppable(self) -> AbstractContextManager[None]:
-        """Return a context manager that does nothing: on asyncio, `stop_program` needs none."""
+        """Return a context manager that does nothing; on asyncio, `stop_program` needs no block."""
         return nullcontext()
 
 
@@ -126,9 +126,9 @@ class _Begun(Coroutine[object, object, None]):
     """A coroutine that runs its first step even if its task is cancelled before that.
 
     If a task is cancelled before its first step, asyncio throws the cancellation into a coroutine
-    that has not begun. Such a coroutine runs no code at all, not even ``finally``, so nobody hears
-    of its end. This wrapper therefore runs the first step before it passes the cancellation on. The
-    cancellation then arrives at the first ``await``, as on trio.
+    that has not begun. Such a coroutine runs no code at all, not even ``finally``, and so cannot
+    report its end. This wrapper therefore runs the first step before it passes the cancellation on.
+    The cancellation then arrives at the first ``await``, as on trio.
     """
 
     __slots__ = ("_has_begun", "_running")
@@ -163,7 +163,7 @@ class AsyncioSignal(msgspec.Struct, eq=False):
     _waiting: dict[asyncio.Future[None], None] = {}
 
     def fire(self) -> None:
-        """Wake every task that waits now."""
+        """Wake every task that is waiting."""
         if self._waiting:
             waiting, self._waiting = self._waiting, {}
             for future in waiting:
@@ -182,7 +182,7 @@ class AsyncioSignal(msgspec.Struct, eq=False):
 
     @property
     def waiters(self) -> int:
-        """How many tasks wait now."""
+        """How many tasks are waiting."""
         return len(self._waiting)
 
 

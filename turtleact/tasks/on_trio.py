@@ -59,7 +59,10 @@ class TrioTasks:
         return False
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call the callback now. If it spawns tasks, trio runs their first steps later."""
+        """Call the callback now.
+
+        If the callback spawns tasks, trio runs their first steps later.
+        """
         callback()
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
@@ -116,7 +119,7 @@ class TrioTasks:
 
 
 class _Stop:
-    """The error that ends the program, and the blocks that must be cancelled for it.
+    """The error that ends the program, and the `stoppable` blocks that the error cancels.
 
     Each event loop has one such object.
     """
@@ -156,7 +159,7 @@ class TrioSignal:
         self._lot = lot
 
     def fire(self) -> None:
-        """Wake every task that waits now."""
+        """Wake every task that is waiting."""
         self._lot.unpark_all()
 
     async def wait(self) -> None:
@@ -165,5 +168,5 @@ class TrioSignal:
 
     @property
     def waiters(self) -> int:
-        """How many tasks wait now."""
+        """How many tasks are waiting."""
         return self._lot.statistics().tasks_waiting

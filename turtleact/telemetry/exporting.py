@@ -6,8 +6,8 @@ variables, such as ``OTEL_EXPORTER_OTLP_ENDPOINT``, ``OTEL_SERVICE_NAME``,
 ``OTEL_METRIC_EXPORT_INTERVAL``. ``OTEL_TRACES_EXPORTER=none`` switches traces off, and
 ``OTEL_METRICS_EXPORTER=none`` switches metrics off.
 
-The SDK sends everything in its own threads, so a collector that is slow or down delays no goal.
-Spans that do not fit into the SDK's queue are dropped, and the SDK logs that.
+The SDK sends everything in its own threads, so a slow or unreachable collector does not delay
+goals. Spans that do not fit into the SDK's queue are dropped, and the SDK logs that.
 
 Source: OpenTelemetry specification 1.45, "Environment Variable Specification".
 """
@@ -151,7 +151,7 @@ def _without_tracebacks() -> Iterator[None]:
 
 
 def _shorten(record: logging.LogRecord) -> bool:
-    """Replace a record's traceback by a summary of the exception."""
+    """Replace a record's traceback with a summary of the exception."""
     error = record.exc_info and record.exc_info[1]
     if error:
         record.msg, record.args = f"{record.getMessage()} ({summary(error)})", ()

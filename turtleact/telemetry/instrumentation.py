@@ -80,10 +80,9 @@ class _Instrumentation:
 
 
 class _Nothing:
-    """A stand-in for an object of the transport.
+    """Takes the place of a transport's object, because an `_Instrumentation` has none.
 
-    A node closes each user's object together with an object of the transport, but an
-    `_Instrumentation` has no such object.
+    A node closes each of its objects together with an object of the transport.
     """
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Gives goals traces of their own. This is a separate module because it needs no OpenTelemetry."""
+"""Gives goals traces of their own. This module works without OpenTelemetry."""
 
 from __future__ import annotations
 

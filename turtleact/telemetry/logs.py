@@ -6,8 +6,8 @@
 >>> handler.setFormatter(JsonFormatter())
 
 Each record that is logged in a body then carries the goal id, the action and the node, whichever
-module logs it. A record that is logged in a thread carries them, too, if the thread has the body's
-context. Threads of `asyncio.to_thread` and `anyio.to_thread` have this context.
+module logs it. A record that is logged in a thread also carries these three fields if the thread
+has the body's context. Threads of `asyncio.to_thread` and `anyio.to_thread` have this context.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ __all__ = ["GoalFilter", "JsonFormatter", "TextFormatter"]
 FIELDS: Final = ("goal_id", "action", "node")
 
 PLAIN: Final = frozenset({*logging.makeLogRecord({}).__dict__, "message", "asctime", "taskName"})
-"""The attributes that every record has. All others were passed as ``extra``."""
+"""The attributes that every record has.
+
+All other attributes of a record were passed as ``extra``."""
 
 
 class GoalFilter(logging.Filter):
@@ -73,8 +75,8 @@ class JsonFormatter(logging.Formatter):
     Each object has the members ``time`` (UTC, ISO 8601), ``level``, ``logger`` and ``message``. A
     record that was logged in a body also has ``goal_id``, ``action`` and ``node``. A record that
     was logged in a span of OpenTelemetry also has ``trace_id`` and ``span_id``. A traceback is in
-    ``exception``. Values passed as ``extra`` are members, too. If an extra has the name of another
-    member, an underscore is added to the extra's name.
+    ``exception``. Values passed as ``extra`` also become members. If an ``extra`` value has the
+    name of another member, an underscore is appended to the name of the value.
     """
 
     def format(self, record: logging.LogRecord) -> str:

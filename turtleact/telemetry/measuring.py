@@ -55,7 +55,7 @@ class Measurements(Protocol):
         """
 
     def feedback_lost(self, action: str, count: int) -> None:
-        """Called with the number of feedback messages that have not reached a client."""
+        """Called when ``count`` feedback messages have not reached a client."""
 
     def lagged(self, seconds: float) -> None:
         """Called regularly with the number of seconds by which the event loop was late."""
@@ -109,11 +109,14 @@ class _ServerMeter(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """No: a goal that starts at once has no waiting time to measure."""
+        """False, because a goal that starts at once has no waiting time to measure."""
         return False
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
-        """Count the goal in its new state, and measure how long it has waited or taken."""
+        """Count the goal in its new state.
+
+        Measure how long the goal waited for its body, or how long it took.
+        """
         self._move(before, after)
         if after is GoalStatus.EXECUTING:
             self._measurements.waited(self._action, (self._now() - goal.stamp) / 1e9)

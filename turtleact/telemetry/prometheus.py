@@ -181,9 +181,9 @@ class _Histogram:
     """Counts values in buckets, and adds the values up.
 
     Attributes:
-        counts: How many values are in each bucket. Each bucket but the last holds the values up to
-            one of the `BOUNDS` and above the bound before it. The last bucket holds the values
-            above all bounds.
+        counts: How many values are in each bucket. `BOUNDS` has the upper bound of each bucket
+            except the last. A value goes into the first bucket whose bound is not below the value.
+            The last bucket counts the values above all bounds.
         sum: The sum of all values.
     """
 

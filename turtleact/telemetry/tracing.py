@@ -13,9 +13,9 @@ detaches the goal or closes. If the server is in the client's process, the clien
 kind INTERNAL instead of CLIENT.
 
 The server's span is current in the body, so the spans of goals that the body sends are its
-children. A request to another process carries the ids of the client's span in a note
-(`turtleact.goal_wire.GoalNote`). If such a request has no note, the server's span begins a new
-trace.
+children. A request to another process carries the ids of the client's span in a
+`turtleact.goal_wire.GoalNote`. If a request from another process carries no ids, the server's span
+begins a new trace.
 
 If the client is in the server's process and the client's span is not sampled, the server makes no
 span.
@@ -60,7 +60,9 @@ from turtleact.transports.base import REQUEST_NOTE
 __all__ = ["Tracing"]
 
 LONGEST_STATE: Final = 512
-"""A ``tracestate`` of more characters is left out. W3C asks for a limit of at least 512."""
+"""A ``tracestate`` with more characters is left out.
+
+W3C Trace Context asks senders to propagate at least 512 characters."""
 
 PROPAGATOR: Final = TraceContextTextMapPropagator()
 
@@ -368,7 +370,7 @@ class _ClientSpans(GoalObserver):
             record.end("")
 
     def closed(self) -> None:
-        """End the spans of the client's goals, because a closed client hears no more of them."""
+        """End the spans of the client's goals, because a closed client receives no more updates."""
         sent = self._spans.records
         for record in {*sent.values(), *self._sending.values()}:
             if record.span.is_recording():
@@ -378,7 +380,10 @@ class _ClientSpans(GoalObserver):
 
 
 def _current() -> Context:
-    """Return the current context, or if it has no span, that of the request being handled."""
+    """Return the current context.
+
+    If the current context has no span, return the context of the request that is being handled.
+    """
     context, note = contexts.get_current(), REQUEST_NOTE.get()
     if not note or trace.get_current_span(context).get_span_context().is_valid:
         return context
@@ -386,7 +391,10 @@ def _current() -> Context:
 
 
 def _context_in(note: GoalNote) -> Context:
-    """Return the context that a note carries. If the note has no span, neither has the context."""
+    """Return the context that a note carries.
+
+    If the note carries no span, return an empty context.
+    """
     if not note.traceparent:
         return Context()
     carrier = {"traceparent": note.traceparent}

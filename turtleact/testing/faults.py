@@ -65,8 +65,8 @@ class FaultyTransport:
     """A transport that delivers messages late, twice or not at all.
 
     Only messages to subscriptions that are opened on this transport are affected. Nodes that are
-    opened on the wrapped transport share the same graph, without faults. As in every transport,
-    messages keep their order: a late message also delays the messages behind it. Messages may be
+    opened on the wrapped transport share the same graph, without faults. Messages keep their order,
+    as in every transport, so a late message also delays the messages behind it. Messages may be
     lost even if their topic's quality of service is reliable.
 
     Close the transport, or use it as an async context manager. Delayed messages are lost when it
@@ -76,8 +76,8 @@ class FaultyTransport:
         transport: The transport to wrap.
         seed: Determines the random faults.
         delay: How late messages are (s of the transport's clock). Give one number for all messages,
-            or the shortest and the longest delay. In the second case, the delay of each message is
-            drawn between these two.
+            or a pair of the shortest and the longest delay. With a pair, each message gets a random
+            delay between the two numbers.
         drop: The share of messages that are lost, from 0 to 1.
         repeat: The share of delivered messages that arrive twice, from 0 to 1.
 

@@ -6,8 +6,8 @@ time jumps to the next timer, with two exceptions:
 
 - If the loop has given work to a thread (``asyncio.to_thread``, ``run_in_executor``, or
   ``anyio.to_thread.run_sync`` with its default limiter), time stands still until the thread is
-  done. Therefore, if the thread itself waits for virtual time, it waits forever. Time does not
-  stand still for other threads.
+  done. Therefore, if the thread itself waits for virtual time, it waits forever. Work in other
+  threads does not hold time back.
 - If a socket, a pipe or a child process is open, time jumps only after ``patience`` real seconds in
   which nothing has arrived, because nobody can know whether something will still arrive.
 
@@ -57,7 +57,8 @@ def run(
         *args: The arguments of the coroutine function.
         backend: The event loop: ``"asyncio"`` or ``"trio"``.
         patience: How long sockets, pipes and child processes must be silent before time jumps (s of
-            real time, 0 or more). With `math.inf`, time stands still while one of these is open.
+            real time, 0 or more). With `math.inf`, virtual time stands still while any socket, pipe
+            or child process is open.
 
     Returns:
         The result of ``async_fn``.

@@ -5,16 +5,16 @@ objects of the same name and type. If messages travel as bytes, the `Format` of 
 them. A transport guarantees:
 
 - Each subscription gets the messages of one publisher in the order in which they were published.
-- The ``deliver`` function of a subscription is called in the subscription's event loop. If the
-  subscription is opened with ``in_any_thread``, the thread that publishes or receives the message
-  calls it instead. An exception that ``deliver`` raises is logged and never reaches the publisher.
+- The ``deliver`` function of a subscription is called in the subscription's event loop. With
+  ``in_any_thread``, ``deliver`` is called in the thread that publishes or receives the message. An
+  exception that ``deliver`` raises is logged and never reaches the publisher.
 - A topic is *latched* if its endpoints are transient-local. A new subscription of a latched topic
   first gets the publishers' last messages, even those published before the subscription was opened.
 - A closed endpoint neither sends nor receives. The latched messages of a closed publisher are gone.
 - Two endpoints of the same name and type communicate even if their qualities of service differ.
 - Every call ends, either with a reply or with an error that says why there is none.
 
-`Transport.serve` accepts any object as the handler of a service. A client in the same process gets
+The handler that you pass to `Transport.serve` may be any object. A client in the same process gets
 the handler from `Transport.local` and calls it directly, so no request passes through the
 transport. If the handler is an `AsyncHandler`, clients in other processes can call it through the
 `Caller` that `Transport.join` returns.
@@ -116,8 +116,8 @@ _POLICIES = {
 class TimePolicies(msgspec.Struct, frozen=True, gc=False):
     """The QoS policies of a ROS 2 endpoint that are measured in time.
 
-    turtleact shows these policies of ROS 2 endpoints, but does not enforce them. Its own endpoints
-    do not set them.
+    turtleact shows these policies of ROS 2 endpoints, but does not enforce them. turtleact's own
+    endpoints do not set these policies.
 
     Attributes:
         deadline: The longest time between two messages (ns); None if there is no limit.
@@ -152,8 +152,8 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
         on_demand: Whether the endpoint stays hidden from other processes until one of them has an
             endpoint with the same name. This saves work if a process opens thousands of endpoints
             and uses only a few.
-        is_unlisted: Whether `Transport.endpoints` and `Transport.local_endpoints` leave the
-            endpoint out if they are called without a name, in the process that opened the endpoint.
+        is_unlisted: Whether `Transport.endpoints` and `Transport.local_endpoints`, called without a
+            name, leave the endpoint out in the endpoint's own process.
     """
 
     kind: EndpointKind
@@ -261,8 +261,8 @@ class Owner(Protocol):
             opened: The object that the transport has opened for ``thing``.
 
         Returns:
-            An object whose ``close`` closes ``opened`` and ends the tracking. When ``thing`` is
-            closed, ``thing`` must call this ``close``.
+            A `Closeable`. Its ``close`` closes ``opened``, and the owner stops tracking ``thing``.
+            When ``thing`` is closed, ``thing`` must call ``close`` of this `Closeable`.
         """
 
     def add_server(
@@ -301,7 +301,7 @@ class Publication(Closeable, Protocol):
         """Send an encoded message to other processes, and to subscriptions with a `RawFormat`."""
 
     def expect_readers(self) -> None:
-        """From now on, send messages to other processes even if no reader is known there yet."""
+        """From now on, send messages to other processes even before a reader is known."""
 
     def refresh(self) -> None:
         """Publish the source's state. The transport may skip a state that is soon replaced."""
@@ -362,8 +362,9 @@ class Target(msgspec.Struct, frozen=True, gc=False):
     Attributes:
         servers: Which servers get each request: ``"all"``, as in ROS 2, or ``"one"``, the nearest
             server. With ``"all"``, the client uses the first reply.
-        counts: Called with the bytes of each reply, in any thread. The client uses the first reply
-            for which this function returns True. If there is none, the client uses the last reply.
+        counts: A function that is called with the bytes of each reply, in any thread. The client
+            uses the first reply for which the function returns True. If the function returns False
+            for every reply, the client uses the last reply.
     """
 
     servers: Literal["one", "all"] = "all"
@@ -434,8 +435,8 @@ class Caller(Closeable, Protocol):
     async def wait_for_route(self) -> None:
         """Wait, at most a few seconds, until a server that is on the graph can be reached.
 
-        A client that was opened a moment ago sees a server before it can reach that server. If no
-        server is on the graph, this returns at once. Cancelling: safe.
+        A client that was opened a moment ago sees a server before it can reach that server. This
+        method returns at once if no server is on the graph. Cancelling: safe.
         """
 
     async def call(self, request: object, note: str = "") -> Reply:
@@ -503,7 +504,7 @@ class SyncHandler(Protocol):
         """Answer a request by calling ``respond`` once, now or later, with a reply or an error.
 
         Return True if ``respond`` has been or will be called. Return False if the request must be
-        answered in a task. In that case, the handler must not have done anything.
+        answered in a task. Before returning False, the handler must not change anything.
         """
 
 
@@ -536,12 +537,12 @@ class Lazy(Protocol):
     def open_when_sought(self, name: str, open: Callable[[], Closeable]) -> Closeable:
         """Call ``open`` as soon as another process has an endpoint with this name.
 
-        This costs less than an endpoint with ``on_demand``, because that endpoint exists in this
-        process from the start.
+        This method costs less than an endpoint with ``on_demand``, because an endpoint with
+        ``on_demand`` exists in this process from the start.
 
         Returns:
-            An object whose ``close`` closes what ``open`` has returned. If ``open`` has not been
-            called yet, ``close`` prevents the call.
+            A `Closeable`. Its ``close`` closes the object that ``open`` has returned. If ``open``
+            has not been called yet, ``close`` prevents the call.
         """
 
 
@@ -565,8 +566,8 @@ class Transport(Protocol):
     ) -> Publication:
         """Open the sending end of a topic.
 
-        If there is a ``source``, a new reader of a latched topic gets the messages of the source,
-        not those passed to `Publication.publish`.
+        With a ``source``, a new reader of a latched topic gets the messages that the source
+        returns, instead of messages passed to `Publication.publish`.
         """
 
     def subscribe(
@@ -590,10 +591,10 @@ class Transport(Protocol):
 
         Each request from another process is handled in its own task, unless a `SyncHandler` answers
         it without a task. Closing the service lets these tasks finish. Closing the transport
-        cancels them.
+        cancels the tasks of all requests.
 
         If a node offers several handlers of a service, other processes see only one server, so that
-        no client gets two replies. The oldest handler answers. `all_local` returns all handlers.
+        no client gets two replies. The oldest handler answers. `all_local` returns every handler.
         """
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
@@ -609,25 +610,25 @@ class Transport(Protocol):
         """Show a node with this fully qualified name on the graph."""
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints, those of this process first. With a ``name``, only those of that name."""
+        """All endpoints, this process's first. With a ``name``, only endpoints of that name."""
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints opened in this process. With a ``name``, only those of that name."""
+        """All endpoints opened in this process. With a ``name``, only endpoints of that name."""
 
     def nodes(self) -> tuple[str, ...]:
         """The names of all nodes, those of this process first. A name may occur twice."""
 
     @property
     def changes(self) -> int:
-        """The number of changes of the graph so far. If it is unchanged, so is the graph."""
+        """The number of graph changes. While this number stays the same, the graph is unchanged."""
 
     async def wait_for_change(self) -> None:
         """Wait until a node or endpoint appears or disappears. Cancelling: safe.
 
-        This notices only changes after the call. So look at the graph first, and then call this
-        without another ``await`` in between. To limit the wait, use a cancel scope or
-        `asyncio.timeout`. Do not use `asyncio.wait_for` of Python 3.11: it waits in another task,
-        and misses a change that happens before that task runs.
+        This method notices only changes after the call. Therefore, look at the graph first, and
+        then call this method with no other ``await`` in between. To limit the wait, use a cancel
+        scope or `asyncio.timeout`. Do not use `asyncio.wait_for` of Python 3.11, because `wait_for`
+        waits in another task and misses changes before that task runs.
         """
 
 
@@ -680,9 +681,8 @@ def why_not_served(servers: Sequence[Endpoint], wanted: Endpoint, suffix: str = 
 
     Args:
         servers: All endpoints with the service's name, including clients.
-        wanted: The client's endpoint. Its type hash, if known, is compared with those of the
-            servers.
-        suffix: An ending of type names, such as ``_SendGoal``, that the explanation leaves out.
+        wanted: The client's endpoint. Its type hash, if known, is compared with each server's hash.
+        suffix: A suffix of type names, such as ``_SendGoal``, that the explanation leaves out.
     """
     others = [each for each in servers if each.kind == "service" and each.name == wanted.name]
     hashes = {each.type_hash for each in others if each.type_name == wanted.type_name}

@@ -76,8 +76,8 @@ class MemoryTransport:
     ) -> Publication:
         """Open the sending end of a topic.
 
-        If there is a ``source``, a new reader of a latched topic gets the messages of the source,
-        not those passed to `Publication.publish`.
+        With a ``source``, a new reader of a latched topic gets the messages that the source
+        returns, instead of messages passed to `Publication.publish`.
         """
         topic = self._topic(endpoint)
         publication = _Publication(topic, endpoint.qos, format, source)
@@ -168,15 +168,14 @@ class MemoryTransport:
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints on the graph, or only those of the topic or service ``name``.
 
-        The oldest endpoint comes first. If you pass no ``name``, endpoints with ``is_unlisted`` are
-        left out.
+        The oldest endpoint comes first. Without a ``name``, unlisted endpoints are left out.
         """
         if name:
             return tuple(self._by_name.get(name, {}).values())
         return tuple(each for each in self._endpoints.values() if not each.is_unlisted)
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The same endpoints as in `endpoints`, because all of them are in this process."""
+        """The same endpoints as `endpoints` returns, because all endpoints are in this process."""
         return self.endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
@@ -190,7 +189,7 @@ class MemoryTransport:
         await self._changed.wait()
 
     def tell_change(self) -> None:
-        """Count a change of the graph, and wake the tasks that wait for one."""
+        """Count a change of the graph, and wake the tasks that wait for a change."""
         self.changes += 1
         if self._changed is not None:
             self._changed.fire()
@@ -295,8 +294,9 @@ class _Publication:
     """The sending end of a topic.
 
     Attributes:
-        has_readers: See `Publication`. The value is stored, because it is needed for each message.
-        has_object_readers: See `Publication`. This value is stored, too.
+        has_readers: See `Publication`. The value is cached, because publishing reads the value for
+            each message.
+        has_object_readers: See `Publication`. Cached like ``has_readers``.
     """
 
     on_close: Leave
@@ -490,8 +490,8 @@ class _Offer:
     """A handler that a node offers. Two offers of the same handler are not equal.
 
     Attributes:
-        leave: Removes the node's server from the graph. If the node offers several handlers of the
-            service, only one of the offers has this function, and the others have None.
+        leave: Removes the node's server from the graph; None if another offer of the same node and
+            service removes the server.
     """
 
     __slots__ = ("handler", "leave", "node")

@@ -1,6 +1,6 @@
 """The web server: gives browsers and rosbridge clients access to a node, and serves a web page.
 
-`add_error_handlers` is for your own web apps, made with Starlette or FastAPI.
+Use `add_error_handlers` in your own Starlette or FastAPI apps.
 
 The web server serves an ordinary `turtleact.Node`. Other modules of turtleact import this package
 only when they use it.

@@ -3,9 +3,9 @@
 - A web page of another site can open a WebSocket to any address. The browser sends that page's
   origin, and the server refuses the connection. Programs other than browsers send no origin, and
   may connect.
-- By DNS rebinding, another site can make its own host name lead to this machine. Requests of its
-  pages then have that name in the Host header, and the server refuses them. An IP address or a
-  loopback name in the Host header is allowed, because neither can be rebound.
+- By DNS rebinding, another site can make its own host name lead to this machine. Requests of that
+  site's pages have this host name in the Host header, so the server refuses the requests. An IP
+  address or a loopback name in the Host header is allowed, because neither can be rebound.
 - If the server has a token, clients must send it.
 
 Source: RFC 6454 (origins); RFC 6455, section 10.2; RFC 9110, section 7.2 (Host).
@@ -28,7 +28,7 @@ __all__ = ["TELL_EVERY", "Access", "Refusals"]
 logger = logging.getLogger("turtleact.web")
 
 TELL_EVERY: Final = 10.0
-"""Refused connections are logged at most once per this time (s)."""
+"""The shortest time between two log lines about refused connections (s)."""
 
 
 class Access(msgspec.Struct, frozen=True):
@@ -76,8 +76,8 @@ class Access(msgspec.Struct, frozen=True):
 class Refusals:
     """Counts and logs refused connections, with at most one line every `TELL_EVERY` seconds.
 
-    Anybody who can reach the port can cause refusals. With a line for each refusal, they could fill
-    the log.
+    Anybody who can reach the port can cause refusals. If each refusal were logged, refusals could
+    fill the log.
     """
 
     def __init__(self) -> None:

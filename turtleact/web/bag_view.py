@@ -50,7 +50,7 @@ PAGE: Final = {
     "/bag.css": ("bag.css", "text/css"),
     "/bag.js": ("bag.js", "text/javascript"),
 }
-"""The files of this page. All other files are those of a node's page."""
+"""The files that only this page uses. This page shares all its other files with a node's page."""
 
 LONGEST: Final = 60.0
 """The longest part of a bag that is sent at once (s)."""

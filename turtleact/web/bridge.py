@@ -68,7 +68,9 @@ FILES: Final = {
     "/favicon.ico": ("icon.svg", "image/svg+xml"),
     **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in MODULES},
 }
-"""The files of the page by path. Only the first needs the token; the others hold no data."""
+"""The files of the page by path.
+
+Only the HTML page needs the token, because the other files contain no data."""
 
 
 class Statistics(msgspec.Struct, frozen=True):
@@ -78,7 +80,8 @@ class Statistics(msgspec.Struct, frozen=True):
         connections: How many clients are connected.
         goals: How many goals of clients are under way, including those of disconnected clients.
         waiting: How many frames wait to be sent to the connected clients.
-        dropped: How many frames the connected clients have lost because they read too slowly.
+        dropped: How many frames for connected clients were dropped because the clients read too
+            slowly.
     """
 
     connections: int

@@ -43,10 +43,14 @@ PATIENCE: Final = 2.0
 """A client that reads nothing for this long (s) is disconnected."""
 
 SLOWEST: Final = 2**16
-"""The time to send the previous frame at this rate (bytes/s) is added to `PATIENCE`."""
+"""The slowest expected rate of a client (bytes/s).
+
+The time that the previous frame takes at this rate is added to `PATIENCE`."""
 
 GONE: Final = (OSError, WebSocketDisconnect, RuntimeError)
-"""The exceptions of sending to a client that has gone. These exceptions differ between servers."""
+"""The exceptions raised by sending to a disconnected client.
+
+The exception's class depends on the ASGI server."""
 
 GOING_AWAY: Final = 1001
 TRY_AGAIN_LATER: Final = 1013
@@ -132,10 +136,10 @@ class Connection:
         self._filled.fire()
 
     def shrink(self) -> int:
-        """Free memory, because all clients together hold too much.
+        """Free memory, because all clients together exceed the memory limit.
 
-        Drop the frames that may be dropped. If there are none, disconnect the client. Return how
-        much memory the connection still holds (bytes).
+        Drop the frames that may be dropped. If no frame may be dropped, disconnect the client.
+        Return how much memory the connection still holds (bytes).
         """
         if self.mailbox.shed():
             return self.mailbox.size
@@ -209,7 +213,7 @@ class Connection:
         cast("TaskGroup", self._group).cancel_scope.cancel()
 
     def _release(self, now: float) -> float:
-        """Queue the waiting messages that are due. Return the time when the next one is due."""
+        """Queue the waiting messages that are due. Return the time when the next message is due."""
         due = math.inf
         for throttle, _, _ in self._readers.values():
             message = throttle.release(now)
@@ -241,7 +245,7 @@ class Connection:
             self.keep(cast("Say", effect).frame)
 
     async def _perform(self, effect: Effect) -> None:
-        """Carry out an effect. Report a failure to the client, if it wants status messages."""
+        """Carry out an effect. Report a failure to a client that asked for ``status`` frames."""
         match effect:
             case Say(frame):
                 self.keep(frame)

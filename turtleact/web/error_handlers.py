@@ -65,8 +65,8 @@ def location(path: str) -> list[str | int]:
     """Return the path of a value in a request's body, in the form of FastAPI's ``loc``.
 
     Args:
-        path: The attribute ``path`` of an `InvalidGoal`. Its first word stands for the whole
-            message, and is replaced by ``body``.
+        path: The attribute ``path`` of an `InvalidGoal`. The first part of the path, such as
+            ``goal``, names the whole message and is replaced by ``body``.
 
     >>> location("goal.targets[1].x")
     ['body', 'targets', 1, 'x']

@@ -2,12 +2,13 @@
 
 This module reads no clock: the caller passes the time as ``now``.
 
-- `Mailbox.keep` takes frames that must arrive, such as responses, results and goals. These are
-  never dropped. If too many of them wait, the client is disconnected (`Mailbox.is_overfull`).
-- `Mailbox.put` takes frames of topics and feedback. If too many of them wait, the oldest ones are
-  dropped and counted (`Mailbox.dropped`).
+- `Mailbox.keep` takes frames that must arrive, such as responses, results and goals. Frames that
+  must arrive are never dropped. If too many such frames wait, the client is disconnected
+  (`Mailbox.is_overfull`).
+- `Mailbox.put` takes frames of topics and feedback. If too many frames of topics and feedback wait,
+  the oldest are dropped and counted (`Mailbox.dropped`).
 - `Budget` bounds the memory of all clients together. Without the budget, a hundred clients could
-  stay below their own limits and still take a gigabyte together.
+  together use a gigabyte, although each client is below its own limit.
 
 Source: rosbridge v2, ``throttle_rate`` and ``queue_length`` of ``subscribe``.
 """
@@ -26,13 +27,13 @@ MOST_OF_ONE: Final = 32
 """The maximum number of frames that wait for one topic or goal."""
 
 MOST_DROPPABLE: Final = 4 * 2**20
-"""The maximum number of waiting bytes that may be dropped. The newest frame always stays."""
+"""The maximum size of a client's queued droppable frames (bytes). The newest frame always stays."""
 
 MOST_KEPT: Final = 1024
-"""The maximum number of waiting frames that must not be dropped."""
+"""The maximum number of a client's queued frames that must arrive."""
 
 MOST_KEPT_BYTES: Final = 32 * 2**20
-"""The maximum number of waiting bytes that must not be dropped."""
+"""The maximum size of a client's queued frames that must arrive (bytes)."""
 
 
 class Holder(Protocol):
@@ -45,14 +46,15 @@ class Holder(Protocol):
 class Budget:
     """Limits the memory that all clients together hold.
 
-    If the limit is exceeded, the client that holds the most must free memory, even if the data of
-    another client came last. So a few clients cannot use up the budget and shut out all others.
+    If the limit is exceeded, the client that holds the most must free memory, even if the latest
+    data came from another client. Therefore, a few clients cannot use up the budget and shut out
+    all others.
 
     Args:
         most: The limit (bytes).
 
     Attributes:
-        held: How much memory the clients hold now (bytes).
+        held: How much memory the clients currently hold (bytes).
 
     Example:
         >>> class Client:
@@ -91,7 +93,7 @@ class Mailbox:
     """The frames that wait for one client.
 
     Attributes:
-        dropped: How many frames were dropped to limit the memory.
+        dropped: How many frames were dropped to limit memory use.
     """
 
     def __init__(self) -> None:
@@ -153,7 +155,7 @@ class Mailbox:
             self._droppable_bytes -= len(frame)
 
     def shed(self) -> bool:
-        """Drop and count all frames that may be dropped. Return False if there were none."""
+        """Drop and count all frames that may be dropped. Return whether any frame was dropped."""
         dropped = sum(map(len, self._droppable.values()))
         self.dropped += dropped
         self.drop_all()
@@ -191,8 +193,8 @@ class Throttle:
     Attributes:
         topic: The argument ``topic``.
         interval: The minimum time between two messages (s).
-        queue_length: How many messages may wait for this time to pass. If more come, only the
-            newest are kept. If 0, messages that would have to wait are dropped.
+        queue_length: How many messages may wait until the interval has passed. Of more waiting
+            messages, only the newest are kept. If 0, messages that would have to wait are dropped.
         compression: How messages are encoded: ``none``, ``png``, ``cbor`` or ``cbor-raw``.
         due: The time when the next waiting message may be sent (s); None if no message waits.
     """

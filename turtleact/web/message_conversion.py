@@ -1,11 +1,11 @@
 """Converts messages and replies to frames of JSON or CBOR, and clients' values to messages.
 
-Some values have rosbridge's form in JSON:
+In JSON, some values are written and read as in rosbridge:
 
-- ``uint8[]`` and ``char[]`` are written as base64 text. A list of numbers is accepted, too.
+- ``uint8[]`` and ``char[]`` are written as base64 text. A list of numbers is also accepted.
 - NaN and infinity are written as null. In place of a floating-point number, null is read as NaN.
-- A time has the members ``sec`` and ``nanosec``. The names ``secs`` and ``nsecs`` are accepted,
-  too.
+- A time has the members ``sec`` and ``nanosec``. The names ``secs`` and ``nsecs`` are also
+  accepted.
 - A whole number is accepted in place of a floating-point number, because JavaScript writes ``1``
   for ``1.0``.
 - A list is accepted in place of the outermost object. The list holds the values of the fields in
@@ -106,7 +106,7 @@ def reply(op: str, id: Id, **members: object) -> str:
 def png(text: str) -> str:
     """Return a ``png`` frame, which contains another frame as a picture.
 
-    The bytes of the pixels are the text of the other frame, padded with line breaks. Clients decode
+    The pixels of the picture are the bytes of ``text``, padded with line breaks. Clients decode
     each byte as Latin-1, so characters beyond ASCII are escaped.
     """
     data = beyond_ascii.sub(_escaped, text).encode()
@@ -150,7 +150,7 @@ class Rendering:
 
 
 def json_values(message: Message) -> object:
-    """Return the value that msgspec writes as a message's JSON. It is often the message itself."""
+    """Return the value, often the message itself, that msgspec writes as a message's JSON."""
     convert = _writer(type(message), is_json=True)
     return message if convert is None else convert(message)
 

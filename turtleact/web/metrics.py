@@ -1,8 +1,9 @@
 """Serves metrics over HTTP, for Prometheus.
 
 If the server listens on a loopback address, the Host header of a request must be an IP address or a
-loopback name. So no page of another site can read the metrics through DNS rebinding. If the server
-listens on any other address, everybody who can reach the port can read the metrics.
+loopback name. This rule prevents pages of other sites from reading the metrics through DNS
+rebinding. If the server listens on any other address, everybody who can reach the port can read the
+metrics.
 
 Source: Prometheus, "Exposition formats", text format 0.0.4.
 """
@@ -36,7 +37,9 @@ MOST_CONNECTIONS: Final = 256
 """The maximum number of open connections. Most programs may open 1,024 files."""
 
 SPARE: Final = 64
-"""How many connections may be open beyond that number. Their requests are answered with 503."""
+"""How many connections may be open beyond `MOST_CONNECTIONS`.
+
+Requests on these extra connections are answered with 503."""
 
 REQUEST_WITHIN: Final = 2.0
 """How long a client may take to send its request, which is short (s)."""

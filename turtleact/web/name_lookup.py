@@ -42,7 +42,7 @@ TOPIC_KINDS: tuple[EndpointKind, ...] = ("publisher", "subscription")
 SERVICE_KINDS: tuple[EndpointKind, ...] = ("service",)
 
 ALWAYS = {"/rosout": "rcl_interfaces/msg/Log"}
-"""Topics that every graph of ROS 2 has, because its nodes log there, with their types."""
+"""The names and types of topics that every ROS 2 graph has. ROS 2 nodes log to ``/rosout``."""
 
 
 def absolute(name: str) -> str:

@@ -211,7 +211,9 @@ Operation: TypeAlias = (
 )
 
 MOST_NESTED: Final = 100_000
-"""The maximum number of objects and lists in a frame. Reading a million takes seconds."""
+"""The maximum number of objects and lists in a frame.
+
+Reading a frame with a million objects and lists takes seconds."""
 
 half_pattern = re.compile(r"[\ud800-\udfff]|\\u[dD][89a-fA-F]")
 """A pattern that finds text that may be half a surrogate pair, plain or escaped."""

@@ -1,7 +1,7 @@
 """Prepares messages for the page: excerpts, numbers to plot, and descriptions of fields.
 
-A message may hold a million numbers, but the page shows only a few. Therefore the functions of this
-module look at no more values than they return. `form` describes an action's fields, so that the
+A message may hold a million numbers, but the page shows only a few. To save time, the functions of
+this module read only the values that they return. `form` describes an action's fields, so that the
 page can show input fields for a goal, and can label values. The comments in this description come
 from `turtleact.interfaces.comments`.
 """
@@ -72,7 +72,7 @@ def excerpt(message: Message) -> Plain:
 def numbers_in(message: Message) -> Iterator[tuple[str, float]]:
     """Yield numbers of a message with their paths, at most `MOST_PLOTTED`.
 
-    Numbers in lists are left out. Numbers of the outermost message come first.
+    Numbers in lists are left out. Numbers of nested messages come after the message's own numbers.
     """
     for path, attributes in _paths(type(message)):
         value: Any = message
@@ -101,8 +101,9 @@ def form(action: type[Action]) -> Described:
     - ``fields``: the fields of a nested message.
     - ``values``: the values that the field is limited to. Each is a pair of the value and its
       label, both as text.
-    - ``suggested``: such pairs, for a field that may have other values, too. For a text field
-      without constants, both the value and the label are a word that the field's comment quotes.
+    - ``suggested``: pairs of values and labels, for a field that may also have other values. For a
+      text field without constants, each word that the field's comment quotes is both value and
+      label.
     """
     parts: dict[str, type[Message]] = {
         "goal": action.Goal,

@@ -1,8 +1,8 @@
-"""Keeps the lines that turtles have drawn, so that pages that open later show them, too.
+"""Keeps the lines that turtles have drawn, for pages that are opened later.
 
-The lines are made from poses, because no topic publishes the drawing. This module learns only what
-web clients change: if another program sets a pen or clears the drawing, the lines here stay
-unchanged. This module does no I/O.
+The lines are made from poses, because no topic publishes the drawing. Web clients report to this
+module when they set a pen or clear the drawing. If another program sets a pen or clears the
+drawing, the lines here stay unchanged. This module does no I/O.
 
 Source: turtlesim ``turtle.cpp`` for the first pen.
 """
@@ -20,7 +20,7 @@ from turtleact.geometry import distance
 __all__ = ["FIRST_PEN", "MOST_LINES", "MOST_POINTS", "Pen", "PenTrails", "Tail"]
 
 MOST_LINES: Final = 128
-"""The lines of this many turtles are kept, including turtles that are gone."""
+"""The maximum number of turtles whose lines are kept, including turtles that no longer exist."""
 
 MOST_POINTS: Final = 2000
 """The maximum number of points of one turtle's line. The oldest points are dropped."""
@@ -78,7 +78,7 @@ class PenTrails:
         self._lines: dict[str, _Line] = {}
 
     def follow(self, name: str, x: float, y: float) -> None:
-        """Record where a turtle is now (m), and continue its line to this place."""
+        """Record a turtle's new position (m), and continue the turtle's line to this position."""
         self._line(name).follow((x, y), self._revise)
 
     def set_pen(self, name: str, pen: Pen) -> None:
@@ -90,7 +90,7 @@ class PenTrails:
     def lift(self, name: str) -> None:
         """Record that a turtle is gone.
 
-        No line will lead from its last place to a new turtle with the same name.
+        No line will lead from the turtle's last position to a new turtle with the same name.
         """
         if name in self._lines:
             self._lines[name].lift()
@@ -154,12 +154,12 @@ class _Line:
             self._add(here, revise)
 
     def turn(self, revise: Callable[[], int]) -> None:
-        """Add the turtle's current place to the points of the line."""
+        """Add the turtle's current position to the points of the line."""
         if self._here is not None:
             self._add(self._here, revise)
 
     def lift(self) -> None:
-        """Record that the turtle is gone. If it comes back, no line joins the two places."""
+        """Record that the turtle is gone. No line leads from its last position to a new turtle."""
         self._here = None
 
     def since(self, revision: int) -> Tail:

@@ -42,11 +42,11 @@ __all__ = [
 LEVELS: Final = {"none": 0, "error": 1, "warning": 2, "info": 3}
 
 LONGEST_QUEUE: Final = 1000
-"""The maximum of ``queue_length`` and ``queue_size``. Larger values of a client are reduced to it.
+"""The maximum of ``queue_length`` and ``queue_size``. Larger values are reduced to the maximum.
 """
 
 LONGEST_INTERVAL: Final = 3600.0
-"""The maximum of ``throttle_rate`` (s). Larger values of a client are reduced to it."""
+"""The maximum of ``throttle_rate`` (s). Larger values are reduced to the maximum."""
 
 
 class Delivery(msgspec.Struct, frozen=True):
@@ -54,7 +54,7 @@ class Delivery(msgspec.Struct, frozen=True):
 
     Attributes:
         interval: The minimum time between two messages (s).
-        queue_length: How many messages may wait for this time to pass.
+        queue_length: How many messages may wait until the interval has passed.
         compression: How messages are encoded.
     """
 

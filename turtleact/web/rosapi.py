@@ -177,8 +177,8 @@ class Rosapi:
     def _topics_and_raw_types(self) -> Values:
         """Return all topics, their types, and the definitions of the types.
 
-        ``/rosout`` is always included. Otherwise Foxglove and Lichtblick would take the graph for
-        one of ROS 1.
+        ``/rosout`` is always included. Without ``/rosout``, Foxglove and Lichtblick would treat the
+        graph as a ROS 1 graph.
         """
         listed = self._topics()
         for topic, type in ALWAYS.items():

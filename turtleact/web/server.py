@@ -178,8 +178,8 @@ class Config(http_server.Config):
         refusals: The argument ``refusals``.
         budget: Limits the memory of all WebSockets. Leave it unset if the app has no WebSockets.
         request_within: How long a client may take to send its request (s).
-        spare: How many connections may be open beyond ``limit_concurrency``. Their requests are
-            answered with 503. Any further connection is reset.
+        spare: How many connections may be open beyond ``limit_concurrency``. Requests on these
+            extra connections are answered with 503. Any further connection is reset.
     """
 
     budget: Budget
@@ -208,8 +208,9 @@ class Config(http_server.Config):
 class _Log(logging.Logger):
     """The logger of uvicorn's protocols for one connection.
 
-    The protocols log a warning for each request that they refuse. These warnings are counted as
-    refusals, and not logged one by one. Errors are logged unchanged, because they show bugs.
+    The protocols log a warning for each request that they refuse. Each such warning counts as a
+    refusal in `Refusals`, and is not logged individually. Errors are logged unchanged, because they
+    show bugs.
     """
 
     def __init__(self, refusals: Refusals) -> None:
@@ -290,7 +291,7 @@ class Socket(WebSocketsSansIOProtocol):
         self._count()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Record that the connection has ended, and that no data is held for it any more."""
+        """Record that the connection has ended. Its data no longer counts towards the budget."""
         super().connection_lost(exc)
         self._budget.hold(self, 0)
 
@@ -412,7 +413,7 @@ def address_of(host: str, port: int) -> str:
 def _cost(part: Frame) -> int:
     """Return the memory used for a part of a message (bytes).
 
-    Python's overhead is included, because many tiny parts use much memory, too.
+    Python's overhead is included, because many tiny parts also use much memory.
     """
     return len(part.data) + OVERHEAD
 

@@ -219,7 +219,7 @@ class _Question:
         said: The client's answer; None until the answer has come.
         is_lost: Whether no answer will come.
         take_feedback: Called with the values of each feedback message of a goal. For a service
-            request, it does nothing.
+            request, this function does nothing.
     """
 
     def __init__(self, id: str, about: tuple[str, str], changed: Signal) -> None:

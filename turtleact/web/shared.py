@@ -9,9 +9,9 @@
   unless ``cancel_on_disconnect`` is set.
 - A web client may cancel a goal that another web client has sent. Web clients choose the ids of
   their goals themselves, so several of them may choose the same id. A request to cancel a goal
-  applies to the client's own goal with the given id. If the client has no such goal, the request
-  applies to the goal of another client with that id, if there is only one. If the action server has
-  not accepted the goal yet, the goal is canceled once it is accepted.
+  applies to the client's own goal with the given id. If the client has no goal with that id, the
+  request applies to another client's goal with that id, provided that only one such goal exists. If
+  the action server has not accepted the goal yet, the goal is canceled once it is accepted.
 
 Source: rosbridge_library ``capabilities/action_*.py``; its issues 1003, 1013, 1139 and 1152.
 """
@@ -99,8 +99,8 @@ class Limits(msgspec.Struct, frozen=True):
         memory: How much memory the server may hold for all clients together (bytes). This includes
             messages that have not arrived completely or have not been read yet, and frames that
             wait to be sent. If the limit is exceeded, the client that holds the most loses its
-            waiting topic messages and feedback. If that client has no such messages, it is
-            disconnected.
+            waiting topic messages and feedback. If the client that holds the most has no such
+            messages, that client is disconnected.
     """
 
     connections: int = 100
@@ -136,7 +136,7 @@ class Shared:
     async def call(self, said: CallService) -> object:
         """Call a service, and return the values of the response.
 
-        The service is one of rosapi, one of the bridge's web page, or one on the graph.
+        The service may belong to rosapi, to the bridge's web page, or to a node on the graph.
 
         Raises:
             TurtleactError: if the call fails.
@@ -255,7 +255,7 @@ class Feeds:
 
 
 class Closing(Protocol):
-    """A resource of a pool."""
+    """A resource that a `Pool` shares and closes."""
 
     async def aclose(self) -> None:
         """Close the resource."""
@@ -386,7 +386,7 @@ class Goals:
     def lose(self, teller: Teller) -> None:
         """Stop telling a client about its goals, because the client has gone.
 
-        Cancel its goals if ``cancel_on_disconnect`` is set.
+        If ``cancel_on_disconnect`` is set, also cancel the goals that the client has sent.
         """
         for sent in self._sent.values():
             if sent.teller is teller:
@@ -400,7 +400,7 @@ class Goals:
             await self._followed.wait()
 
     def leave(self) -> None:
-        """Tell all clients with goals under way that they will not hear how these goals end."""
+        """Tell all clients with goals under way that the results of these goals will not come."""
         # `is_over` keeps the end of the goal, should it still come, from being told after this.
         for sent in self._sent.values():
             sent.fail(CLOSING)
@@ -482,7 +482,7 @@ class _Sent:
         teller: Sends frames to the client; None after the client has gone.
         goal_id: The id of the goal on the graph (16 bytes).
         following: The task that follows the goal.
-        is_over: Whether the client was told that it will hear no more of the goal.
+        is_over: Whether the client was told that no more frames about the goal will come.
     """
 
     following: Background
@@ -518,11 +518,11 @@ class _Sent:
             self._handle.cancel_nowait()
 
     def tell_feedback(self, feedback: Message) -> None:
-        """Send the goal's client a feedback message."""
+        """Send a feedback message to the client that sent the goal."""
         self.tell("action_feedback", feedback)
 
     def tell(self, op: str, message: Message, **members: object) -> None:
-        """Send the goal's client a frame, unless the client has gone or `is_over` is true."""
+        """Send a frame to the goal's client, unless the client has gone or `is_over` is true."""
         if self.teller is None or self.is_over:
             return
         frame = reply(

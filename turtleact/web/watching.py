@@ -1,14 +1,14 @@
 """Watches the graph for the page: the goals of all actions, and the trails of turtles.
 
 The server keeps the goals and trails, so that they survive a reload of the page and are the same in
-every browser. Watching begins when the first page asks for them, and continues until the bridge is
-closed. If no page asks, watching costs nothing.
+every browser. Watching begins when the first page asks for the goals and trails, and continues
+until the bridge is closed. Until a page asks, watching costs nothing.
 
 A page calls the services below. Like the services of rosapi, they exist only for web clients:
 
-- ``/turtleact/web/watch`` returns the changes after a revision. If there are none, it waits for up
-  to `PATIENCE` seconds. The page calls it again after each answer, so a slow page calls it less
-  often, and no changes pile up for that page.
+- ``/turtleact/web/watch`` returns the changes after a revision. If nothing has changed, the service
+  waits for up to `PATIENCE` seconds. The page calls the service again after each answer. A slow
+  page therefore calls less often, and no changes pile up for that page.
 - ``/turtleact/web/form`` describes the fields of an action's type.
 - ``/turtleact/web/clear_trails`` erases the trails.
 - ``/turtleact/web/set_paused`` pauses or resumes a goal.
@@ -69,28 +69,33 @@ __all__ = [
 ]
 
 PACE: Final = 0.1
-"""A page gets news at most once per this time (s)."""
+"""The shortest time between two answers with changes to a page (s)."""
 
 PATIENCE: Final = 1.0
-"""A page gets an answer at least once per this time (s), so that it knows the time."""
+"""The longest time until a page gets an answer (s). Each answer tells the page the graph's time."""
 
 REACHED_WITHIN: Final = 5.0
 """How long to try to reach the server of a goal (s, by the graph's clock)."""
 
 MOST_ACTIONS: Final = 200
-"""At most this many actions are watched."""
+"""The maximum number of actions that are watched."""
 
 MOST_FOLLOWED: Final = 256
-"""At most this many goals are followed at a time. Of all other goals, only the status is known."""
+"""The maximum number of goals that are followed at a time.
+
+For goals beyond this number, only the status is known."""
 
 MOST_TURTLES: Final = 64
-"""The trails of at most this many turtles are kept."""
+"""The maximum number of turtles whose poses are followed."""
 
 MOST_REQUESTS: Final = 64
 """The maximum number of goal messages that are kept for goals without a status so far."""
 
 STATUSES_QOS: Final = QoS(depth=8, durability="transient_local")
-"""One message would not do: each type of an action has a server, and each server publishes."""
+"""The QoS of subscriptions to status topics.
+
+The depth is above 1, because an action may have several types, and the server of each type
+publishes its own statuses on the same topic."""
 
 FORGOTTEN: Final = "its server has forgotten it"
 
@@ -179,7 +184,7 @@ class Watch:
             await self._changed.wait()
 
     def last_news(self, service: str, args: object) -> Values | None:
-        """Return the changes with which to answer a waiting call of ``watch`` now.
+        """Return the changes for a waiting call of ``watch`` that must be answered now.
 
         Return None if the call is of another service, or if its arguments are not an object.
         """
@@ -242,8 +247,8 @@ class Watch:
     async def _watch(self, args: Values) -> Values:
         """Return the changes after the revision ``since``.
 
-        If there are none, wait for up to `PATIENCE` seconds. If the revision is 0 or comes from
-        another session, return everything without waiting.
+        If nothing has changed, wait for up to `PATIENCE` seconds. If the revision is 0 or comes
+        from another session, return everything without waiting.
         """
         since = args.get("since", 0)
         if not isinstance(since, int):
@@ -486,11 +491,12 @@ class Watch:
         return None
 
     def _give_up(self, record: GoalRecord, problems: list[TurtleactError]) -> None:
-        """Record that the end of a goal is unknown, unless its status can still be known.
+        """Record a goal's final status as unknown, unless the status topic can still tell it.
 
         Args:
             record: The record of the goal.
-            problems: Why the goal cannot be followed, for each type of its action.
+            problems: For each type of the action, the error that says why the goal cannot be
+                followed.
         """
         if record.has_ended or any(isinstance(each, UnknownInterface) for each in problems):
             return

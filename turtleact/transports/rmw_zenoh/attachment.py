@@ -74,7 +74,7 @@ def write_attachment(sequence: int, stamp: int, gid: bytes, note: str = "") -> b
 
 @lru_cache(maxsize=4)  # almost all replies of a server have the same note
 def note_tail(note: str) -> bytes:
-    """Encode a note. The caller appends the bytes to an attachment without a note."""
+    """Encode a note, which the caller appends to an attachment that has no note yet."""
     if not note:
         return b""
     tail = note.encode(errors="backslashreplace")  # a note must never make its message fail

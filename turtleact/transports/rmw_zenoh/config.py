@@ -98,10 +98,10 @@ class SessionConfig(msgspec.Struct, frozen=True):
         settings: Settings that replace those of ``text``: a mapping from paths to values in JSON.
         defaults: Settings that apply only where ``text`` sets no value: a mapping from paths to
             values in JSON.
-        connect: The endpoints to connect to, for error messages. Endpoints that are given
-            only in ``text`` are left out.
-        listen: The endpoints to listen at, for error messages. Endpoints that are given
-            only in ``text`` are left out.
+        connect: The endpoints to connect to. Only error messages use this attribute. Endpoints that
+            are given only in ``text`` are left out.
+        listen: The endpoints to listen on. Only error messages use this attribute. Endpoints that
+            are given only in ``text`` are left out.
     """
 
     domain: int

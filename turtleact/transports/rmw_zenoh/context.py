@@ -116,7 +116,10 @@ class Context:
         self.is_open = True
 
     def seek(self, name: str) -> None:
-        """Record an endpoint with this name in another process, and open what waits for it."""
+        """Record that another process has an endpoint with this name.
+
+        Open the objects and declare the endpoints that wait for such an endpoint.
+        """
         self.sought[name] += 1
         if name in self.waiting:
             self.waiting.pop(name).open()
@@ -223,12 +226,13 @@ class Presence:
     Args:
         context: The transport's context.
         token: The liveliness token.
-        declare: Declares everything except the token. The outbox calls this function.
-        undeclare: Undeclares everything except the token. The outbox calls this function.
-        on_demand: If not empty, the endpoint is not declared before another process has an endpoint
-            with this name.
-        on_wake: Called when another process gets such an endpoint, so that this endpoint is
-            declared.
+        declare: Declares everything except the liveliness token. The outbox calls this function.
+        undeclare: Undeclares everything except the liveliness token. The outbox calls this
+            function.
+        on_demand: The endpoint is declared only when another process has an endpoint with this
+            name. If this argument is empty, the endpoint is declared at once.
+        on_wake: Called when the endpoint is declared because another process has an endpoint with
+            the name ``on_demand``.
 
     Attributes:
         is_asleep: Whether the endpoint is not declared yet because of ``on_demand``.
@@ -409,7 +413,7 @@ class Complaints:
         self._counts: Tally[tuple[str, str]] = Tally()
 
     def warn(self, about: str, peer: bytes, error: Exception) -> None:
-        """Log a warning, or only count it.
+        """Count a warning. Log it, unless `LOGGED` such warnings were logged in this period.
 
         Args:
             about: A sentence that says what went wrong, and where.

@@ -142,10 +142,11 @@ class WireCaller:
             call.end()
 
     def doubt(self, server: str) -> None:
-        """Handle the loss of a server of the service ``server``.
+        """End this client's calls soon if ``server`` is the service that the client calls.
 
-        If this client calls that service, each of its calls under way ends after at most `LOST`
-        seconds. Until then, another server may still answer the call.
+        The transport calls this method when a server of the service ``server`` has gone. Each call
+        under way ends after at most `LOST` seconds. Until then, another server may still answer the
+        call.
         """
         if server != self._endpoint.name:
             return
@@ -282,9 +283,8 @@ class WireCall(msgspec.Struct, eq=False):
         payload: The encoded request.
         attachment: The request's attachment.
         caller: The client that makes the call.
-        is_cancelable: Whether `drop` also cancels the query in Zenoh. If not, the query of a
-            dropped call lasts until it is answered, until it times out or until the client is
-            closed.
+        is_cancelable: Whether `drop` also cancels the query in Zenoh. If False, the query of a
+            dropped call ends when the query is answered or times out, or when the client is closed.
         on_end: A list with the function to call, in any thread, when the call is over; None if
             there is no such function. The function is removed from the list before it is called,
             because two threads may notice the end of the call at the same moment.

@@ -1,4 +1,4 @@
-"""Encodes an error of a service as a text, and a kind that stands for the exception's class.
+"""Encodes a service's error as a text and a kind, which names the exception's class.
 
 Servers encode errors and clients decode them. Zenoh itself sends an error if a call takes too long.
 

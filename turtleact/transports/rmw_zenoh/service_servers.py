@@ -241,7 +241,8 @@ class _Request(msgspec.Struct, eq=False):
     async def _answer(self, message: object) -> None:
         """Let the handler answer the request in this task.
 
-        The client gets an exception of the handler as an error. Only a cancellation is raised.
+        If the handler raises an exception, the client gets an error. A cancellation is passed on
+        after the request has been answered.
         """
         service, handler = self.service, self.offer.handler
         try:

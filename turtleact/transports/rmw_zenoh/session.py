@@ -123,9 +123,10 @@ class Session:
         """Close the session. Before you call this, undeclare everything that is declared on it.
 
         This blocks for `CLOSING` seconds at most. Zenoh itself may need up to ten seconds if it is
-        still connecting to a peer that is suspended (by SIGSTOP or a debugger). In that case, the
-        thread that closes the session is left running. By then, other processes have been told that
-        the session closes, and the thread does not keep this process from ending.
+        still connecting to a peer that is suspended (by SIGSTOP or a debugger). In that case, this
+        method returns, and the thread that closes the session is left running. This daemon thread
+        does not prevent the process from ending. Zenoh has told the other processes by then that
+        the session closes.
         """
         session = self._session
         # The closing thread drops the session, where that may block. Without this line the garbage
@@ -226,8 +227,8 @@ class Session:
         A router tells a peer where other peers are, but does not forward their tokens. The peer
         connects to each of them in the background, and Zenoh does not report when it has connected
         to all. Therefore, this method waits until no connection and no token has been added for a
-        certain period. The period is longer if the router was slow to greet or to answer, so that
-        it is long enough on a busy machine and on a slow network.
+        certain period. The longer the router took to greet or to answer, the longer the period,
+        because a busy machine or a slow network needs more time.
         """
         quiet = SHORTEST_QUIET + QUIET_PER_TRIP * round_trip
         known, since = -1, monotonic()
@@ -349,7 +350,10 @@ class Publisher:
         self._publisher = publisher
 
     def put(self, payload: bytes, attachment: bytes) -> None:
-        """Send a message. On a reliable topic, this blocks while a reader does not read."""
+        """Send a message.
+
+        On a reliable topic, this method blocks while a subscriber does not keep up.
+        """
         try:
             self._publisher.put(payload, attachment=attachment)
         except zenoh.ZError as error:
@@ -365,9 +369,9 @@ class Publisher:
         """Undeclare the publisher, and drop the messages that it keeps. Call this once.
 
         This method drops Zenoh's publisher, because dropping it releases the GIL. The method
-        ``undeclare`` of an advanced publisher would hold the GIL while it waits for a task in one
-        of Zenoh's threads. If that thread waits for the GIL itself, no Python code runs for ten
-        seconds (eclipse-zenoh 1.10).
+        ``undeclare`` of an advanced publisher would hold the GIL while it waits for one of Zenoh's
+        threads. If this thread of Zenoh is waiting for the GIL, no Python code runs for ten seconds
+        (eclipse-zenoh 1.10).
         """
         del self._publisher
 
@@ -399,7 +403,7 @@ class Querier:
         ended: Callable[[], object],
         is_cancelable: bool,
     ) -> Callable[[], None] | None:
-        """Send a request. This takes a fifth less time if ``is_cancelable`` is False.
+        """Send a request. A call with ``is_cancelable=False`` takes a fifth less time.
 
         Args:
             payload: The encoded request.
@@ -494,8 +498,8 @@ def stay_attached() -> None:
     (CPython 3.11, two cores).
 
     The interpreter counts how often a thread state was requested. This function requests the state
-    once more than it is released, so the state lives until the thread or Python ends. Use this
-    function only in threads that live long.
+    once and never releases this request, so the state lives until the thread or Python ends. Use
+    this function only in threads that live long.
 
     Source: CPython ``Doc/c-api/init.rst``, "Non-Python created threads".
     """

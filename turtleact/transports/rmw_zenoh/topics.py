@@ -1,10 +1,11 @@
 """Both ends of a topic. They exchange objects inside a process, and bytes between processes.
 
 A publication encodes a message only if another process reads the topic or the topic is latched.
-Outgoing messages wait in a `Lane` until the sending thread takes them. Received messages wait in
-another lane until the event loop takes them. Every lane holds a limited number of bytes. If the
-topic is best-effort and not latched, the lane also holds at most as many messages as the topic's
-depth. A publisher that must not lose messages waits while `WirePublication.is_congested` is true.
+Outgoing messages wait in a queue, a `Lane`, until the sending thread takes them. Received messages
+wait in a second `Lane` until the event loop takes them. Every `Lane` limits the number of bytes in
+the queue. If the topic is best-effort and not latched, the `Lane` also limits the number of
+messages to the topic's depth. A publisher that must not lose messages waits while
+`WirePublication.is_congested` is true.
 """
 
 from __future__ import annotations
@@ -194,7 +195,7 @@ class WirePublication:
             self._grow_stale()
 
     def expect_readers(self) -> None:
-        """From now on, send messages to other processes even if no reader is known there yet."""
+        """From now on, send messages to other processes even before a reader is known."""
         self._is_expected = self.is_read = True
         self._tell_source()
 
@@ -283,7 +284,7 @@ class WirePublication:
         return sum(map(len, payloads))
 
     def _grow_stale(self) -> None:
-        """Let a task send the source's state to other processes.
+        """Start a task that sends the source's state, unless such a task is already running.
 
         Several calls in a row send only the last state.
         """
@@ -430,8 +431,9 @@ class DirectSubscription(WireSubscription):
 class _Relay:
     """Replaces the publication's source in the local transport.
 
-    The local transport knows only the readers in this process. Therefore, the relay reports them to
-    the publication, which tells the source whether any process has readers.
+    The local transport knows only the readers in this process. Therefore, the relay reports these
+    readers to the publication. The publication also knows the readers in other processes, and tells
+    the source whether the topic has any reader.
     """
 
     def __init__(self, source: Source, readers_changed: Callable[[bool], None]) -> None:

@@ -3,8 +3,8 @@
 Nodes in one process that share a transport exchange objects, as on a `MemoryTransport`. Messages
 between processes travel over Zenoh, as bytes that ROS 2 can read.
 
-- Calls into Zenoh may block. One thread makes all of them, in order.
-- Zenoh runs callbacks in its own threads. They pass what they receive to the event loop.
+- Calls into Zenoh may block. A single thread makes all calls into Zenoh, in order.
+- Zenoh runs callbacks in its own threads. The callbacks pass the received data to the event loop.
 - A process that stops reading can delay senders of reliable topics once, by a second at most. Then
   Zenoh disconnects the process. The process reconnects by itself when it reads again.
 
@@ -101,10 +101,10 @@ class ZenohTransport:
     ) -> Publication:
         """Open the sending end of a topic.
 
-        If there is a ``source``, a new reader of a latched topic gets the messages of the source,
-        not those passed to `Publication.publish`. Messages to other processes wait for a thread
-        that sends them; see `Publication.is_congested`. Messages are encoded only while another
-        process reads the topic, or if the topic is latched.
+        With a ``source``, a new reader of a latched topic gets the messages that the source
+        returns, instead of messages passed to `Publication.publish`. Messages to other processes
+        wait for a thread that sends them; see `Publication.is_congested`. Messages are encoded only
+        while another process reads the topic, or if the topic is latched.
 
         Raises:
             InvalidInterface: if the message class has no type name.
@@ -177,11 +177,14 @@ class ZenohTransport:
         return Sought(self.context, name, open)
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints, this transport's own first; given a name, only those with that name."""
+        """All endpoints, this transport's own first.
+
+        With a ``name``, only endpoints of that name.
+        """
         return (*self._near.endpoints(name), *self.graph.endpoints(name))
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """All endpoints opened on this transport; given a name, only those with that name."""
+        """All endpoints opened on this transport. With a ``name``, only endpoints of that name."""
         return self._near.endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
@@ -421,9 +424,9 @@ async def open_zenoh(
             ``connect`` and ``listen`` replace the endpoints in a file. A mode in the file takes
             precedence over ``mode``.
         clock: The clock of the nodes in this process. The default is wall time.
-        discovery: For this time after the opening, a goal or call waits for a server that is not
-            known yet (s, event loop time). After that time, a goal or call without a server fails
-            at once.
+        discovery: How long after the opening goals and calls wait for a server that is not known
+            yet (s, event loop time). After that time, a goal or call without a server fails at
+            once.
 
     Raises:
         InvalidOption: if the value of an option is not allowed.
