@@ -4,8 +4,9 @@ The status topic, users' hooks and telemetry are observers. Each server or clien
 its observers. An observer only watches: if it raises an exception, the exception is logged and does
 not affect the goal.
 
-All observers hear of one change before any of them hears of the next change. If an observer causes
-a change, for example by canceling a goal, all observers still hear of the current change first.
+Each change is reported to all observers before the next change is reported to any of them. If an
+observer itself causes a change, for example by canceling a goal, the other observers still get the
+current change first.
 """
 
 from __future__ import annotations
@@ -72,10 +73,11 @@ class GoalObserver:
 
     @property
     def wants_acceptance(self) -> bool:
-        """Whether the observer must hear that a goal is ACCEPTED even if the goal starts at once.
+        """Whether the observer needs the state ACCEPTED even for a goal that starts at once.
 
-        If no observer of a server must hear this, such a goal goes directly from UNKNOWN to
-        EXECUTING. This saves a tenth of the server's work for a goal from another process.
+        If no observer of a server needs ACCEPTED, a goal that starts at once goes directly from
+        UNKNOWN to EXECUTING. This saves a tenth of the server's work for a goal from another
+        process.
         """
         return True
 
@@ -86,7 +88,7 @@ class GoalObserver:
         """Called with each feedback message. Observers must not change the message."""
 
     def pause_changed(self, goal: Goal) -> None:
-        """Called after a server has paused or resumed a goal. ``goal.is_paused`` tells which."""
+        """Called after a server has paused or resumed ``goal``; see ``goal.is_paused``."""
 
     def noted(self, goal: Goal, news: News) -> None:
         """Called when something else happens to a goal; see `News`."""
@@ -106,15 +108,16 @@ class GoalObserver:
     def enter_call(self, order: GoalOrder) -> None:
         """Called before a client sends a goal, in a copy of the sender's `contextvars` context.
 
-        The goal is sent in this copy, and the observer may set context variables in it. The
-        observer may also set the goal's id in ``order``, to recognise the goal later.
+        The client sends the goal in the copied context, in which the observer may set context
+        variables. The observer may also set the goal's id in ``order``, to recognise the goal
+        later.
         """
 
     def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
         """Called when the call that sent a goal returns or raises.
 
-        The call waited for the goal's result, or only for its acceptance. ``error`` is the
-        exception that the call raised; None if the call returned.
+        The call may have waited for the goal's result, or only for the goal's acceptance. ``error``
+        is the exception that the call raised; None if the call returned.
         """
 
 
@@ -129,7 +132,7 @@ class Hook(GoalObserver):
     """Calls a user's function at each change of a goal's state.
 
     Args:
-        hook: The function. It takes a handle of the goal, the old state and the new state.
+        hook: The function. Its arguments are the goal's handle, the old state and the new state.
         make_handle: A function that makes the handle.
     """
 
@@ -162,7 +165,7 @@ class Observers:
 
     Attributes:
         are_any: Whether any observer overrides `goal_changed`, `feedback_published` or `noted`.
-            If none does, these methods need not be called.
+            If ``are_any`` is False, these three methods need not be called.
         want_feedback: Whether any observer overrides `feedback_published`.
         want_bodies: Whether any observer overrides `enter_body`.
         want_calls: Whether any observer overrides `enter_call` or `leave_call`.
@@ -202,7 +205,7 @@ class Observers:
 
     @property
     def want_acceptance(self) -> bool:
-        """Whether any observer must hear of ACCEPTED; see `GoalObserver.wants_acceptance`."""
+        """Whether any observer needs the state ACCEPTED; see `GoalObserver.wants_acceptance`."""
         return any(map(_wants_acceptance, self._watchers))
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
@@ -234,7 +237,7 @@ class Observers:
         self._call("enter_body", (goal,))
 
     def enter_call(self, order: GoalOrder) -> None:
-        """Let all observers prepare the sending of a goal.
+        """Call `GoalObserver.enter_call` of all observers before a goal is sent.
 
         Call this in the context in which the goal is sent.
         """
@@ -273,7 +276,7 @@ class Observers:
     def _tell(self, method: str, *news: object) -> None:
         """Call a method of all observers.
 
-        If an observer causes another change meanwhile, tell all observers of it afterwards.
+        If an observer causes another change, report the current change to all observers first.
         """
         if self._is_telling:  # an observer has caused this; the call below tells it next
             self._untold.append((method, news))

@@ -1,9 +1,9 @@
-"""Makes the functions that open something for an ``async with`` block, such as `open_node`.
+"""Makes functions that open a resource for an ``async with`` block, such as `open_node`.
 
-`opening` works like `contextlib.asynccontextmanager`. In addition, the errors say what to write if
-the user forgets ``async with``, forgets its ``async``, or writes ``await`` instead. Python's own
-errors name an internal class. Type checkers only see an `AbstractAsyncContextManager`, so they find
-these mistakes themselves.
+`opening` works like `contextlib.asynccontextmanager`. In addition, if the user writes ``with``,
+``await`` or no keyword at all in place of ``async with``, the error says what to write. Python's
+own errors name an internal class. Type checkers only see an `AbstractAsyncContextManager`, so they
+find these mistakes themselves.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 def opening(function: Callable[P, AsyncIterator[T]]) -> Callable[P, AbstractAsyncContextManager[T]]:
-    """Make a function that opens something, from an async generator that yields it once."""
+    """Turn an async generator that yields a resource once into a function that opens it."""
     manager = asynccontextmanager(function)
 
     @wraps(function)
@@ -32,10 +32,10 @@ def opening(function: Callable[P, AsyncIterator[T]]) -> Callable[P, AbstractAsyn
 
 
 class _Opening(AbstractAsyncContextManager[T]):
-    """Opens something at the beginning of an ``async with`` block, and closes it at the end.
+    """Opens a resource at the start of an ``async with`` block, and closes the resource at the end.
 
     Args:
-        manager: Opens and closes it.
+        manager: The context manager that opens and closes the resource.
         call: The call that made this object, for error messages.
     """
 
@@ -46,7 +46,6 @@ class _Opening(AbstractAsyncContextManager[T]):
         self._advice = f"write 'async with {call} as …:'"
 
     async def __aenter__(self) -> T:
-        """Open it, and return what has been opened."""
         if self._is_entered:
             again = f"call {self._call} again for another 'async with'"
             raise RuntimeError(f"this result of {self._call} was used before: {again}")
@@ -59,14 +58,16 @@ class _Opening(AbstractAsyncContextManager[T]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> bool | None:
-        """Close it."""
         return await self._manager.__aexit__(kind, error, trace)
 
     def __enter__(self) -> NoReturn:
         raise TypeError(f"'async' is missing: {self._advice}")
 
     def __exit__(self, *_: object) -> None:
-        """Do nothing: Python looks for this method before it calls ``__enter__``."""
+        """Do nothing.
+
+        Python calls ``__enter__``, which raises the error, only if ``__exit__`` exists.
+        """
 
     def __await__(self) -> NoReturn:
         raise TypeError(f"{self._call} cannot be awaited: {self._advice}")

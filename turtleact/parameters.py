@@ -101,7 +101,7 @@ _INTEGER = ParameterType.PARAMETER_INTEGER
 _DOUBLE = ParameterType.PARAMETER_DOUBLE
 _BYTES = ParameterType.PARAMETER_BYTE_ARRAY
 _ARRAY = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
-"""The number of an array's kind is this much higher than the number of its items' kind."""
+"""The difference between the number of an array's kind and the number of its items' kind."""
 
 
 class ParameterDeclaration(Generic[P]):
@@ -253,7 +253,7 @@ def message_of(name: str, value: object, kind: int = _NOT_SET) -> ParameterValue
 
     Args:
         name: The parameter's name, for error messages.
-        value: The value. For a double, it may be a whole number.
+        value: The value. If ``kind`` is a double, ``value`` may be a whole number.
         kind: The number of the kind that the value must have. If left out, the value's own kind is
             used.
 
@@ -444,11 +444,11 @@ class ParameterTable:
         self._values.update((each.name, each.value) for each in parameters)
 
     def values(self, names: Sequence[str]) -> list[ParameterValue]:
-        """Return the values of some parameters, or an empty list if one of them is not declared."""
+        """Return the values of parameters, or an empty list if one of them is not declared."""
         return [self._values[name] for name in names] if self._has_all(names) else []
 
     def descriptors(self, names: Sequence[str]) -> list[ParameterDescriptor]:
-        """Return the descriptors of some parameters, or an empty list if one is not declared."""
+        """Return the descriptors of parameters, or an empty list if one is not declared."""
         return [self._descriptors[name] for name in names] if self._has_all(names) else []
 
     def listed(self, prefixes: Sequence[str], depth: int) -> ListParametersResult:
@@ -494,11 +494,11 @@ def is_listed(name: str, prefixes: Sequence[str], depth: int) -> bool:
 
     Args:
         name: The parameter's name.
-        prefixes: The names of groups or parameters. A parameter is listed if its name is one of
-            these, or if it is in one of these groups. If ``prefixes`` is empty, only ``depth``
-            limits the list.
+        prefixes: The names of groups or parameters. A parameter is listed if ``prefixes`` contains
+            the parameter's name or one of the parameter's groups. If ``prefixes`` is empty, only
+            ``depth`` limits the list.
         depth: How many parts a name may have after its prefix; 0 for any number. Without prefixes,
-            all parts of the name count.
+            ``depth`` limits the parts of the whole name.
     """
     if not prefixes:
         return depth == 0 or name.count(".") < depth

@@ -89,10 +89,10 @@ class Goals:
 
     @contextmanager
     def place(self) -> Iterator[None]:
-        """Count one goal or service call as under way for the length of a block.
+        """Count one goal or service call as under way while a ``with`` block runs.
 
         Raises:
-            TurtleactError: if the maximum number of goals and calls is under way already.
+            TurtleactError: if the maximum number of concurrent goals and calls has been reached.
         """
         if self.active >= self.limits.goals:
             raise TurtleactError(
@@ -108,7 +108,7 @@ class Goals:
     async def run(self, client: AnyClient, goal: Message, report: Report) -> CallToolResult:
         """Send a goal, report its feedback, and wait for the goal's end.
 
-        Cancelling: cancels the goal and waits for the goal's end.
+        If this call is cancelled, the goal is canceled, and the call waits for the goal's end.
         """
         with self.place():
             reporter = _Reporter(report, self.limits.progress_rate)

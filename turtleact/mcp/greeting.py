@@ -6,8 +6,8 @@ can do. The answer does not depend on the node, so this module can give it. `tur
 then passes the same request to the SDK and drops the SDK's answer. A test compares this module's
 answer with the SDK's answer for every version of the protocol.
 
-If this module cannot parse the request, it leaves the answer to the SDK. The SDK also answers
-everything after the first line.
+If this module cannot parse the client's first line, the SDK answers that line. The SDK always
+answers all later lines.
 
 Source: MCP 2025-11-25, "Lifecycle", for ``initialize``. Later versions of MCP do not have this
 request.
@@ -28,7 +28,10 @@ INSTRUCTIONS: Final = (
     "radians, times in seconds, unless a description says otherwise."
 )
 VERSIONS: Final = ("2024-11-05", "2025-03-26", "2025-06-18", "2025-11-25")
-"""The versions that begin with ``initialize``. Clients that ask for another get the last."""
+"""The versions of MCP in which a session begins with an ``initialize`` request.
+
+A client that asks for any other version is offered the newest of these versions.
+"""
 
 
 class Greeting(msgspec.Struct, frozen=True):

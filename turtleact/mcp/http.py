@@ -1,8 +1,8 @@
 """Serves MCP over HTTP, either as an ASGI app inside another server or on a port of its own.
 
 The SDK checks the headers Host and Origin of each request, so that a page of another web site
-cannot reach the server through the user's browser. On a loopback address, these checks are enough.
-On other addresses, clients must also send a token.
+cannot reach the server through the user's browser. A server on a loopback address needs no further
+protection. On other addresses, clients must also send a token.
 
 Source: MCP 2026-07-28, "Transports", Streamable HTTP; RFC 6750 for the token.
 """
@@ -83,7 +83,7 @@ async def open_http(
     token: str | None = None,
     hosts: Collection[str] = (),
 ) -> AsyncIterator[Address]:
-    """Serve MCP over HTTP on a port for the length of a block.
+    """Serve MCP over HTTP on a port while an ``async with`` block runs.
 
     The server already listens when the block begins. It runs only on asyncio.
 

@@ -21,10 +21,13 @@ if TYPE_CHECKING:
 __all__ = ["LONGEST_TEXT", "Request", "answer", "data_of", "failure", "goal_schema", "one_line"]
 
 Request: TypeAlias = ServerRequestContext[Any, Any]
-"""A client's request, with the session that leads back to the client."""
+"""A client's request, with the session through which to send messages to the client."""
 
 LONGEST_TEXT: Final = 100_000
-"""A model gets at most this many characters of JSON as text. A program gets everything as data."""
+"""The maximum length of a reply's text for models (characters of JSON).
+
+The structured data for programs are never shortened.
+"""
 
 LONGEST_LINE: Final = 500
 """The maximum length of a progress message (characters)."""

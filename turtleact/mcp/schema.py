@@ -11,8 +11,9 @@ which often give the units.
 - A field of a nested message is never required, as in ROS.
 - Constants become an ``enum`` if their names begin with the field's name: ``STATUS_OK`` for
   ``status``. Constants that are single bits do not become an ``enum``, because they can be
-  combined. Neither do constants of a result, feedback or response, because a server may send other
-  values. Such constants are only listed in the field's description.
+  combined. Constants of a result, feedback or response do not become an ``enum`` either, because a
+  server may send other values. Constants without an ``enum`` are only listed in the field's
+  description.
 
 Source: JSON Schema 2020-12; the ROS 2 article "Interface definition".
 """
@@ -47,7 +48,7 @@ M = TypeVar("M", bound=Message)
 Schema: TypeAlias = dict[str, Any]
 
 LARGEST: Final = 2**20
-"""The largest arguments that are read (bytes of JSON)."""
+"""The maximum size of a call's arguments (bytes of JSON)."""
 
 FLOATS: Final = frozenset({"float32", "float64"})
 

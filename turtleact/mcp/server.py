@@ -66,16 +66,16 @@ PICTURE_URI: Final = "ros://world.png"
 TOPIC_URI: Final = "ros://topic"
 
 MOST_SESSIONS: Final = 64
-"""At most this many sessions of the older protocol are told of changes.
+"""The maximum number of sessions of the older protocol that are notified of changes.
 
-If there are more, the oldest are not told.
+If more sessions are open, the oldest sessions get no notifications.
 """
 
 TELLING: Final = 1.0
-"""The time limit for telling a session of a change (s, event loop time)."""
+"""The time limit for notifying one session of a change (s, event loop time)."""
 
 SETTLED: Final = 0.05
-"""Clients hear of a change once the graph has been still for this time (s, event loop time)."""
+"""How long to wait after a change of the graph before notifying clients (s, event loop time)."""
 
 
 class McpServer:

@@ -172,7 +172,7 @@ def _file_of(stream: TextIO) -> int | None:
 def _can_be_waited_for(file: int) -> bool:
     """Whether the event loop can wait until there is something to read from a file.
 
-    The loop cannot do this for a regular file or ``/dev/null``.
+    The event loop cannot wait for a regular file or ``/dev/null``.
     """
     if os.name != "posix":
         return False

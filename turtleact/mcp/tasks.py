@@ -2,8 +2,8 @@
 
 This is the MCP extension ``io.modelcontextprotocol/tasks``. Only clients that declare this
 extension can use tasks. The id of a task is the id of its goal, so this MCP server need not store
-its tasks. After a restart of the MCP server, the server of the action still knows the goal. If the
-action's server has a journal, it still knows the goal after its own restart, too.
+its tasks. After a restart of the MCP server, the server of the action still knows the goal. An
+action server with a journal also knows the goal after a restart of the action server.
 
 ====================== ==========================================================
 goal                   task
@@ -61,7 +61,10 @@ FIRST_VERSION: Final = "2026-07-28"
 """The first version of the protocol that has the extension. Versions are dates."""
 
 KEEP_MS: Final = 3_600_000
-"""How long an ended task is kept at least (ms), unless too many tasks have ended since."""
+"""The minimum time to keep an ended task (ms).
+
+If too many tasks have ended, the oldest tasks are removed earlier.
+"""
 
 POLL_MS: Final = 500
 RETURN: Final = 600.0
@@ -155,7 +158,7 @@ class Tasks:
     async def begin(self, client: AnyClient, goal: Message) -> dict[str, Any] | CallToolResult:
         """Send a goal, and return its task once the goal is accepted.
 
-        Cancelling: cancels the goal, because no client knows the goal's id yet.
+        If this call is cancelled, the goal is canceled, because no client knows the goal's id yet.
         """
         task = _Task(new_goal_id())
         task.following = Background(self._send(client, goal, task), f"task {task.goal_id.hex()}")

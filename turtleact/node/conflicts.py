@@ -9,7 +9,7 @@ to all servers of a service. The argument ``on_conflict`` of the second node dec
   useful for restarts and failover.
 - ``withdraw``: The second node withdraws when any other node, in any process, serves the name.
   Running goals of the second node still finish. When no other node serves the name any more, the
-  second node serves it again. The built-in actions use this value.
+  second node serves the name again. The built-in actions use ``withdraw``.
 
 If a process dies, its nodes stay on the graph until their leases run out. So a restarted node may
 still see its predecessor, which has the same name. In this case even ``refuse`` raises no error.
@@ -99,11 +99,12 @@ class Rivals:
         return self.first()
 
     def has_built_in(self, *, is_local: bool | None = None) -> bool:
-        """Whether a built-in action serves the name, and so must withdraw for this server.
+        """Whether a built-in action serves the name. A built-in action withdraws for this server.
 
         ``is_local=True`` asks only about this process, ``is_local=False`` only about other
         processes. A caller that asks about other processes must ask before this server is open.
-        Once this server is open, a server of the same type in another process counts as local, too.
+        Once this server is open, this method mistakes a server of the same type in another process
+        for a local server.
         """
         return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=is_local)
 
@@ -133,8 +134,8 @@ class Rivals:
     def _nodes(self, *, is_local: bool | None = None) -> list[str]:
         """Return the names of the nodes that serve the action.
 
-        If ``is_local`` is True, return only nodes of this process. If it is False, return only
-        nodes of other processes.
+        If ``is_local`` is True, return only nodes of this process. If ``is_local`` is False, return
+        only nodes of other processes.
         """
         return [
             endpoint.node
@@ -184,9 +185,9 @@ class ServedName:
 
         Args:
             on_conflict: What to do if another node serves the name. With "refuse", the caller has
-                already checked that no other node serves the name. Only a predecessor of this node
-                may still serve it. In this case, the server waits until the predecessor has left
-                the graph.
+                already checked that no other node serves the name. At this point, only a
+                predecessor of this node may still serve the name. The server then waits until the
+                predecessor has left the graph.
             again: Opens a new server with the same arguments. Called when this server has withdrawn
                 and the name is free again.
         """
@@ -260,7 +261,7 @@ class ServedName:
         self._begin()
 
     async def _make_way(self, again: Callable[[], object]) -> None:
-        """Withdraw when another node serves the name. Serve again when no other node serves it.
+        """Withdraw when another node serves the name, and serve the name again when it is free.
 
         A closed server cannot open again, so ``again`` opens a new server, which may withdraw in
         turn. Until ``again`` is called, the node keeps track of the old server, so that closing the

@@ -96,7 +96,7 @@ class Node:
 
     Attributes:
         name: The node's name, without the namespace.
-        namespace: The node's namespace. Relative names are resolved in it.
+        namespace: The namespace in which the node resolves relative names.
         clock: The graph's clock. Bodies should wait on this clock.
         transport: The connection to the graph.
         introspection: The default ``introspection`` of everything that is opened from now on.
@@ -203,8 +203,8 @@ class Node:
                 For ``introspection``, see `Node`.
 
         Raises:
-            ActionConflict: if this node already serves the name with the same type. With
-                ``on_conflict="refuse"``, also if another node serves the name.
+            ActionConflict: if this node already serves the name with the same type, or if
+                ``on_conflict`` is "refuse" and another node serves the name.
             InvalidName: if the name breaks ROS 2's rules.
             InvalidBody: if ``execute`` cannot be a body.
             InvalidOption: if the value of an option is not allowed.
@@ -296,10 +296,10 @@ class Node:
         Args:
             action_type: The action, a subclass of `turtleact.Action`.
             name: The action's name. A relative name is resolved in the node's namespace.
-            cancel_timeout: The client cancels a goal if the task that waits for the goal is
-                cancelled, or leaves the goal's ``async with`` block before the goal's end. The task
-                then waits at most this long for the goal's end (s, event loop time; None for no
-                limit).
+            cancel_timeout: How long a task waits for the end of a goal after canceling the goal (s,
+                event loop time; None for no limit). The client cancels a goal if the task that
+                waits for the goal is cancelled, or leaves the goal's ``async with`` block before
+                the goal's end.
             introspection: See `Node`.
 
         Raises:
@@ -607,7 +607,7 @@ class ActionServer(Generic[G, R, F]):
 
     @property
     def is_idle(self) -> bool:
-        """Whether no goal waits or runs, and no request waits for an answer."""
+        """Whether the server has no waiting or running goals and no unanswered requests."""
         return self._local.is_idle and not self._endpoints.is_asked
 
     async def aclose(self, reason: str = "shutdown") -> None:
@@ -639,7 +639,10 @@ class ActionServer(Generic[G, R, F]):
         self._local.observers.add(Hook(hook, self._local.execution.make_handle))
 
     def _take_name(self, on_conflict: OnConflict, again: Callable[[], object]) -> None:
-        """Serve the name once it is free. After a withdrawal, ``again`` opens a new server."""
+        """Serve the name once it is free.
+
+        If this server withdraws, ``again`` is called later to open a new server.
+        """
 
         def replace() -> None:
             if self._membership is not None:
@@ -659,9 +662,9 @@ async def open_node(
 
     Args:
         name: The node's name.
-        namespace: The node's namespace. Relative names are resolved in it.
-        transport: The graph that the node joins. If left out, it is a new graph inside the process.
-            Nodes with the same transport see each other.
+        namespace: The namespace in which the node resolves relative names.
+        transport: The graph that the node joins. Without ``transport``, the node opens a new graph
+            inside the process. Nodes with the same transport see each other.
 
     Raises:
         InvalidName: if the name or the namespace breaks ROS 2's rules.

@@ -319,7 +319,7 @@ class Parameter(Generic[P]):
         A reader that falls behind gets only the newest value. The iterator ends when the node
         closes or the parameter is undeclared.
 
-        Cancelling: safe, nothing is lost.
+        Cancelling a read is safe: the next read still gets the newest value.
         """
         self._parameters.check_open()
         return Changes(self, self._count)
@@ -348,8 +348,10 @@ class Parameter(Generic[P]):
     async def wait_for_change(self, count: int) -> int:
         """Wait until the parameter has changed more than ``count`` times in all.
 
-        Return how many times it has changed. If the node closes or the parameter is undeclared
-        before the next change, return ``count``. Cancelling: safe.
+        Return how many times the parameter has changed. Return ``count`` if the node closes, or if
+        the parameter is undeclared, before the next change.
+
+        Cancelling: safe.
         """
         resources = self._parameters.resources
         # All three are looked at again after each wait, because closing the node only ends the

@@ -25,7 +25,7 @@ class Resources(Owner):
 
     Attributes:
         home: The event loop of the node.
-        is_open: Whether the node can still open things.
+        is_open: Whether resources can still be opened on the node.
     """
 
     def __init__(self, home: Home) -> None:
@@ -135,7 +135,8 @@ class _Membership:
     """The registration of one open object with its node.
 
     Closing the registration removes the object from the node and the transport. A node may have
-    thousands of registrations. Each is one Python object, while a closure would need four.
+    thousands of registrations. A registration is one Python object, while a closure would need four
+    objects.
     """
 
     __slots__ = ("_close", "_number", "_things")

@@ -21,10 +21,10 @@ class Tick(NamedTuple):
     """One tick of a timer.
 
     Attributes:
-        number: How many periods have passed since the timer was made: 1 for the first tick. Skipped
-            ticks count, too.
+        number: How many periods have passed since the timer was made: 1 for the first tick. This
+            number includes skipped ticks.
         elapsed: The time from the timer's creation to the scheduled time of this tick (s, by the
-            graph's clock). It is ``number`` times the period.
+            graph's clock). This time is ``number`` times the period.
         missed: How many ticks were skipped just before this one.
     """
 
@@ -43,7 +43,8 @@ class Timer:
     simulated world has paused the graph's clock, no ticks come. The ``async for`` loop ends when
     the node closes.
 
-    Only one task at a time can wait for ticks of a timer. Cancelling: safe, no tick is lost.
+    Only one task at a time can wait for ticks of a timer. Cancelling the wait is safe: no tick is
+    lost.
 
     Attributes:
         period: The time between two ticks (s, by the graph's clock).
