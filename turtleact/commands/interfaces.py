@@ -54,7 +54,7 @@ KINDS: Final = {"msg": "Messages", "srv": "Services", "action": "Actions"}
 """The kinds of interfaces, in the order of the lists."""
 
 LONGEST_LINE: Final = 2**12
-"""At most this many bytes of a pipe are read for a name. No name is longer."""
+"""At most this many bytes of a pipe are read for a name. No interface name is longer."""
 
 
 def make_known(folder: str | None, *, is_silent: bool = False) -> None:
@@ -62,7 +62,7 @@ def make_known(folder: str | None, *, is_silent: bool = False) -> None:
 
     Args:
         folder: A folder with interface files; None for no folder.
-        is_silent: Whether to print no note about where an interface was found.
+        is_silent: Whether to leave out the note on stderr.
 
     Raises:
         InvalidInterface: if the folder does not exist.
@@ -75,14 +75,13 @@ def make_known(folder: str | None, *, is_silent: bool = False) -> None:
 def make_found(folder: str | None, *, is_silent: bool = False) -> None:
     """Find and register interfaces: in ``folder``, the workspace, and near the working directory.
 
-    If an interface has several definitions, the first one in this order is used: the one in the
-    folder, in the sourced workspace, near the working directory, the built-in one. When the first
+    If an interface has several definitions, the search order decides: first ``folder``, then the
+    sourced workspace, the folders near the working directory, and turtleact itself. When the first
     interface near the working directory is used, a note on stderr says where that interface was
     found.
 
     Args:
-        folder: The folder to search; see `turtleact.interfaces.load_interfaces`. None for no
-            folder.
+        folder: The folder to search, or None; see `turtleact.interfaces.load_interfaces`.
         is_silent: Whether to leave out the note on stderr.
 
     Raises:

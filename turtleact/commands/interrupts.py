@@ -8,29 +8,30 @@ body. The effect of a signal depends on what the program is doing:
 - While the program reads input (`Interrupts.read`), a signal ends the reading.
 - While the program needs no clean-up (`Interrupts.ending_at_once`), a signal ends the process at
   once.
-- During a start that may take long (`Interrupts.beginning`), a signal sets the alarm clock of the
-  system (SIGALRM). The alarm ends the process unless the start is over within `GRACE`.
+- During a start that may take long (`Interrupts.beginning`), a signal sets the system's alarm timer
+  (SIGALRM). The timer ends the process unless the start is over within `GRACE`.
 - In the event loop (`Interrupts.listening`), a signal wakes the task that waits in
   `Interrupts.wait`. But the loop may be stuck in a body, or in writing to a pipe that nobody reads.
-  Therefore, if the loop has not ended within `GRACE` after a second signal, the alarm clock ends
-  the process. It also ends the process when another deadline passes (`Interrupts.end_within`,
-  `Interrupts.patience`). A third signal ends the process at once. From the first signal on, the
-  alarm clock also rings every `GRACE`, and interrupts blocking writes. Without these alarms, if a
-  signal came just before a blocking write, Python would notice the signal only after the write.
+  Therefore, if the loop has not ended within `GRACE` after a second signal, the alarm timer ends
+  the process. The timer also ends the process when another deadline passes
+  (`Interrupts.end_within`, `Interrupts.patience`). A third signal ends the process at once. After
+  the first signal, the timer also expires every `GRACE` and interrupts blocking writes. Otherwise,
+  if a signal came just before a blocking write, Python would notice the signal only after the
+  write.
 - Some desktops and service managers send two signals of different kinds at once. A command that
-  needs time to end can count such signals as one (`Interrupts.together`).
+  needs time to end can treat two signals of different kinds as one (`Interrupts.together`).
 - After the loop has ended, a signal has no effect. While Python shuts down, signals are ignored.
 
 One signal handler, set once, does all of this. With the loop's own signal handling, Python's
 default handler would be active just before and after the loop, and print a traceback. The handler
 wakes the loop through ``call_soon_threadsafe``, as `asyncio.Runner` does for Ctrl-C.
 
-The event loop and `Interrupts.read` wait in a system call. This call also waits for a socket to
-which Python writes each signal as soon as it comes. Without that socket, if a signal came just
-before the wait, Python would notice the signal only after the wait.
+The event loop and `Interrupts.read` wait in a system call that also watches a socket. Python writes
+to the socket as soon as a signal comes. Without the socket, if a signal came just before the wait,
+Python would notice the signal only after the wait.
 
-Windows has no alarm clock, and its `select.select` cannot wait for a file. On Windows, a thread
-acts as the alarm clock, and another thread reads the file.
+Windows has no alarm timer, and its `select.select` cannot wait for a file. On Windows, one thread
+replaces the alarm timer, and another thread reads the file.
 """
 
 from __future__ import annotations
@@ -64,19 +65,19 @@ def signals(*names: str) -> tuple[signal.Signals, ...]:
 SIGNALS = signals("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 HAS_ALARM = hasattr(signal, "SIGALRM")
-"""Whether the system has an alarm clock that rings by a signal."""
+"""Whether the system has an alarm timer, which sends SIGALRM when it expires."""
 
 WAITS_FOR_FILES = os.name == "posix"
 """Whether the system can wait for a file and a signal at the same time."""
 
 TICK = 0.1
-"""The interval of checks on systems that cannot wait for a file or ring an alarm (s)."""
+"""The interval of checks on systems that cannot wait for a file or have no alarm timer (s)."""
 
 GRACE = 0.5
 """How long after a deadline the loop may still end by itself (s, wall clock)."""
 
 LONGEST = 1e9
-"""The longest time for which the alarm clock can safely be set (s): 31 years."""
+"""The longest time for which the alarm timer can safely be set (s): 31 years."""
 
 STDERR = 2
 
@@ -97,13 +98,14 @@ class Interrupts:
 
     Attributes:
         received: The signals that came, in order.
-        restore: A function that restores the terminal. A signal handler calls this function before
-            the handler ends the process.
+        restore: A function that restores the terminal. A signal handler calls this function just
+            before the handler ends the process.
         last_words: A function that returns a text for stderr. A signal handler calls this function
-            before the handler ends the process, so the function must not wait for the main thread.
-        together: If a second signal of another kind comes within this time after the first (s, wall
-            clock), the second signal is ignored.
-        patience: How long the loop may go on after the first signal, before the alarm clock ends
+            just before the handler ends the process. The function must therefore not wait for the
+            main thread.
+        together: The time after the first signal in which a second signal of another kind is
+            ignored (s, wall clock).
+        patience: How long the loop may go on after the first signal, before the alarm timer ends
             the process (s, wall clock).
         must_leave: Whether the process must end with `leave`, because some tasks or threads do not
             end.
@@ -266,7 +268,7 @@ class Interrupts:
                 self._due = inf
 
     def end(self, number: signal.Signals = signal.SIGTERM) -> None:
-        """Act as if this signal had come, unless a signal has come before."""
+        """Act as if a signal had arrived, unless another signal has arrived before."""
         if not self.received:
             self._arrive(number, None)
 
@@ -329,11 +331,11 @@ class Interrupts:
         self.end_within(0.0, self.status if self._early is None else self._early)
 
     def _set_alarm(self) -> None:
-        """Set the alarm clock for the deadline or, after a signal, for at most `GRACE` from now.
+        """Set the alarm timer for the deadline or, after a signal, for at most `GRACE` from now.
 
-        After its first alarm, the clock rings every `GRACE`, because a single alarm could get lost:
-        while the main thread is in a busy loop, Python 3.11 may record a signal without running its
-        handler.
+        After the timer has expired once, it expires again every `GRACE`, because a single alarm
+        could get lost. While the main thread is in a busy loop, Python 3.11 may record a signal
+        without running the signal's handler.
         """
         if not HAS_ALARM:  # `_watch` looks at the deadline by itself
             return
@@ -350,11 +352,11 @@ class Interrupts:
             self._set_alarm()
 
     def _watch(self) -> None:
-        """Act as the alarm clock, in a thread: end the process when the deadline has passed.
+        """End the process when the deadline has passed. Runs in a thread, without an alarm timer.
 
-        The thread only reads the deadline that the signal handlers write. The handlers cannot start
-        a `threading.Timer` instead: they may interrupt the main thread anywhere, so they must take
-        no lock, and a timer has a lock.
+        The thread only reads the deadline that the signal handlers write. The signal handlers
+        cannot start a `threading.Timer` instead, because a timer takes a lock. Signal handlers must
+        take no lock, because they may interrupt the main thread anywhere.
         """
         while monotonic() < self._due:
             sleep(TICK)
@@ -385,7 +387,7 @@ def _read(file: int, woken: socket.socket, most: int) -> bytes:
 
 
 def _reading_thread(file: int) -> Callable[[int], bytes]:
-    """Return a function that reads like `_read`, for systems on which `select` takes no files.
+    """Return a function that reads like `_read`, for systems where `select` supports no files.
 
     Each part is read in another thread. The main thread checks at short intervals whether that
     thread has read something, so that signal handlers can run between two checks. After a signal,

@@ -113,7 +113,7 @@ class LiveTranscript:
         self._picture.is_served = is_served
 
     async def animate(self) -> None:
-        """Draw frames and react to keys, until this is cancelled."""
+        """Draw frames and react to keys until the task is cancelled."""
         with redirect_stderr(_Above(self._region, sys.stderr)):
             async with anyio.create_task_group() as beside:
                 if self._has_keys:
@@ -161,7 +161,7 @@ class LiveTranscript:
         await self._region.drained()
 
     def close(self) -> None:
-        """Restore the terminal. If the goal has not ended, also remove the display."""
+        """Restore the terminal, and remove the display unless the goal has ended."""
         self._region.restore()
 
 
@@ -197,7 +197,7 @@ class GoalPicture:
 
     Attributes:
         shown: The goal to display.
-        has_ended: Whether the goal has ended. If so, the display leaves out the goal's progress.
+        has_ended: Whether the goal has ended. The display of an ended goal shows no progress.
         is_served: Whether the goal's server is on the graph.
     """
 
@@ -256,9 +256,9 @@ class GoalPicture:
     def _progress(self, now: float) -> tuple[float | None, str]:
         """Return the goal's progress as a fraction (0 to 1; None if unknown) and in words.
 
-        The progress comes from the first feedback field with ``remaining`` in its name. Without
-        such a field, the progress is the share of the goal's places that the turtle has passed. If
-        the goal has no places, the words say how old the last feedback is.
+        The progress comes from the first feedback field with ``remaining`` in its name. Without a
+        ``remaining`` field, the progress is the fraction of the goal's targets that the turtle has
+        passed. If the goal has no targets, the text says how old the last feedback is.
         """
         # Without the goal's message, nobody knows how much remained when the goal began.
         feedback = self._feedback if self.shown.goal is not None else None
@@ -289,10 +289,10 @@ def _target(feedback: Message | None) -> list[render.Target]:
 
 
 MOST_LEFT: Final = 20
-"""This many lines of the log stay on the screen at the end."""
+"""When the display ends, this many lines of the log stay on the screen."""
 
 PATIENCE: Final = 0.5
-"""How long the terminal may take to show these lines (s, wall clock)."""
+"""How long the terminal may take to show the last lines of the log (s, wall clock)."""
 
 MOST_GOALS: Final = 100
 """A frame shows at most this many goals: the newest ones."""
@@ -304,10 +304,10 @@ MOST_TURTLES: Final = 50
 """The map shows and follows at most this many turtles."""
 
 FIRST_LOOK: Final = 0.1
-"""How often `Dashboard.run` looks for the first line of the log (s)."""
+"""The interval at which `Dashboard.run` checks whether the log has a line (s)."""
 
 NOT_READY: Final = "not ready yet"
-"""The heading until there is another one."""
+"""The dashboard's heading before the first call of `Dashboard.say`."""
 
 
 class Dashboard:
@@ -387,7 +387,7 @@ class Dashboard:
                     print(line.full, file=sys.stderr)
 
     async def run(self) -> None:
-        """Wait for a line in the heading or the log, then draw frames until this is cancelled.
+        """Wait for a line in the heading or the log, then draw frames until cancelled.
 
         The display does not wait until the server is ready, because the log may say what the
         server waits for. At the end, print the heading and the last lines of the log, which stay on
@@ -516,7 +516,7 @@ class _Drawn:
         self._sim = sim
 
     def canvas(self, columns: int, rows: int) -> render.Braille:
-        """Return the lines as dots, on a canvas of this many columns and rows of characters."""
+        """Return the lines as dots on a canvas of ``columns`` by ``rows`` characters."""
         canvas = render.Braille(columns, rows)
         top = canvas.height - 1
         for row, pixels in enumerate(self._sim.thumbnail(canvas.width, canvas.height)):

@@ -148,13 +148,13 @@ def is_loopback(endpoint: str) -> bool:
 def mode_of(connect: Sequence[str], locks: Locks) -> Literal["peer", "client"]:
     """Return whether a command joins a graph as a peer or as a client.
 
-    A command joins as a peer, like ROS's tools, if the router is on this machine and ``locks`` has
-    no section ``[login]``. Otherwise it joins as a client.
+    A command joins as a peer if the router is on this machine and ``locks`` has no section
+    ``[login]``. Otherwise the command joins as a client. The tools of ROS 2 also join as peers.
 
     A peer talks to each node directly, so it also sees nodes for which the router has no liveliness
-    tokens. Two sorts of nodes are out of a peer's reach: nodes that ask for a password, and nodes
-    of another machine that listen only on that machine's loopback address. A client reaches these
-    nodes through the router.
+    tokens. A peer cannot reach nodes that ask for a password, or nodes of another machine that
+    listen only on that machine's loopback address. A client reaches both sorts of nodes through the
+    router.
 
     Args:
         connect: The endpoints to connect to. An empty list means the router of this machine.
@@ -208,7 +208,10 @@ _DECLARED: Final = [
 """The messages that a participant needs to join the graph and to answer."""
 
 _EVERYTHING: Final = ["**", "@ros2_lv/**", "**/@adv/**"]
-"""Expressions for every key. Wildcards do not match keys with an at sign, so these are named."""
+"""Expressions that together match every key.
+
+Wildcards do not match the parts of a key that begin with an at sign, so the list names these parts.
+"""
 
 
 def _access_control(access: Access) -> dict[str, object]:

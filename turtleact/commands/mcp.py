@@ -36,7 +36,7 @@ PATIENCE = 10.0
 FIRST_LINE = 0.02
 """How long to wait for the client's first message before opening the graph (s).
 
-Opening the graph blocks the event loop, which would delay the answer.
+Opening the graph blocks the event loop, and would delay the answer to the first message.
 """
 
 
@@ -67,7 +67,7 @@ class Order(NamedTuple):
 
     @property
     def is_empty(self) -> bool:
-        """Whether the user has named nothing to offer."""
+        """Whether the user has named no actions, services or topics to offer."""
         names = self.actions, self.services, self.topics
         return not self.read_only and all(each is not None and not each for each in names)
 
@@ -76,8 +76,9 @@ def run(order: Order, interrupts: Interrupts) -> int:
     """Serve until the client leaves or a signal comes, and return the exit status.
 
     Raises:
-        UsageError: if the user has named nothing to offer. The message lists the existing actions.
-        TurtleactError: if the MCP SDK is not installed, or no graph is in reach.
+        UsageError: if the user has named no actions, services or topics to offer. The message lists
+            the existing actions.
+        TurtleactError: if the MCP SDK is not installed, or no graph can be reached.
     """
     interrupts.patience = PATIENCE
     if not order.is_empty:
@@ -105,7 +106,7 @@ def _check_sdk() -> None:
 async def _open(order: Order) -> AsyncIterator[tuple[Node, Wire | None]]:
     """Open stdin and then a node on the graph.
 
-    If the clients use HTTP, or the user has named nothing to offer, stdin is not opened.
+    If the clients use HTTP, or `Order.is_empty`, stdin is not opened.
 
     If the client's first message on stdin comes at once, the client is answered before the graph is
     opened. While the graph is being opened, a thread imports the MCP SDK.
@@ -176,7 +177,7 @@ async def _serve_http(
 
 
 async def _what_there_is(node: Node) -> str:
-    """Return the error message for a user who has named nothing to offer."""
+    """Return the error message for an empty order."""
     await find_server(node.transport, lambda: node.graph().actions or None)
     seen = ", ".join(node.graph().actions) or "none"
     return f"name what to offer: --actions NAME,… or --all; the actions here are: {seen}"

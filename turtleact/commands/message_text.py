@@ -2,8 +2,8 @@
 
 The user writes a message on the command line, in a file or to stdin. The ``echo`` verbs print
 messages as YAML or comma-separated values, in full or in part (`Style`). ``topic pub`` and
-``service call`` print messages as rclpy's ``repr`` does. In that notation, arrays of fixed length
-look as in numpy, but are always on one line.
+``service call`` print messages as rclpy's ``repr`` does. In rclpy's notation, fixed-length arrays
+look like numpy arrays, but always stay on one line.
 
 Source: rosidl_runtime_py ``convert.py``; rosidl_generator_py ``resource/_msg.py.em`` for the
 notation of ``repr``; recordings of ROS 2 Jazzy.
@@ -39,7 +39,7 @@ IDL_NAMES = {
     "float32": "float",
     "float64": "double",
 }
-"""Types that have another name in IDL, which ``--no-arr`` prints."""
+"""Types that have another name in IDL. ``--no-arr`` prints the names in IDL."""
 
 
 class GoalText(NamedTuple):
@@ -47,7 +47,7 @@ class GoalText(NamedTuple):
 
     Attributes:
         text: The text, in YAML or JSON.
-        source: What error messages call the text, before its line and column.
+        source: The name of the text in error messages, such as ``stdin``.
     """
 
     text: str
@@ -93,7 +93,7 @@ def read_text_file(path: str, what: str) -> str:
 
     Args:
         path: The path of the file.
-        what: The beginning of error messages: the option and the file.
+        what: The option and the file, with which each error message begins.
 
     Raises:
         UsageError: if the file cannot be read, is longer than `MOST` bytes, or is not UTF-8.
@@ -111,7 +111,7 @@ def read_text_file(path: str, what: str) -> str:
 
 
 SILENT = frozenset({"float64", "int64", "bool"})
-"""The types that numpy does not print."""
+"""The element types that numpy leaves out when it prints an array."""
 
 DTYPES = {"byte": "uint8", "char": "uint8"}
 """Types that have another name in numpy."""

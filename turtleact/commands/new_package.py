@@ -134,7 +134,7 @@ def _next_steps(package: NewPackage, *, python: bool) -> list[str]:
 
 
 def _python_files(package: NewPackage) -> dict[str, str]:
-    """Return the text of each file of a package with a program, by path in the package."""
+    """Return the files of a package that contains a program, as a dict from path to text."""
     name, node = package.name, package.node_name
     texts = {
         "package.xml": _package_xml(package, ("<exec_depend>python3</exec_depend>",), ()),
@@ -157,7 +157,7 @@ def _python_files(package: NewPackage) -> dict[str, str]:
 
 
 def _cmake_files(package: NewPackage) -> dict[str, str]:
-    """Return the text of each file of a package with only interfaces, by path in the package."""
+    """Return the files of a package that contains only interfaces, as a dict from path to text."""
     needed = [each for each in package.dependencies if _INTERFACES.fullmatch(each)]
     uses = f"  DEPENDENCIES {' '.join(needed)}\n" if needed else ""
     found = "".join(f"find_package({each} REQUIRED)\n" for each in package.dependencies)

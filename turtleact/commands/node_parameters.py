@@ -255,7 +255,7 @@ WILDCARD = "/**"
 """The name that stands for all nodes in a file of parameters."""
 
 BELOW = "ros__parameters"
-"""The key that holds a node's parameters in such a file."""
+"""The key that holds a node's parameters in a file of parameters."""
 
 
 class Kind(NamedTuple):
@@ -298,7 +298,10 @@ SINGLE: Final = {
     float: ParameterType.PARAMETER_DOUBLE,
     str: ParameterType.PARAMETER_STRING,
 }
-"""The types of single values. The type of a list of such values is five higher."""
+"""The parameter type of a single value, by Python type.
+
+The number of the type of a list is `ARRAY` higher than the number of the type of its elements.
+"""
 
 ARRAY: Final = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
 
@@ -395,7 +398,7 @@ def unheard(overrides: Iterable[Override], node: str, declared: Iterable[str]) -
     """Return messages for the user about values that have no effect.
 
     A value has no effect if no module declares its parameter. If all values are for other nodes,
-    there is a message about that, too.
+    one message names those nodes.
 
     Args:
         overrides: The values, for this node and for others.
@@ -467,7 +470,7 @@ async def _values(node: Node, owner: str, names: Sequence[str]) -> list[Paramete
 
 
 async def _described(node: Node, owner: str, names: Sequence[str]) -> list[ParameterDescriptor]:
-    """Return the descriptions of parameters. Raise an error if the node lacks one of them."""
+    """Return the descriptions of parameters. Raise an error if the node lacks any of ``names``."""
     request = DescribeParameters.Request(list(names))
     response = await _ask(node, DescribeParameters, owner, request)
     if len(response.descriptors) < len(names):
@@ -540,7 +543,7 @@ async def _set_again(
 
 
 def _of_type(value: ParameterValue, kind: int) -> ParameterValue:
-    """Convert a value to its parameter's type if nothing is lost; otherwise return it unchanged.
+    """Convert a value to its parameter's type. If the type does not fit, return the value as it is.
 
     An integer can become a double. A list of integers from 0 to 255 can become a byte array. An
     empty list can become an array of any type.

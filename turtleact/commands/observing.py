@@ -27,10 +27,10 @@ REPEAT = 600.0
 """A failure of an exporter is reported again after this time (s)."""
 
 ANSWER = re.compile(r"code: (?P<code>\d+), reason: (?P<reason>.*)")
-"""The pattern of an exporter's log line about an answer that is no success."""
+"""The pattern of the line that an exporter logs when the collector answers with an error."""
 
 NO_ANSWER = re.compile(r"Transient error (.*\[Errno -?\d+\] )?(?P<reason>.*?)[\")]* encountered")
-"""The pattern of an exporter's log line about the first of several attempts."""
+"""The pattern of the line that an exporter logs before it repeats a failed attempt."""
 
 
 def set_up_logging(log_format: LogFormat | None) -> None:
@@ -164,7 +164,7 @@ def _unreachable(reason: str) -> str:
 def _problem(record: logging.LogRecord) -> str:
     """Return the problem in an exporter's record, in clear words.
 
-    If the exporter only says that it gives up, return an empty string.
+    If the record gives no reason, return an empty string.
     """
     text = record.getMessage()
     if answer := ANSWER.search(text):

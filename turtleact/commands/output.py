@@ -33,7 +33,7 @@ ELSEWHERE = (
 """The advice for an unknown interface."""
 
 HALF = 2000
-"""A note has at most twice this many characters."""
+"""How many characters of a long note are kept at its beginning, and how many at its end."""
 
 
 def say(text: str) -> None:
@@ -57,8 +57,8 @@ def say_table(rows: Iterable[Sequence[str]], widths: list[int] | None = None) ->
 
     Args:
         rows: The rows, at least one.
-        widths: The minimum widths of the columns. This function increases them in place if ``rows``
-            need more. To print one table in parts, pass the same list for each part.
+        widths: The minimum widths of the columns. This function increases the widths in place if
+            ``rows`` need more space. To print one table in parts, pass the same list for each part.
     """
     rows = list(rows)
     widths = [0] * len(rows[0]) if widths is None else widths

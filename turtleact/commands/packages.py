@@ -33,9 +33,9 @@ PROGRAMS: Final = (
     ("examples_rclpy_minimal_action_server", "server"),
     ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
 )
-"""The programs of ROS 2 that have a counterpart here.
+"""The programs of ROS 2 that have a counterpart in turtleact.
 
-The programs outside turtlesim serve Fibonacci.
+All programs except those of the package turtlesim serve the Fibonacci action.
 """
 
 _MARKS: Final = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml")

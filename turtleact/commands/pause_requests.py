@@ -1,7 +1,7 @@
 """Asks servers to pause or resume goals, and asks which goals are paused.
 
 ROS 2 cannot pause goals. Servers of turtleact offer a service and a topic for pauses, as soon as a
-client looks for these; see `turtleact.goal_wire`.
+client looks for the service or the topic; see `turtleact.goal_wire`.
 """
 
 from __future__ import annotations
@@ -23,23 +23,28 @@ if TYPE_CHECKING:
 __all__ = ["TIMEOUT", "follow_paused", "paused_goals", "set_paused"]
 
 TIMEOUT: Final = 5.0
-"""How long a body may take to stand still by default (s, event loop time)."""
+"""The default time that a body may take to pause (s, event loop time)."""
 
 ANSWER: Final = 10.0
-"""How much longer the server may take to answer (s, by the clock of the graph)."""
+"""How long the server may take to answer, in addition to the body's time to pause.
+
+In seconds, by the clock of the graph.
+"""
 
 OFFERED_WITHIN: Final = 2.0
 """How long a server may take to offer the service (s, by the clock of the graph)."""
 
 TOLD_WITHIN: Final = 0.2
-"""How long to wait for the topic, besides the round trips (s, by the clock of the graph).
+"""How long to wait for a message of the topic, in addition to `ROUND_TRIPS`.
 
-Servers of ROS 2 have no such topic.
+In seconds, by the clock of the graph. Servers without turtleact do not offer the topic.
 """
 
 ROUND_TRIPS: Final = 5
-"""How many round trips to wait for the topic: to ask for it, to find its publisher, and to get its
-latched message."""
+"""How many network round trips are added to `TOLD_WITHIN`.
+
+The node must ask for the topic, find the topic's publisher, and get the latched message.
+"""
 
 LATCHED: Final = QoS(depth=1, durability="transient_local")
 

@@ -44,13 +44,13 @@ DECLARING = (
     ast.AugAssign,
     ast.Pass,
 )
-"""The kinds of statements in a file that only declares something."""
+"""The kinds of statements that declare something but run no program."""
 
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
-"""The parts of a file that do not run when the file does."""
+"""The kinds of syntax nodes with code that does not run when their file is executed."""
 
 PREPARING = ("load_interfaces", "basicConfig")
-"""A file that calls these functions, and no others, runs nothing either."""
+"""A file that only declares something may call these functions."""
 
 MAIN = "main"
 """By convention, the function that runs a file's program."""
@@ -97,7 +97,8 @@ def run_program(
     Args:
         program: What to run.
         arguments: The words that the user typed after the program's name.
-        interrupts: The signals, for which Python's own handlers are restored.
+        interrupts: Handles signals until the program starts. The program then has Python's own
+            signal handlers.
         options: Which rclpy the program imports, and which graph it joins. None for the defaults.
 
     Returns:
@@ -152,10 +153,10 @@ def is_python(file: Path) -> bool:
 
 
 def _tell_what_is_missing(file: Path, names: Mapping[str, object]) -> None:
-    """If a file only declares actions or a ``main``, tell the user what to do.
+    """If a file declares actions or a ``main`` but runs nothing, tell the user how to run the file.
 
     Args:
-        file: The file, which has run to its end.
+        file: The file, after it has been executed.
         names: The global variables of the file.
     """
     declares = _declares(names)
@@ -180,7 +181,7 @@ def _tell_what_is_missing(file: Path, names: Mapping[str, object]) -> None:
 def _declares(names: Mapping[str, object]) -> str:
     """Return what a file declares for ``turtleact serve``, as text; empty if there is nothing.
 
-    Background functions are mentioned only if the file declares no action.
+    The text names background functions only if the file declares no action.
     """
     from turtleact.body import ActionDeclaration, BackgroundDeclaration  # help does without them
 

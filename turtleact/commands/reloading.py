@@ -2,8 +2,8 @@
 
 Only the user's actions, parameters and background tasks are replaced. The process, the graph and
 the world go on, so turtles stay where they are and clients stay connected. Running goals of the old
-actions end ABORTED with the reason "reloading". With a journal that resumes goals, the goals go on
-with the new actions instead.
+actions end ABORTED with the reason "reloading", unless a journal resumes the goals with the new
+actions.
 
 The new modules are imported before the old actions end. If the import fails, the error is logged,
 and the old actions go on until the next change.
@@ -180,7 +180,7 @@ class Reloader:
         self._watching = Background(self.run(), "the reloading")
 
     async def run(self) -> None:
-        """Watch the files and replace the actions, until this is cancelled."""
+        """Watch the files and replace the actions until the task is cancelled."""
         while True:
             await anyio.sleep(INTERVAL)
             await self.look()
@@ -264,8 +264,8 @@ class Reloader:
 async def _together(calls: Iterable[Callable[[], Awaitable[None]]]) -> None:
     """Call functions that end tasks and servers, all at the same time, and wait for all of them.
 
-    Tasks that ignore their cancellation thus cost `GRACE` seconds together, and no server accepts a
-    goal meanwhile.
+    All tasks that ignore their cancellation share one delay of `GRACE` seconds. During the delay,
+    no server accepts a goal.
     """
     # Shielded: a child that is cancelled before its first step would not cancel its task.
     with anyio.CancelScope(shield=True):

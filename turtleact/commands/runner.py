@@ -1,10 +1,10 @@
 """Runs a command in an event loop of its own, and makes sure that the program can always end.
 
-`asyncio.run` is not enough, because at its end it waits for every task that still runs. The
-interpreter then waits for every thread. A body that ignores its cancellation or blocks a thread
-would therefore keep the program alive forever. Besides, the user's code runs in the same loop, and
-can stop that loop at any time: with ``sys.exit``, ``raise KeyboardInterrupt`` or ``loop.stop()``,
-or by cancelling every task it finds.
+At its end, `asyncio.run` waits for every task that still runs, and the interpreter waits for every
+thread. A body that ignores its cancellation or blocks a thread would therefore keep the program
+alive forever. Besides, the user's code runs in the same event loop. The user's code can stop the
+loop at any time with ``sys.exit``, ``raise KeyboardInterrupt`` or ``loop.stop()``, or by cancelling
+every task that it finds.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ OURS = str(Path(__file__).parents[1]) + os.sep
 """The folder of turtleact's own modules."""
 
 GRACE = 2.0
-"""A command's remaining tasks have this long to end, and then its remaining threads (s)."""
+"""How long to wait for the tasks that a command leaves behind, and then for its threads (s)."""
 
 STOPPED = (
     "a body, or other code of yours, called stop() of the event loop, which ends all that runs in "
@@ -93,11 +93,12 @@ def _drive(
     again. Otherwise running goals could not end, and their clients would get no answer.
 
     An exception such as SystemExit stops the loop in the middle of an iteration, and
-    ``loop.stop()`` stops it at the end of an iteration. In both cases the loop can run again.
+    ``loop.stop()`` stops the loop at the end of an iteration. After either stop, the loop can run
+    again.
 
     Returns:
-        The exception that first stopped the loop, or a `TurtleactError` for ``loop.stop()``. None
-        if the user's code did not stop the loop, or if ``interrupts`` is None.
+        The exception that stopped the loop first, or a `TurtleactError` if ``loop.stop()`` did.
+        None if the user's code did not stop the loop, or if ``interrupts`` is None.
     """
     cause: BaseException | None = None
     # `run_until_complete` would not do: it removes its callback when an exception leaves the loop,
@@ -119,9 +120,9 @@ def _drive(
 async def _end_the_rest() -> list[str]:
     """Cancel all other tasks, and close asynchronous generators and the loop's threads.
 
-    The result describes what has not ended in time: tasks or, if all tasks have ended, generators
-    and threads. This function waits with `asyncio.wait`, which returns when the time is over, even
-    if a task ignores its cancellation.
+    Return descriptions of the tasks that have not ended in time. If all tasks have ended, describe
+    the generators and threads that have not ended. This function waits with `asyncio.wait`, which
+    returns when the time is over, even if a task ignores its cancellation.
     """
     loop, own = asyncio.get_running_loop(), asyncio.current_task()
     left = asyncio.all_tasks() - {own}

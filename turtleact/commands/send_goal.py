@@ -62,10 +62,10 @@ SUCCEEDED, FAILED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 1, 3, 4, 5, 124
 ENDED_WITH_WORLD = "the goal ended together with the embedded world"
 
 PATIENCE = 5.0
-"""The length of three waits (s, wall clock).
+"""The time limit of several waits (s, wall clock).
 
-A goal may take this long to end after its timeout. A server on the graph may take this long until
-it can be reached. After this time, the user is told that no server has accepted the goal.
+A goal may take this long to end after its timeout. A server on the graph may take this long to
+become reachable. If no server has accepted the goal after this long, a note tells the user.
 """
 
 WORLD_STATE = "/world/get_simulation_state"
@@ -78,7 +78,8 @@ AGAIN = 0.25
 CANCEL_TIMEOUT = 6.0
 """After a signal, how long to wait for the goal's end or the server's answer (s, wall clock).
 
-This is a little longer than the 5 s that a server waits for the clean-up of a body."""
+The timeout is a little longer than the 5 s that a server gives a body to clean up.
+"""
 
 
 class Order(NamedTuple):
@@ -243,8 +244,8 @@ class Sending:
         """Join the user's graph, and return a node on it; None if there is no graph.
 
         With ``--reattach``, wait for the graph and then for the action. If the router is off, an
-        attempt to connect fails at once. So this function tries again until the time of
-        ``--reattach`` is over.
+        attempt to connect fails at once. This method therefore repeats the attempt until the time
+        of ``--reattach`` has passed.
         """
         patience = self._order.reattach
         due = anyio.current_time() + patience
@@ -282,9 +283,9 @@ class Sending:
         """Return the class of the action.
 
         Raises:
-            ServerUnavailable: if nobody serves the action, or only with another type. If nobody
-                serves the action, the message suggests a similar action, or lists the actions that
-                are served.
+            ServerUnavailable: if nobody serves the action with the wanted type. If nobody serves
+                the action with any type, the message suggests a similar action, or lists the
+                actions that are served.
             TurtleactError: if the type is unknown in this process, or is not an action.
         """
         actions = node.graph().actions
@@ -405,7 +406,7 @@ class Sending:
     # signals, timeouts and servers that do not answer
 
     async def _heed_interrupts(self, sending: anyio.CancelScope, beside: TaskGroup) -> None:
-        """Cancel the goal, or stop sending it, at the first signal. Stop waiting at the second.
+        """At the first signal, cancel the goal or stop sending it. At the second, stop waiting.
 
         The server may never answer, and the goal may never end: a body may ignore its cancellation,
         and a server may refuse to cancel, hang, or be gone. Therefore this method stops waiting
@@ -523,9 +524,9 @@ class Sending:
 
 
 async def _find_served(node: Node, name: str | None = None) -> bool:
-    """Whether the action ``name`` is served. Without a name, any served action counts.
+    """Whether the action ``name`` is served or, without ``name``, whether any action is served.
 
-    If there is no server yet, wait for one until the graph has been discovered.
+    If there is no server yet, wait until a server appears or the graph has been discovered.
     """
 
     def found() -> bool | None:

@@ -56,7 +56,8 @@ ROUTER = "tcp/127.0.0.1:7447"
 LEASE = 15.0
 """How long the graph may still show the node of a killed process (s, event loop time).
 
-Zenoh's own lease is 10 s."""
+The time is longer than Zenoh's own lease of 10 s.
+"""
 
 STANDBY = 0.2
 """The interval at which a standby tries to open the journal of another process (s)."""
@@ -220,7 +221,7 @@ async def _end_goals(nodes: list[Node], reloader: Reloader) -> None:
 
 
 def _fate(service: Service, options: Kept) -> str:
-    """Return words for what happens to running goals when the server ends."""
+    """Return a phrase that says what happens to running goals when the server ends."""
     if service.keeping is None or not service.keeping.resumes:
         return "are ended"
     if problem := options["journal"].problem():
@@ -291,11 +292,11 @@ async def serve_declared(
 ) -> list[ActionServer[Any, Any, Any]]:
     """Serve actions, and return once all of them are on the graph.
 
-    Only one node can serve an action name; see `turtleact.node.conflicts`. If a node with the same
-    name as ``node`` still serves an action, that node may be an earlier run that was killed a
-    moment ago. Therefore this function waits for that node to disappear, even without ``wait``.
-    Without ``wait``, this function waits for at most `LEASE` seconds, because that node may also be
-    another ``turtleact serve`` that is still running.
+    Only one node can serve an action name; see `turtleact.node.conflicts`. If another node with the
+    name of ``node`` still serves an action, its process may have been killed a moment ago. This
+    function therefore waits for the other node to disappear, even without ``wait``. Without
+    ``wait``, this function waits at most `LEASE` seconds, because the other node may belong to a
+    ``turtleact serve`` that still runs.
 
     Args:
         node: The node that serves the actions.
@@ -332,7 +333,7 @@ async def serve_declared(
 
 
 def _refused(taken: ActionConflict) -> TurtleactError:
-    """Return the error for an action that another node serves, with a hint at ``--wait``."""
+    """Return the error for an action that another node serves. The error suggests ``--wait``."""
     return TurtleactError(
         f"action '{taken.action}' is served by node {taken.node} already: choose another name, or "
         "give --wait to serve it once that node has gone"

@@ -74,7 +74,7 @@ class Reach(NamedTuple):
         return cls(endpoints("--connect", connect), domain, config)
 
     def locks(self) -> Locks:
-        """Read the ``--config`` file.
+        """Return the contents of the ``--config`` file. Without a file, the contents are empty.
 
         Raises:
             UsageError: if the file cannot be read, or has an invalid value.
@@ -93,7 +93,7 @@ class Place(NamedTuple):
         reach: The graph on which to look for a server first; None to use only the embedded world.
         interfaces: A folder with more interface files.
         options: The command-line options for ``reach`` and ``interfaces``, with a space before each
-            option. A hint appends this text to the command that it suggests.
+            option. Hints append these options to the commands that they suggest.
     """
 
     speed: float | str = 1.0
@@ -198,9 +198,9 @@ class Service(NamedTuple):
     Attributes:
         targets: The user's modules, files and objects, in the syntax of
             `turtleact.commands.targets`.
-        listen: The endpoints at which to listen as a router. If there are no endpoints to listen at
-            or connect to, the server becomes the router of this machine or, if this machine already
-            has a router, a peer of that router.
+        listen: The endpoints at which to listen as a router. Without any endpoints, here or in
+            ``reach``, the server becomes the router of this machine. If the machine already has a
+            router, the server becomes a peer of that router instead.
         reach: The endpoints to connect to, and the domain.
         fleet: The turtles of the world; None for no world and no built-in actions.
         page: Where to serve the web page and rosbridge; None to serve neither.
@@ -210,7 +210,7 @@ class Service(NamedTuple):
         turtlesim_only: Whether the world serves only what turtlesim serves, and no built-in
             actions.
         wait: Whether to wait while another node serves one of the actions, or another process uses
-            the journal. If False, both are errors.
+            the journal. Without ``wait``, a served action or a used journal is an error.
         reload: Whether to reload the user's actions when their files change.
         node_name: The name of the node that serves the actions, if there is no world.
         keeping: How to keep a journal of the goals; None for no journal.

@@ -1,12 +1,12 @@
 """Finds what ``serve`` serves: the user's modules, and the actions and parameters in them.
 
 A target is a module (``lab``, ``lab.robot``), a file (``lab.py``, ``./src/lab.py``), or one object
-in a module or file (``lab:fibonacci``, ``lab.py:Robot.drive``). A file is imported as a module. For
-that, the folder of the file is put at the beginning of ``sys.path``. If the file belongs to a
-package, the folder that contains the package is put there instead.
+in a module or file (``lab:fibonacci``, ``lab.py:Robot.drive``). To import a file as a module, the
+folder of the file is put at the beginning of ``sys.path``. For a file in a package, the folder that
+contains the package is put there instead.
 
-`Modules` can import the targets again, after the user has edited them. Only the user's own modules
-are then imported again. Modules in site-packages stay loaded.
+`Modules` can import the targets again after the user has edited them. Only the user's own modules
+are imported again. Modules in site-packages stay loaded.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ OURS = Path(__file__).parents[1]
 """The folder of turtleact's own modules."""
 
 NOT_SERVED = ("setup.py", "conftest.py", "noxfile.py", "__init__.py")
-"""Files that tools use. No error suggests to serve them."""
+"""Names of files with a special meaning. Error messages never suggest these files as targets."""
 
 DECLARES = re.compile(rb"^\s*@(?:\w+\.)*action\(", re.MULTILINE)
-"""What the line above a body looks like."""
+"""Matches the line with the decorator that declares an action."""
 
 MOST_READ = 50
-"""An error about a folder reads at most this many files."""
+"""At most this many files of a folder are searched for actions, to suggest files in an error."""
 
 
 class Found(NamedTuple):
@@ -57,8 +57,7 @@ class Found(NamedTuple):
 
     Attributes:
         actions: The actions to serve, in the order of the targets. The actions of one module are in
-            the order
-            of their declaration.
+            the order of their declaration.
         parameters: The parameters in the modules of the targets, and in the user's modules that
             these import.
         tasks: The background functions in the same modules.
@@ -146,9 +145,8 @@ def _file_of(name: str) -> Path | None:
 def _files_to_name(folder: Path) -> str:
     """Advise which file of a folder to name.
 
-    The advice names the files that seem to declare actions. If no file does, the advice names all
-    Python files that are directly in the folder, except tests and files for tools, such as
-    ``setup.py``.
+    The advice names the files that seem to declare actions. If no file seems to declare an action,
+    the advice names all Python files directly in the folder, except tests and `NOT_SERVED`.
     """
     files = [
         each
@@ -212,8 +210,7 @@ class Modules:
         then in the rest of ``sys.path``.
 
         Raises:
-            UsageError: if a target's module or object does not exist, or if there is nothing to
-                serve in it.
+            UsageError: if a target's module or object does not exist, or contains nothing to serve.
             TurtleactError: if a module raises an error while it is imported. The error text names
                 the file and the line.
         """
@@ -234,7 +231,7 @@ class Modules:
         """Import the user's modules again. If that fails, restore ``sys.modules``.
 
         Raises:
-            BaseException: if `find` raises it. A module may raise `SystemExit`, for example.
+            BaseException: if `find` raises an exception, such as `SystemExit` from a module.
         """
         before = self._own()
         for name in before:
@@ -276,16 +273,16 @@ class Modules:
         return {file for module in self._own().values() if (file := _file(module)) is not None}
 
     def _named_files(self) -> set[Path]:
-        """The files of the targets, even of those that have not been imported."""
+        """The files of all targets, including targets that have not been imported."""
         return {
             each.file or each.folder.joinpath(*each.module.split(".")).with_suffix(".py")
             for each in self.targets
         }
 
     def _files_in(self, error: BaseException | None) -> set[Path]:
-        """The user's files to watch after a failed import, because the error may be in them.
+        """The user's files that may have caused the error of a failed import.
 
-        These are the files in the traceback of the error, and the files that the import looked for.
+        The result has the files in the error's traceback, and the files that the import looked for.
         """
         found: set[Path] = set()
         while error is not None:

@@ -76,7 +76,10 @@ OK: Final = 0
 """The exit status if the user quits."""
 
 GONE: Final = 2.0
-"""A turtle counts as gone if it is missing for this time (s, wall clock). A reset takes less."""
+"""A turtle that is missing for this long has left the graph (s, wall clock).
+
+During a reset, turtles are missing for a shorter time.
+"""
 
 END_ITS_GOAL: Final = (
     "cancel its goal: 'turtleact goals' lists the goals, 'turtleact cancel ID' cancels one"

@@ -13,7 +13,7 @@ Two problems remain:
 - When the window gets narrower, the terminal wraps the lines of the frame. That may push the first
   lines into the history, where they cannot be erased.
 - Keys that are pressed but not read stay in the terminal's input. The next program that reads from
-  the terminal gets them, for example the shell.
+  the terminal, such as the shell, receives the unread keys.
 
 Source: ECMA-48 for the control sequences; xterm for the control sequences of the arrow keys; the
 terminals' mode 2026 for frames without flicker; the GNU C Library manual, "Signaling Yourself", for
@@ -60,16 +60,20 @@ __all__ = [
 ]
 
 STOPPING: Final = signals("SIGTSTP", "SIGQUIT")
+"""The signals that stop or end the process."""
 
 CONTINUING: Final = signals("SIGCONT")
-"""The signals that stop and continue the process.
+"""The signal that continues a stopped process.
 
-In between, another process may have the terminal.
+While the process is stopped, another process may use the terminal.
 """
 
 GIVE_BACK: Final = "\r\x1b[K\x1b7\x1b[B\x1b[J\x1b8\x1b[?25h"
-"""Removes the lines and shows the cursor. The first line is erased separately: some terminals copy
-a screen that is erased from its very top into their history."""
+"""Removes the frame and shows the cursor.
+
+The first line is erased separately. Some terminals copy the screen to their history when a single
+control sequence erases the whole screen.
+"""
 
 BACKGROUND: Final = 0.2
 """The interval at which a background process checks whether it is in the foreground again (s)."""
@@ -80,7 +84,7 @@ TOKEN: Final = re.compile(
     rb"\x1b\[[0-?]*[ -/]*(?P<csi>[@-~])|\x1bO(?P<ss3>[@-~])"
     rb"|(?P<begun>\x1b(?:\[[0-?]*[ -/]*|O)?\Z)|(?P<key>[^\x1b])|\x1b"
 )
-"""The pattern of a control sequence, of its beginning at the very end, of a key, or of an ESC."""
+"""Matches a control sequence, an incomplete one at the end of the input, a key, or a lone ESC."""
 
 
 def can_move(stream: TextIO | None) -> bool:
@@ -158,7 +162,7 @@ class Outlet:
             await anyio.wait_writable(self._descriptor)
 
     def close(self) -> None:
-        """Close the terminal that was opened a second time. Buffered text is lost."""
+        """Close the outlet's own file descriptor of the terminal. Buffered text is lost."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:
             os.close(descriptor)
@@ -256,7 +260,8 @@ class Region:
         """Prepare the terminal for frames during a block, and restore the terminal afterwards.
 
         On SIGTSTP (Ctrl-Z) or SIGQUIT during the block, the terminal is restored before the signal
-        stops or ends the process. After SIGCONT, the next frame is drawn at the cursor's position.
+        stops or ends the process. When SIGCONT has continued the process, the next frame is drawn
+        at the cursor's position.
         """
         handlers: dict[signal.Signals, Callable[[int, FrameType | None], None]] = {
             **dict.fromkeys(STOPPING, self._follow),
@@ -346,13 +351,13 @@ SHARE: Final = 0.2
 SMALLEST: Final = 14
 """The minimum height of a last frame, enough for a small map.
 
-A last frame shrinks to make room for the text below it.
+A last frame may shrink to this height to make room for the text below the frame.
 """
 
 FULL: Final = 2
-"""How many lines of a frame fill the width of the window.
+"""The number of lines in a frame that are as wide as the window.
 
-In a narrower window, each becomes two.
+When the window gets narrower, each of these lines wraps onto two lines.
 """
 
 
@@ -392,13 +397,13 @@ def print_last(region: Region, compose: Compose, *, below: int) -> None:
 
 
 async def animate(region: Region, compose: Compose) -> None:
-    """Draw frames within a block of `Region.held`, until this is cancelled."""
+    """Enter `Region.held`, and draw frames until the task is cancelled."""
     with region.held():
         await keep_drawing(region, compose)
 
 
 async def keep_drawing(region: Region, compose: Compose) -> None:
-    """Draw frames until this is cancelled. The caller must have entered `Region.held`.
+    """Draw frames until the task is cancelled. The caller must have entered `Region.held`.
 
     This function draws at most 15 frames a second, and uses at most a fifth of the processor's
     time. The first frame may take longer, because modules are imported to draw it.
