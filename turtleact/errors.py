@@ -30,8 +30,8 @@
         ├── Cancel
         └── Reject
 
-Each exception keeps its facts as attributes and builds its text from them. The text says what
-happened, where, and what to do.
+Each exception stores details as attributes and builds its text from these attributes. The text says
+what happened, where, and what to do.
 """
 
 from __future__ import annotations
@@ -226,11 +226,11 @@ class InvalidParameter(TurtleactError):
 
 
 class InvalidTransition(TurtleactError):
-    """The event is not allowed in the goal's state. The state has not changed.
+    """The event is not allowed in the goal's state. The goal's state has not changed.
 
     Attributes:
         status: The state of the goal, a `GoalStatus`.
-        event: The event that is not allowed: a `GoalEvent`, or text that describes another step.
+        event: The forbidden event: a `GoalEvent`, or text if no `GoalEvent` describes the event.
         goal_id: The goal's id in hexadecimal, or an empty string.
     """
 
@@ -357,7 +357,7 @@ class ServiceError(TurtleactError):
 
     Attributes:
         name: The service's name.
-        reason: The server's explanation. If it sent none, this text says what went wrong.
+        reason: The server's explanation, or what went wrong if the server sent no explanation.
     """
 
     def __init__(self, name: str, reason: str) -> None:

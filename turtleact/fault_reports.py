@@ -44,25 +44,25 @@ ADVICE: Final = "advice"
 """The key of the value that says what to do."""
 
 UNTIL: Final = "until"
-"""The key of the value that says how long the fault lasts (s since the epoch, wall clock)."""
+"""The key of the value that says when the fault ends (s since the epoch, wall clock)."""
 
 LASTS: Final = 600.0
-"""How long lost feedback is a fault (s, wall clock)."""
+"""How long lost feedback counts as a fault after each report (s, wall clock)."""
 
 AGAIN: Final = 60.0
-"""Lost feedback is reported again after this time, so that the fault lasts (s, wall clock)."""
+"""If more feedback is lost after this time (s, wall clock), a new report prolongs the fault."""
 
 ROOM: Final = 1_000_000_000
-"""A disk with fewer free bytes is nearly full, unless it is a small disk."""
+"""A disk with fewer free bytes than this is nearly full. For small disks, see `SMALL`."""
 
 SMALL: Final = 0.05
-"""A small disk is nearly full if less than this share of it is free."""
+"""A small disk is nearly full if less than this share of its space is free."""
 
 LOOK_EVERY: Final = 10.0
 """The interval at which free disk space is checked (s, event loop time)."""
 
 SILENT_AFTER: Final = 10.0
-"""How long a disk may take to say how much space is free (s, event loop time)."""
+"""If a disk does not answer within this time (s, wall clock), the node reports a fault."""
 
 
 class FaultReports:
@@ -122,8 +122,8 @@ class LostFeedback:
         transport: The transport to publish on.
         node: The fully qualified name of the node.
         action: The name of the action.
-        how: What happened to the feedback, such as "did not reach" in "2 feedback messages of
-            action /count did not reach node /client".
+        how: The verb in the report, such as "did not reach" in "2 feedback messages of action
+            /count did not reach node /client".
         advice: What the user can do about the loss.
     """
 

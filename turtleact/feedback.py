@@ -1,9 +1,9 @@
 """Stores the feedback of one goal: decides which messages to keep, and when the body must wait.
 
 Once the client that sent the goal has begun to read the feedback, it misses no message: unread
-messages are kept, and the goal's body waits if the client is far behind. Before that, only the
-newest messages are kept. Other readers get the messages that are still kept, and count those that
-they have missed.
+messages are kept, and the goal's body waits if the client is far behind. Until the client begins to
+read, only the newest messages are kept. Other readers get the messages that are still kept, and
+count the messages that they have missed.
 
 This module never waits. A caller that wants to wait passes a `Listener`.
 """
@@ -33,14 +33,15 @@ class FeedbackLog:
         items: The messages still kept, oldest first.
         dropped: How many older messages were dropped. Message ``items[i]`` therefore has the number
             ``dropped + i``.
-        read: The number of the message that the goal's sender reads next; None while it reads none.
+        read: The number of the message that the goal's sender reads next; None while the sender
+            does not read feedback.
         drained: The listener to fire as soon as a waiting body may go on; None if no body waits.
-        hurried: How many callers wait for the goal's end. While there is one, the goal's body does
-            not wait for readers.
+        hurried: How many callers wait for the goal's end. While any caller waits for the end, the
+            goal's body does not wait for readers.
     """
 
     KEPT: Final = 1024
-    """How many messages are kept for readers that the body does not wait for."""
+    """How many of the newest messages are kept, even if nobody reads them."""
 
     BUDGET: Final = 1 << 20
     """How much feedback may be unread before the body waits (bytes, in a compact encoding)."""
@@ -63,7 +64,7 @@ class FeedbackLog:
 
     @property
     def is_full(self) -> bool:
-        """Whether the goal's sender is so far behind in reading that the goal's body must wait."""
+        """Whether the goal's sender has so much unread feedback that the goal's body must wait."""
         if self.read is None or self.hurried:
             return False
         unread = self.dropped + len(self.items) - self.read
@@ -106,7 +107,7 @@ class FeedbackLog:
 _ENCODER = msgspec.msgpack.Encoder()
 
 _NEWEST: Final = 16
-"""How many of the newest messages `weigh` goes through in turn."""
+"""Each call of `weigh` measures one of this many newest messages, in turn."""
 
 _NEEDLESS: Final = 64
-"""`trim` drops messages only if at least one in this many need not be kept."""
+"""`trim` drops messages only when it can drop at least one in 64."""

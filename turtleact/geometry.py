@@ -135,10 +135,11 @@ def in_frame(
 
 
 def curvature(ahead: float, left: float) -> float:
-    """Return the curvature of the arc that leads to a point without turning on the spot first.
+    """Return the curvature of the arc that leads from the current pose to a point.
 
-    The arc starts in the direction of the heading. A robot with the speed ``v`` follows the arc,
-    forwards or backwards, if it turns with ``omega = curvature * v``.
+    The arc starts in the direction of the heading, so no turn on the spot is necessary. A robot
+    with the speed ``v`` follows the arc, forwards or backwards, if the robot turns with
+    ``omega = curvature * v``.
 
     Args:
         ahead: How far ahead the point is (m); see `in_frame`.

@@ -1,12 +1,13 @@
 """The rules for goals: states, transitions, cancel requests, and how long results are kept.
 
-- A goal is ACCEPTED, then EXECUTING. A client's cancel makes it CANCELING. It ends once, as
-  SUCCEEDED, CANCELED or ABORTED. Any other transition raises an error and changes nothing.
-- Only a client's cancel leads to CANCELED. If a goal's body is cancelled for another reason, the
-  goal becomes ABORTED.
+- A goal is ACCEPTED, then EXECUTING. A client's cancel request makes the goal CANCELING. A goal
+  ends once, as SUCCEEDED, CANCELED or ABORTED. Any other transition raises an error and changes
+  nothing.
+- A goal becomes CANCELED only after a client's cancel request. If a goal's body is cancelled for
+  another reason, the goal becomes ABORTED.
 - A cancel request names goals by id, by time, or by both (`select`).
-- A goal that has ended is kept for ``result_timeout`` seconds, and longer while somebody waits for
-  its result. After that, the goal is forgotten (`GoalTable`).
+- A goal that has ended is kept for ``result_timeout`` seconds, and longer while a caller waits for
+  its result. Then the goal is forgotten (`GoalTable`).
 
 This module uses no clock, task or random number. The current time is passed in as ``now``, in
 nanoseconds.
@@ -157,7 +158,7 @@ class Cancelable(Protocol):
     """A running body that can be asked to stop."""
 
     def cancel(self) -> object:
-        """Ask the body to stop. It may take a while to do so."""
+        """Ask the body to stop. The body may take a while to stop."""
 
 
 OnFeedback: TypeAlias = Callable[[object], object]
@@ -196,38 +197,38 @@ class Goal(msgspec.Struct, eq=False):
             from the start.
         history: The goal's states since its acceptance, without the final one. Each state comes
             with the number of feedback messages published before it.
-        id: The 16 bytes of the goal's id; None until somebody asks for the id.
+        id: The 16 bytes of the goal's id; None until the id is first needed.
         on_feedback: The sender's callback for feedback.
         is_streamed: Whether the goal's feedback must be kept, because a client may read it later.
         parent: The goal whose body sent this goal, if any.
         sender: The client that sent the goal.
         feedback: The feedback messages that are kept for readers; None before the first such
             message or reader.
-        last_feedback: The newest feedback message, which is always kept. It may stay encoded until
-            somebody in this process reads it.
+        last_feedback: The newest feedback message, which is always kept. The message may stay
+            encoded until it is read in this process.
         result: The partial result until the goal ends, then the result.
         reason: Why the goal was aborted, or will be aborted soon.
         listener: The listener to fire after each change.
-        end_callbacks: Functions to call when the goal has ended, after observers have been told.
-            They must not raise exceptions.
+        end_callbacks: Functions to call when the goal has ended, after observers have been
+            called. These functions must not raise exceptions.
         body: The running body; None when there is no body that can be canceled.
         ended: When the goal ended (ns since the epoch); 0 before.
         is_decided: Whether the goal's end has been decided. With a journal, the goal ends a little
             later, when the journal has stored the end.
         resumed: The goal's progress in an earlier process, a `Resumed`; None if the goal began in
             this process.
-        is_paused: Whether the goal is paused: its body stands still until the goal is resumed.
+        is_paused: Whether the goal is paused: the goal's body waits until the goal is resumed.
         is_paused_by_parent: Whether the goal is paused only because its parent is paused.
-        hold: The object that asks the goal's body to stand still; see `turtleact.server.pausing`.
+        hold: The object that asks the goal's body to pause; see `turtleact.server.pausing`.
         paused_ns: The total length of the goal's earlier pauses (ns), by the server's clock.
         children: The active goals that this goal's body has sent, each with an object that can
             pause it.
-        waiters: How many callers wait for the goal's result. The table keeps the goal while there
-            are such callers.
+        waiters: How many callers wait for the goal's result. The table keeps the goal while any
+            caller waits.
         published: How many feedback messages of the goal were published on the feedback topic.
         is_asked_for: Whether a client in another process has asked for the goal's result.
-        error: The exception that says why contact with the goal was lost; None if it was not lost.
-            If contact was lost, the goal's state is UNKNOWN.
+        error: The exception that explains why the client lost contact with the goal, or None. If
+            contact was lost, the goal's state is UNKNOWN.
         runner: The object that runs the goal's body; None before the body begins.
     """
 
@@ -310,11 +311,12 @@ def failure(goal: Goal) -> TurtleactError:
 
 
 def select(goals: Iterable[Goal], goal_id: bytes | None, stamp: int) -> list[Goal]:
-    """Return the active goals that a cancel request is for, in the order of their acceptance.
+    """Return the active goals that a cancel request selects, in the order of acceptance.
 
-    Without id and stamp, the request is for every goal. With only a stamp, it is for every goal
-    accepted at or before that time. With only an id, it is for the goal with that id. With both, it
-    is for the goal with that id and for every goal accepted at or before that time.
+    A request without id and stamp selects every goal. A request with only a stamp selects every
+    goal accepted at or before the stamp. A request with only an id selects the goal with this id. A
+    request with an id and a stamp selects the goal with this id, and every goal accepted at or
+    before the stamp.
 
     Args:
         goals: All goals that the server holds.
@@ -344,7 +346,7 @@ def cancel_code(named: Goal | None, *, by_id: bool, asked: int, let_go: int) -> 
         named: The goal with the requested id, if the server holds it.
         by_id: Whether the request had an id but no stamp.
         asked: How many goals `select` has returned for the request.
-        let_go: How many of these goals are being canceled now.
+        let_go: How many of the goals from `select` are being canceled now.
 
     Source: action_msgs/srv/CancelGoal; rcl_action ``rcl_action_process_cancel_request``.
     """

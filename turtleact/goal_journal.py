@@ -58,7 +58,7 @@ class GoalRecord(msgspec.Struct, kw_only=True):
         sender: The gid of the client that sent the goal, if that client is in another process.
         number: The goal's number in the order of acceptance. The journal assigns the number.
         crashes: How often the server has crashed since the goal's newest feedback.
-        is_stopped: Whether the server has shut down properly since the goal last started.
+        is_stopped: Whether the server has shut down properly since the goal's latest start.
         is_paused: Whether the goal is paused.
         feedback: The newest feedback; empty if there is none.
         feedback_count: How many feedback messages the goal has published.
@@ -100,7 +100,7 @@ class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         status: The goal's new state.
         feedback: The goal's newest feedback.
         partial_result: The goal's newest partial result.
-        is_stopped: Whether the server has shut down properly since the goal last started.
+        is_stopped: Whether the server has shut down properly since the goal's latest start.
         is_paused: Whether the goal is paused.
         crashes: How often the server has crashed since the goal's newest feedback.
         result: The goal's result, at its end.

@@ -1,8 +1,8 @@
 """The interface of an action server as its clients see it, in the same process or another.
 
-In the same process, a client uses the server's own `Goal` objects and no message travels. For a
-server in another process, `turtleact.client` has a stand-in, and messages keep the goals of the
-stand-in up to date. The server and the stand-in implement the interface below.
+In the same process, a client uses the server's own `Goal` objects and sends no messages. For a
+server in another process, `turtleact.client` has a proxy, whose goals are updated by messages. The
+server and the proxy implement the interface below.
 """
 
 from __future__ import annotations

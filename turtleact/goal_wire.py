@@ -103,22 +103,25 @@ LONGEST_REASON = 1000
 """The maximum length of a reason, in characters."""
 
 LARGEST = 4096
-"""The maximum size of a note, in bytes. Half a note would be useless, so the reason is cut."""
+"""The maximum size of a note, in bytes.
+
+To meet the limit, `GoalNote.write` shortens the reason, because a truncated note cannot be decoded.
+"""
 
 State: TypeAlias = tuple[int, int, int]
 """When the goal was accepted (seconds, then nanoseconds), and the number of its state."""
 
 LITTLE: Final = b"\0\1"
-"""The first bytes of a little-endian CDR header."""
+"""The first two bytes of the header of little-endian CDR data."""
 
 HEAD: Final = struct.Struct("<4sI")
-"""The header, and the number of goals."""
+"""The beginning of a status message: the CDR header, and the number of goals."""
 
 ENTRY: Final = struct.Struct("<16s3xiIb")
-"""A goal's id, stamp and state, with the padding needed after another goal."""
+"""The id, stamp and state of each goal after the first, with the padding that aligns the stamp."""
 
 FIRST: Final = struct.Struct("<16siIb")
-"""The id, stamp and state of the first goal, which needs no padding."""
+"""The id, stamp and state of the first goal. Here, the stamp needs no padding."""
 
 
 def pack_state(goal_id: bytes, state: State) -> bytes:
@@ -166,7 +169,7 @@ class SetPaused(Service, type_name="turtleact_interfaces/srv/SetPaused"):
     """Pauses or resumes one goal."""
 
     class Request(Message):
-        """Which goal, and what to do with it.
+        """The goal, and whether to pause or resume the goal.
 
         Attributes:
             goal_id: The id of the goal.

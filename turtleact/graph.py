@@ -29,8 +29,10 @@ __all__ = [
 Kind = Literal["action", "service", "topic"]
 
 Policy = Literal["durability", "deadline", "liveliness", "lease", "reliability"]
-"""The policies that keep a subscription from a publisher; `turtleact.transports.base` says what
-they mean."""
+"""The policies that can keep a subscription from receiving a publisher's messages.
+
+`turtleact.transports.base` explains these policies.
+"""
 
 MOST_SHOWN = 10
 """How many names an error lists if none of them resembles the unknown name."""
@@ -42,7 +44,7 @@ ENDPOINTS: dict[Kind, tuple[EndpointKind, ...]] = {
     "service": ("service",),
     "topic": ("publisher", "subscription"),
 }
-"""For each kind, the endpoints that show that a name exists."""
+"""For each kind of name, the kinds of endpoints that show that the name exists."""
 
 
 class Graph(NamedTuple):

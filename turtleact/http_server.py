@@ -1,8 +1,8 @@
 """Runs a web server for the length of an ``async with`` block.
 
 The server is uvicorn, which needs asyncio or uvloop. Here, uvicorn leaves signals and logging to
-the program. Other machines can connect only with a token (`token_for`). This module does not know
-the app that it serves.
+the program. Other machines can connect only with a token (`token_for`). This module does not
+depend on the app that it serves.
 
 Source: uvicorn ``server.py`` and ``config.py``.
 """
@@ -26,7 +26,7 @@ from turtleact.tasks import Background
 __all__ = ["Config", "bound", "is_address", "is_loopback", "serving", "token_for"]
 
 PORT_ERRORS: Final = (errno.EADDRINUSE, errno.EACCES)
-"""Errors that another port would avoid."""
+"""Errors that the user can avoid by choosing another port."""
 
 
 class Config(uvicorn.Config):
@@ -130,8 +130,8 @@ def token_for(host: str, token: str | None) -> str:
 
     Args:
         host: The address or name on which the server listens.
-        token: The token that the user has chosen, or None. If it is None, the result is empty for a
-            loopback host, and a new random token for any other host.
+        token: The token that the user has chosen, or None. For None, the result is empty if the
+            host is a loopback host, and a new random token otherwise.
 
     Raises:
         InvalidOption: if the token is empty and other machines can connect.

@@ -12,9 +12,9 @@ servers publish on three such topics. There are four kinds of events:
 =====================  ======================================
 
 Events are made from the calls of a service, not from the changes of an action's goals, because some
-calls change no goal: for example, a goal request that is rejected, a cancel request that is
-refused, or a second request for the same result. Besides, code that observes goals does not know
-the sequence numbers of requests.
+calls do not change any goal. Examples are a goal request that is rejected, a cancel request that is
+refused, and a second request for the same result. In addition, code that observes goals does not
+know the sequence numbers of requests.
 
 The topic exists as soon as introspection is on, because tools subscribe only to topics that they
 can see. An event is built only while the topic has subscribers.
@@ -52,7 +52,7 @@ __all__ = ["EVENT_QOS", "GATHER", "Introspection", "ServiceEvents"]
 logger = logging.getLogger("turtleact.services")
 
 Introspection: TypeAlias = Literal["off", "metadata", "contents"]
-"""What is published: nothing, only who called when, or also the requests and responses."""
+"""Whether to publish nothing, only the metadata of each call, or also requests and responses."""
 
 EVENT_QOS = QoS(depth=100)
 """The quality of service of the topic: reliable and volatile."""

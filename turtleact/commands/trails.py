@@ -33,17 +33,16 @@ __all__ = [
 ]
 
 NEAR: Final = 0.15
-"""A turtle has passed a place if it has come this near (m), or within the goal's tolerance."""
+"""How near (m) a turtle must come to pass a place, unless the goal's tolerance is larger."""
 
 STILL: Final = 1e-4
-JUMP: Final = 1.0
-"""Two poses nearer than the first distance (m) are one place.
+"""If a turtle moves at most this far (m) between two poses, the turtle has not moved."""
 
-Farther apart than the second, there was a teleport.
-"""
+JUMP: Final = 1.0
+"""If a turtle moves at least this far (m) between two poses, the turtle was teleported."""
 
 MOST_TURTLES: Final = 32
-"""At most this many turtles are followed. A map could not show more."""
+"""At most this many turtles are followed, because a map has no room for more turtles."""
 
 POSES_A_FRAME: Final = 8192
 """How many poses are kept between two frames: enough for a second at the highest speed."""
@@ -146,7 +145,7 @@ class Course:
 
     Attributes:
         stops: How many places the turtle has to pass. Each place counts once for each round.
-        passed: How many of these places the turtle has passed. The places must be passed in order.
+        passed: How many of the ``stops`` the turtle has passed, in the order of the goal.
     """
 
     def __init__(self, goal: Message) -> None:
@@ -202,13 +201,13 @@ def places_in(value: object) -> Iterator[tuple[float, float]]:
 
 
 def sends_a_turtle(name: str, goal: Message) -> tuple[bool, str]:
-    """Whether a goal seems to drive a turtle, and that turtle's pose topic.
+    """Return whether a goal seems to drive a turtle, and the pose topic of the turtle.
 
     If neither the goal nor the action's name contains the name of a turtle, a goal with places is
     assumed to drive ``turtle1``.
 
     Args:
-        name: The action's name, such as ``/turtle1/rotate_absolute``, which contains ``turtle1``.
+        name: The name of the action. In ``/turtle1/rotate_absolute``, the turtle is ``turtle1``.
         goal: The goal.
     """
     named = str(getattr(goal, "turtle", "")) or name.rpartition("/")[0].strip("/")

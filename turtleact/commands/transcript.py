@@ -196,14 +196,14 @@ class PlainTranscript:
         self._say("Goal was rejected.\n")
 
     def accepted(self, sent: Sent) -> None:
-        """Print that the server has accepted the goal, and the goal's id."""
+        """Print that the server has accepted the goal with this id."""
         self._say(f"Goal accepted with ID: {sent.handle.goal_id.hex()}\n\n")
 
     def follows(self, goal: Followed) -> None:
         """Do nothing, because there is nothing to print yet."""
 
     def served(self, *, is_served: bool) -> None:
-        """Do nothing, because `note` is called, too."""
+        """Do nothing, because the caller also reports the change with `note`."""
 
     async def animate(self) -> None:
         """Do nothing, because there is nothing to animate."""
@@ -268,7 +268,7 @@ class JsonTranscript:
         """Do nothing, because there is nothing to print yet."""
 
     def served(self, *, is_served: bool) -> None:
-        """Do nothing, because `note` is called, too."""
+        """Do nothing, because the caller also reports the change with `note`."""
 
     async def animate(self) -> None:
         """Do nothing, because there is nothing to animate."""
@@ -323,7 +323,7 @@ def watch_command(goal_id: bytes, options: str) -> str:
 
 
 def after_return(command: str) -> str:
-    """Return the advice to follow a goal with a command when its server is back."""
+    """Return a hint: once the goal's server is back, ``command`` follows the goal again."""
     return f"if the server returns and continues the goal, '{command}' follows it again"
 
 

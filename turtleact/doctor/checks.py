@@ -21,10 +21,10 @@ from turtleact.transports.base import Endpoint
 __all__ = ["CLOCKS_APART", "HASHED", "Fault", "differing_definitions", "find_faults"]
 
 CLOCKS_APART: Final = 0.1
-"""Clocks that differ by more than this (s) are a fault."""
+"""If two clocks differ by more than this (s), the difference is a fault."""
 
 HASHED: Final = re.compile(r"RIHS[0-9]+_[0-9a-f]+")
-"""The form of a type hash. ROS 2 Humble writes another word, because its types have no hashes."""
+"""Matches a type hash. ROS 2 Humble sends a placeholder instead, because it has no type hashes."""
 
 LACKS: Final[dict[Policy, str]] = {
     "durability": "more durability (transient_local, not volatile)",
@@ -33,7 +33,7 @@ LACKS: Final[dict[Policy, str]] = {
     "lease": "a shorter lease duration",
     "reliability": "more reliability (reliable, not best_effort)",
 }
-"""What a subscription asks for if a policy does not fit."""
+"""For each policy, what a subscription requests beyond what a publisher offers."""
 
 MOST_FIELDS: Final = 4
 """At most this many differing fields are named."""
@@ -92,10 +92,10 @@ def empty_domain(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def unfitting_versions(snapshot: Snapshot) -> Iterator[Fault]:
-    """Find routers and nodes whose version does not fit this program.
+    """Find routers and nodes whose version is incompatible with this program.
 
-    A router does not fit if its major version of Zenoh differs from this program's. A node does not
-    fit if it sends no type hashes.
+    A router is incompatible if its major version of Zenoh differs from this program's. A node is
+    incompatible if it sends no type hashes.
     """
     for router in snapshot.routers or ():
         theirs, ours = _major(router.version), _major(snapshot.zenoh)
@@ -247,10 +247,10 @@ def differing_definitions(snapshot: Snapshot) -> Iterator[Fault]:
 def _holders(
     snapshot: Snapshot, type_name: str, found: Iterable[EndpointSeen]
 ) -> dict[str, list[str]]:
-    """Return the nodes that have each definition, by type hash.
+    """Return the names of the nodes that use each definition of a type, by type hash.
 
-    If this process has a definition that no node has, the result lists it with the node name
-    ``here``.
+    If this process has a definition that none of the nodes uses, the result lists this process as
+    the node ``here``.
     """
     holders: dict[str, set[str]] = {}
     for each in _listed(found):
@@ -282,7 +282,7 @@ def unknown_interfaces(snapshot: Snapshot) -> Iterator[Fault]:
 
 
 def incompatible_qos(snapshot: Snapshot) -> Iterator[Fault]:
-    """Find subscriptions that request more quality of service than a publisher offers."""
+    """Find subscriptions that request a higher quality of service than a publisher offers."""
     for (name, _), found in sorted(_by_name_and_type(snapshot).items()):
         ends = {each.endpoint for each in _listed(found)}
         publishers = sorted((e for e in ends if e.kind == "publisher"), key=_order)

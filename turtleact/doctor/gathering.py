@@ -1,10 +1,10 @@
 """Takes a snapshot of a running graph: reads liveliness tokens, and calls each process.
 
-Each process is called through a service that it offers anyway, with a request that does no harm.
-The request cancels a goal that does not exist, lists parameters with a prefix that no parameter
-has, or asks for the description of a type. A process without such a service is not called. An
+To call a process, this module sends a harmless request to one of the services of the process. The
+request cancels a goal that does not exist, lists parameters with a prefix that no parameter has, or
+asks for the description of a type. A process that offers none of these services is not called. An
 answer shows that the process is alive. The time stamp of the answer shows how far the clock of the
-process differs from the clock here.
+process differs from the local clock.
 
 Source: action_msgs/srv/CancelGoal, rcl_interfaces/srv/ListParameters,
 type_description_interfaces/srv/GetTypeDescription.
@@ -72,7 +72,7 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
     This takes about `PATIENCE` seconds if a process does not answer. Cancelling: safe.
 
     Args:
-        node: A node on the graph. It is left out of the snapshot.
+        node: A node on the graph. The snapshot does not contain this node.
         with_domains: Whether to always find out which ROS domains are in use. If False, this is
             done only if there are no other nodes on the graph.
 
@@ -138,9 +138,9 @@ def _seen(node: Node) -> tuple[tuple[NodeSeen, ...], tuple[EndpointSeen, ...]]:
 
 
 def _to_ask(endpoints: Iterable[EndpointSeen]) -> dict[str, Endpoint]:
-    """Return the harmless service to call in each session, by session id.
+    """Return the service to call in each session, by session id.
 
-    Sessions without a harmless service are left out.
+    A session is left out if none of its services has a type from `QUESTIONS`.
     """
     best: dict[str, Endpoint] = {}
     for each in endpoints:

@@ -91,7 +91,7 @@ class Report(msgspec.Struct, frozen=True):
     """A fault that a process has found in itself; see `turtleact.fault_reports`.
 
     Attributes:
-        name: The kind of fault, a space and what is at fault, such as "disk /data/goals.db".
+        name: The kind of fault and its subject, separated by a space, as in "disk /data/goals.db".
         problem: What is wrong.
         advice: What to do about it.
     """

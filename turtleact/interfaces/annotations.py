@@ -184,9 +184,9 @@ def annotation_of(field_type: FieldType, nested: type | None) -> object:
 def scope_of(frame: FrameType, namespace: Mapping[str, object]) -> Scope:
     """Return the names that the string annotations of a class body can refer to.
 
-    These are the names in the enclosing class bodies, in the nearest enclosing function, and in the
-    module. Local names of functions further out are not included. Names in the class's own body are
-    looked up last, so that the annotation in ``byte: byte = 0`` means the type.
+    The result contains the names in the enclosing class bodies, in the nearest enclosing function,
+    and in the module. Local names of functions further out are not included. The names in the class
+    body itself are looked up last. The annotation in ``byte: byte = 0`` therefore means the type.
     """
     maps = [dict(frame.f_locals)]
     while frame.f_back is not None and not frame.f_code.co_flags & FUNCTION:
@@ -245,7 +245,7 @@ def with_form(element: FieldType, limit: Limit | None) -> FieldType:
 
 
 def with_limit(single: FieldType, limit: Limit | None) -> FieldType:
-    """Add the limit, if any, to a type that is no sequence. Only strings may have a limit."""
+    """Add the limit, if any, to a type that is not a sequence. Only strings may have a limit."""
     if limit is None:
         return single
     if limit.form is ArrayForm.FIXED or not single.is_string:

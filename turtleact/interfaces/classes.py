@@ -141,7 +141,7 @@ def nested(definition: MessageDefinition, field: Field, find: Find) -> type[Mess
 def whole_class(
     definition: ServiceDefinition | ActionDefinition, base: type, names: tuple[str, ...], find: Find
 ) -> type:
-    """Make the class of a service or action, with its parts inside."""
+    """Make the class of a service or action, with a nested class for each part."""
     package, kind, name = definition.type_name.split("/")
     body: dict[str, object] = {"__module__": f"{package}.{kind}"}
     for part, content in zip(names, parts_of(definition), strict=True):

@@ -206,7 +206,7 @@ def source(members: list[Field]) -> str:
 def statements(field_type: FieldType, index: int) -> list[str]:
     """Return code that checks and copies the value of one field.
 
-    The variable ``v{index}`` contains the value, and later the copy.
+    The code replaces the value in the variable ``v{index}`` by the copy.
     """
     value, slow = f"v{index}", f"v{index} = slow{index}(v{index})"
     if field_type.is_sequence:
@@ -337,7 +337,7 @@ def slots(cls: type[Message]) -> dict[str, Slot]:
 
 
 def example(cls: type[Message]) -> str:
-    """Describe a mapping that fits this class, for an error."""
+    """Describe a valid mapping for this class, for use in an error message."""
     if not fields(cls):
         return "{}, because it has no fields"
     shown = ", ".join(f"{field.name}: {sample(field)}" for field in fields(cls)[:3])
@@ -357,7 +357,8 @@ def sample(field: Field) -> str:
 def instead(cls: type[Message], name: object) -> str:
     """Return the end of the error message about an unknown field.
 
-    It says that a space is missing, suggests a field with a similar name, or lists the fields.
+    The text says that a space is missing, suggests a field with a similar name, or lists the
+    fields.
     """
     names = [field.name for field in fields(cls)]
     if not names:

@@ -1,7 +1,8 @@
 """The parsed form of a .msg, .srv or .action, before it becomes a class.
 
 Definitions are frozen and compared by value. Two declarations of one interface are equal, even if
-one was a file and the other a class. This module neither parses text nor makes Python classes.
+one comes from a file and the other from a class. This module neither parses text nor makes Python
+classes.
 
 Source: the ROS 2 article "Interface definition", and ``rosidl_adapter/parser.py``.
 """
@@ -85,7 +86,7 @@ PRIMITIVES: dict[str, Primitive] = {
 class ArrayForm(enum.Enum):
     """Whether a field holds one element or a sequence.
 
-    The value of each member is the text that follows the type of an element in a .msg.
+    The value of each member is the suffix of the element type in a .msg file, such as ``[]``.
     """
 
     SINGLE = ""
@@ -95,7 +96,7 @@ class ArrayForm(enum.Enum):
 
 
 class FieldType(msgspec.Struct, frozen=True):
-    """The type of a field or constant. ``str`` returns it as it is written in a .msg.
+    """The type of a field or constant. ``str`` returns the type in .msg syntax.
 
     Attributes:
         name: A primitive (``int32``) or the full name of a message (``geometry_msgs/msg/Point``).
@@ -130,15 +131,15 @@ class FieldType(msgspec.Struct, frozen=True):
 
     @property
     def element(self) -> FieldType:
-        """The type of one element. If the field is not a sequence, this is the field's own type."""
+        """The type of one element, or the whole type if the field is not a sequence."""
         return FieldType(self.name, self.string_bound)
 
 
 def zero(field_type: FieldType) -> Primitive | tuple[Primitive, ...] | None:
     """Return the initial value of a field that has this type and no default in the interface.
 
-    The result is None if the field holds messages, because only the fields of these messages have
-    values.
+    If the field holds messages, the result is None, because each field of the messages has an
+    initial value of its own.
     """
     if field_type.is_nested:
         return None

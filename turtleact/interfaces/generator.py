@@ -167,8 +167,8 @@ class Module:
     def use(self, module: str, name: str, *, alias: str = "") -> str:
         """Add the import of a name to the generated module, and return the name or its alias.
 
-        A field may have the same name as its type, as in ``byte byte``. In that case, the type is
-        imported under another name, because a type checker would mistake the field for the type.
+        If a field has the same name as its type, as in ``byte byte``, the type is imported under an
+        alias. Without the alias, a type checker would mistake the field for the type.
         """
         called = (alias or f"_{name}") if name in self.taken else name
         if module != "builtins" or called != name:
@@ -334,15 +334,14 @@ def from_import(module: str, names: list[str]) -> str:
 def wrapped(head: str, items: list[str], tail: str, *, is_tight: bool = False) -> list[str]:
     """Return code with items in brackets, wrapped as ruff wraps it.
 
-    If the code is too long for one line, either the items share a line between the brackets (only
-    if ``is_tight``), or each item has a line of its own.
+    If the code is too long for one line, the items move to new lines between the brackets. Either
+    all items share one new line (only if ``is_tight``), or each item has a line of its own.
 
     Args:
         head: The text before the items, including the opening bracket.
         items: The items, without commas.
         tail: The closing bracket, and the text after it.
-        is_tight: Whether the items may share a line between the brackets, as ruff allows for
-            arguments.
+        is_tight: Whether all items may share one new line, as ruff allows for arguments.
     """
     one = f"{head}{', '.join(items)}{tail}"
     if len(one) <= WIDTH:

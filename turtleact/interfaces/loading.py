@@ -229,7 +229,7 @@ def load_workspace(*prefixes: str | Path) -> None:
 def offer_interfaces(
     files: Mapping[str, Path], on_use: Callable[[str, str], object] | None = None
 ) -> None:
-    """Make interface files known that `turtleact.workspace` has found.
+    """Register the interface files that `turtleact.workspace` has found.
 
     A file is read when its interface is first used, so a malformed file raises no error before
     then. If a file and a built-in interface have different definitions, the file is used.
@@ -244,7 +244,7 @@ def offer_interfaces(
 
 
 def known_interfaces() -> tuple[str, ...]:
-    """Return the names of all available interfaces, without the types derived from them."""
+    """Return the names of all available interfaces, without derived types such as ``NAME_Goal``."""
     files = {*REGISTRY.files, *REGISTRY.nearby}
     names = {*REGISTRY.names(), *files, *shipped_names(), *installed_names()}
     return tuple(sorted(name for name in names if owner_and_part(name)[0] not in names))
@@ -295,9 +295,9 @@ def authored_text(cls: Interface) -> str:
 
 
 def package_texts(*packages: str) -> dict[str, str]:
-    """Return the texts of all interfaces in these packages and in the packages that they use.
+    """Return the texts of all interfaces in these packages and in their dependencies.
 
-    A used package is left out if turtleact has all its interfaces built in, with the same
+    A dependency is left out if all its interfaces are built into turtleact with the same
     definitions. A package in ``packages`` is never left out.
 
     Returns:
@@ -408,7 +408,7 @@ def other_file(type_name: str, held: Interface | None) -> Traversable | None:
             registry forgets the class.
 
     Raises:
-        InvalidInterface: if the file is malformed and must be compared with a built-in class.
+        InvalidInterface: if ``held`` is not None and the file is malformed.
     """
     file, on_use = installed(type_name), None
     if file is None:
@@ -491,7 +491,8 @@ def of_kind(interface: Interface, base: type[B]) -> type[B]:
 def full_names(type_name: str, kinds: tuple[str, ...]) -> list[str]:
     """Return the full names that a name may stand for, without invalid names.
 
-    A full name stands only for itself, and ``package/Name`` stands for one name of each kind.
+    For a full name, the result contains only the name itself. For ``package/Name``, the result
+    contains one full name of each kind.
     """
     package, _, name = type_name.partition("/")
     candidates = [type_name] if "/" in name else [f"{package}/{kind}/{name}" for kind in kinds]
@@ -512,14 +513,14 @@ def suggestion(type_name: str) -> str:
     The result is the first of these interfaces that exists:
 
     1. The interface with the most similar name in the package of ``type_name``. If the package has
-       interfaces of several kinds with this name, it is the one of the kind in ``type_name``.
-    2. The interface that `load_interfaces` or `offer_interfaces` has made known, if it is the only
-       such interface with the package and kind of ``type_name``. If ``type_name`` is the name of a
-       message, number 3 comes before number 2, because messages are often used from other packages.
-    3. The interface with the same name in another package. If there are several, the one with the
-       most similar full name.
-    4. The interface with the most similar full name. The name without package and kind must be
-       similar, too, because names of packages are often similar, such as ``arm_interfaces`` and
+       interfaces of several kinds with this name, the kind in ``type_name`` decides.
+    2. The only interface with the package and kind of ``type_name`` among the interfaces from
+       `load_interfaces` and `offer_interfaces`. For a message, rule 3 comes before rule 2, because
+       messages are often used from other packages.
+    3. The interface with the same name in another package. If several packages have an interface
+       with this name, the full name decides: it must be the most similar one.
+    4. The interface with the most similar full name. The name without package and kind must
+       also be similar, because names of packages are often similar, such as ``arm_interfaces`` and
        ``leg_interfaces``.
     """
     import difflib  # only errors need it
@@ -542,14 +543,14 @@ def suggestion(type_name: str) -> str:
 
 
 TYPO = 0.85
-"""Two names of packages that are more similar than this look like one with a typo (0 to 1)."""
+"""If two package names are more similar than this (0 to 1), one of them seems to have a typo."""
 
 
 def is_elsewhere(type_name: str, suggested: str) -> bool:
     """Return whether a suggestion is from another package than the one in ``type_name``.
 
-    Packages count as the same if their names differ only by a typo. They also count as the same if
-    ``type_name`` names no package.
+    The result is false if the names of the two packages seem to differ only by a typo. The result
+    is also false if ``type_name`` contains no package.
 
     >>> is_elsewhere("geometry_msg/msg/Point", "geometry_msgs/msg/Point")
     False

@@ -131,10 +131,11 @@ class Comments(msgspec.Struct, frozen=True):
     Attributes:
         about: The comment on the whole part: the lines at the top before a blank line, and the
             lines below the last member.
-        first: The comment directly above the first member, which may describe the whole part. It is
-            empty if another comment stands above that comment or above another member.
-        members: The comments above and after each field and constant, by its name. They do not
-            contain the comment in ``first``.
+        first: The comment directly above the first member, which may describe the whole part.
+            ``first`` is empty if the part has a second comment above its first member, or a comment
+            above a later member.
+        members: The comments above and after each field and constant, by name. The comment in
+            ``first`` is left out.
     """
 
     about: tuple[str, ...] = ()
@@ -186,8 +187,8 @@ def part_comments(lines: list[Line]) -> Comments:
 def commented(lines: list[Line]) -> tuple[list[Commented], list[str]]:
     """Return the members of a part with their comments, and the comment below the last member.
 
-    A comment on a line of its own belongs to the member below it. However, if the line is indented
-    and follows the comment after a member, it continues that comment.
+    A comment on a line of its own belongs to the member below the comment. However, an indented
+    line directly below a trailing comment continues the trailing comment.
     """
     entries: list[Commented] = []
     above: list[str] = []

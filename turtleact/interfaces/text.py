@@ -1,11 +1,11 @@
 """Converts messages to YAML or JSON, and back.
 
-YAML 1.1 reads ``no`` as false, ``y`` as true, ``1:30`` as ninety and ``017`` as fifteen. A turtle's
-name or a coordinate in a goal must not be misread in this way. Therefore this module uses PyYAML
-only for YAML's syntax, and decides itself what a word means. A word without quotes is true, false,
-null or a number if YAML 1.2 says so. However, numbers like ``017`` and ``0o17`` are text, because
-YAML 1.1 and YAML 1.2 read them differently. Everything else is text, including dates. JSON is
-parsed as JSON, which is faster than parsing it as YAML.
+YAML 1.1 reads ``no`` as false, ``y`` as true, ``1:30`` as ninety and ``017`` as fifteen. These
+conversions must not change a turtle's name or a coordinate in a goal. Therefore this module uses
+PyYAML only for YAML's syntax, and decides itself what a word means. A word without quotes is true,
+false, null or a number if YAML 1.2 says so, and otherwise text. Dates, for example, are text.
+Numbers like ``017`` and ``0o17`` are also text, because YAML 1.1 and YAML 1.2 read these numbers
+differently. JSON is parsed as JSON, which is faster than parsing JSON as YAML.
 
 An error names the field, or the line and column in the text.
 
@@ -88,8 +88,8 @@ def from_text(
     Args:
         cls: The class of the message.
         text: At most 1,048,576 characters of JSON, or 131,072 characters of YAML.
-        root: The first word of the path in errors. If this word is ``goal``, the errors are of the
-            class ``InvalidGoal``.
+        root: The first word of the path in errors. If ``root`` is ``goal``, the errors are
+            instances of ``InvalidGoal``.
         source: The name of the text, which errors show before line and column.
         allow_nonfinite: Whether ``.nan`` and ``.inf`` are accepted as numbers.
 

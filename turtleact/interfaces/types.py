@@ -194,9 +194,9 @@ class Registry:
         return {name: copy(value) for name, value in vars(self).items()}
 
     def restore(self, state: Mapping[str, object]) -> None:
-        """Restore what was registered when the method `state` made this copy.
+        """Restore the registrations from a copy that `state` has made.
 
-        Everything that was registered later is forgotten.
+        Everything that was registered after the copy was made is forgotten.
         """
         vars(self).update({name: copy(value) for name, value in state.items()})
 
@@ -357,11 +357,11 @@ def are_flags(named: list[Constant]) -> bool:
 
 
 def choices(cls: type[Message], field: Field) -> list[Constant]:
-    """Return the named values that a field is limited to; an empty list if it has no such limit.
+    """Return the named constants that a field may take; an empty list if the field is not limited.
 
-    A field is limited if it holds a single text or whole number, and its default is one of at least
-    two named values, and these values do not seem to be flags. In any other field, the constants
-    may name only some of the possible values, as a constant ``TIMEOUT_NEVER`` does.
+    A field is limited if it holds a single text or whole number, and the default is one of at least
+    two named constants. However, constants that seem to be flags do not limit a field. In any other
+    field, the constants may name only some of the values, as a constant ``TIMEOUT_NEVER`` does.
     """
     named = named_values(cls, field)
     default = zero(field.type) if field.default is None else field.default

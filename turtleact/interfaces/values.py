@@ -85,8 +85,8 @@ class Spelled:
 
     Attributes:
         word: The value as it was written, or a description.
-        fits: If the value is a number that is out of range, the names of the number types that it
-            would otherwise fit.
+        fits: For a number that is too large, the names of the types that accept smaller numbers of
+            the same form. Empty for any other value.
         truth: The bool that the word stands for; None if the word means neither true nor false.
     """
 
@@ -230,7 +230,7 @@ def check_length(field_type: FieldType, length: int) -> None:
 
 
 def is_too_large(field_type: FieldType, value: object) -> bool:
-    """Whether a value is a `Spelled` number that is out of range for a field of this type."""
+    """Whether a value is a `Spelled` that stands for a number too large for this type."""
     return isinstance(value, Spelled) and field_type.name in value.fits
 
 

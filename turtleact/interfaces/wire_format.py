@@ -175,7 +175,7 @@ class FeedbackFormat(WireFormat):
     def write_unchecked(self, goal_id: bytes, feedback: object) -> bytes | None:
         """Encode a feedback message from an object that may not be valid feedback.
 
-        Return None if ``snapshot`` would not copy the object unchanged. The caller must then
+        Return None if ``snapshot`` might refuse or change the object. In this case, the caller must
         convert the object and call `write`.
         """
         try:
@@ -257,13 +257,13 @@ class EventFormat(WireFormat):
         """Encode an event.
 
         Args:
-            info: The beginning of the event, from `info`.
+            info: The encoded ``ServiceEventInfo``, which the method `info` returns.
             request: The encoded request, if the event contains one.
             response: The encoded response, if the event contains one.
 
         Raises:
             InvalidMessage: if the request or a big-endian response cannot be decoded. A
-                little-endian response is not checked.
+                little-endian response is copied without being decoded.
         """
         if response is not None and response[:2] == self._order:
             # It begins at a multiple of the widest alignment, so its padding stays as it is. What

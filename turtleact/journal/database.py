@@ -58,10 +58,10 @@ BUSY = 5.0
 """How long a reader or a prune waits for the writer (s)."""
 
 AT_ONCE = 1000
-"""At most this many goals are deleted in one transaction. A server cannot write during one."""
+"""At most this many goals are deleted per transaction, because servers cannot write meanwhile."""
 
 PAUSE = 0.002
-"""After each such transaction, a server may use the file for this time (s)."""
+"""The pause after each transaction that deletes goals, in which a server can write (s)."""
 
 _COLUMNS = GoalRecord.__struct_fields__
 
@@ -136,7 +136,7 @@ class Accept(msgspec.Struct):
     Attributes:
         record: The record of the goal. When the job is written, the record gets its ``number``.
         known: The record that the journal already had for the goal's id; None if there was none.
-            The attribute is set when the job is written.
+            ``known`` is set when the job is written.
     """
 
     record: GoalRecord
@@ -446,8 +446,9 @@ def _lock(path: Path) -> sqlite3.Connection:
 def _files(path: Path) -> list[tuple[int, int] | None]:
     """Return the device and inode numbers of the journal's file and of SQLite's log beside it.
 
-    None stands for a missing file, or for a journal's file that is empty. An empty log does not
-    count as missing, because other programs may have moved its contents to the journal's file.
+    An entry is None if the file is missing. The entry of the journal's file is also None if the
+    file is empty. An empty log still has an entry, because other programs may have moved the log's
+    contents to the journal's file.
     """
     return [_identity(path, least=1), _identity(Path(f"{path}-wal"), least=0)]
 

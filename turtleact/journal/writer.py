@@ -1,7 +1,7 @@
 """The journal that servers use: the event loop makes changes, and a thread writes them to the file.
 
 All changes go to one thread, in order. The thread writes all waiting changes in one transaction.
-While the thread waits for the disk, the next changes gather. A hundred goals at the same time
+While the thread waits for the disk, further changes accumulate. A hundred goals at the same time
 therefore need only a few waits for the disk, not a hundred.
 
 If the disk is full, or the file was deleted, renamed or replaced, new goals are rejected for that
@@ -55,14 +55,13 @@ class _Job(msgspec.Struct, eq=False):
     Attributes:
         work: What to write; None if the caller only wants to know when all earlier jobs are
             written.
-        done: Called in the event loop when the job is written. If the job is not durable, this is
-            called after the first attempt, even if that attempt fails.
+        done: Called in the event loop when the job is written. If the job is not durable,
+            ``done`` is called after the first attempt, even if that attempt fails.
         failed: Called in the event loop with the error if the job cannot be written; the thread
             then drops the job. If ``failed`` is None, the thread tries again.
         is_durable: Whether the job must survive a power loss once it is written.
         is_told: Whether ``done`` has been called although the job is not written yet.
-        is_awaited: Whether a virtual clock stands still until the thread has tried to write the
-            job.
+        is_awaited: Whether a virtual clock is stopped until the thread has tried to write the job.
     """
 
     work: Accept | Change | Withdraw | None
@@ -239,7 +238,7 @@ class Journal:
             record.feedback_count += 1
 
     def _forget_expired(self) -> None:
-        """Remove the goals with expired results from memory. They stay in the file."""
+        """Remove the goals with expired results from memory. The file keeps these goals."""
         now = time.time_ns()
         while self._expiring and 0 < self._expiring[0].expires <= now:
             record = self._expiring.popleft()
@@ -333,7 +332,7 @@ class Journal:
         self._report(jobs, [job.done for job in jobs if job.done is not None and not job.is_told])
 
     def _fail(self, jobs: list[_Job], error: sqlite3.Error) -> None:
-        """Report a failure to the jobs that have a ``failed`` callback, and keep the other jobs.
+        """Call the ``failed`` callback of each job that has this callback, and keep the other jobs.
 
         The thread tries to write the other jobs again.
         """
@@ -360,7 +359,7 @@ class Journal:
     def _report(self, jobs: list[_Job], calls: list[Callable[[], object]]) -> None:
         """Call the functions ``calls`` in the event loop.
 
-        If a virtual clock stands still for ``jobs``, the clock goes on afterwards.
+        If a virtual clock is stopped for ``jobs``, the clock starts again afterwards.
         """
         count = 0
         for job in jobs:
@@ -386,9 +385,10 @@ def _by_expiry(record: GoalRecord) -> tuple[bool, int]:
 async def open_journal(
     path: str | Path, *, max_starts: int | None = 3, abort_at_close: bool = False
 ) -> AsyncIterator[Journal]:
-    """Open a journal for the length of a block. Servers of several nodes may share it.
+    """Open a journal for the length of a block. Servers of several nodes may share one journal.
 
-    Close the servers before the journal. In one ``async with``, name the journal before the node.
+    Close the servers before the journal. If one ``async with`` opens both the journal and the node,
+    list the journal first.
 
     Args:
         path: The file, which is created if it does not exist. Up to three more files are beside it,

@@ -31,10 +31,10 @@ __all__ = ["Confirmation"]
 
 QUESTION: Final = "confirm"
 FIRST_VERSION: Final = "2026-07-28"
-"""The first version of the protocol in which the server answers with the question."""
+"""The first protocol version in which the server answers a tool call with the question."""
 
 MOST_ASKED: Final = 256
-"""How many questions may be open. If there are more, the oldest are forgotten."""
+"""How many questions may be open. A further question replaces the oldest open question."""
 
 FORM: Final = {"type": "object", "properties": {}}
 """The form that the user fills in. It has no fields; the user only answers yes or no."""

@@ -2,8 +2,8 @@
 
 A command function checks its arguments as far as possible and returns a job, which does the work.
 The job runs outside of Typer, because Typer handles broken pipes and interrupts in its own way.
-Each group of verbs is a module, which is imported only when the user chooses the group. The modules
-of `turtleact.commands` that do the work are imported even later.
+Each group of verbs is a module, which is imported only when the user chooses the group. The job
+imports the modules of `turtleact.commands` that do the work.
 
 `Verb` accepts the forms of arguments that ``ros2`` accepts. `Group` says what to use instead of
 verbs that only ``ros2`` has. Both classes override only documented methods of click.
@@ -91,7 +91,7 @@ HOMES: Final = {
     **dict.fromkeys(("param", "service"), "node"),
     **dict.fromkeys(("teleop", "snapshot"), "turtlesim"),
 }
-"""The modules of the verbs that are not in a module of the same name."""
+"""The modules of those verbs that have another name than their module."""
 
 PANELS: Final = {
     **dict.fromkeys(
@@ -103,7 +103,7 @@ PANELS: Final = {
     "journal": "Goals",
     "doctor": "Verbs of ros2",
 }
-"""The heading of each verb in ``turtleact --help``."""
+"""The heading under which ``turtleact --help`` lists each verb."""
 
 
 _UNKNOWN: Final = ("--port", "--host")
@@ -196,7 +196,7 @@ class LazyGroup(Group):
         return _without_type([*self.params])
 
     def get_help_option(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401, ARG002  # as above
-        """Return the help option, which usage errors tell the user to try."""
+        """Return the help option, because usage errors mention the option."""
         return next(param for param in self.params if param.name == "_help")
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]  # noqa: ANN401  # as in `Group`
@@ -208,7 +208,7 @@ class LazyGroup(Group):
 def parse(arguments: Sequence[str]) -> Job:
     """Parse a command line into a job. Typer prints help, completions and usage errors.
 
-    If Typer has printed one of these, the job only returns the exit status.
+    If Typer has printed help, completions or a usage error, the job only returns the exit status.
     """
     jobs: list[Job | None] = []
     # The options for completion can only stand before a verb. Even when they are absent, Typer
@@ -230,7 +230,7 @@ def assemble(take: Callable[..., None], *, completion: bool = True) -> typer.Typ
 
     Args:
         take: Called with the job that the command function returns.
-        completion: Whether to have the options that install and show shell completion.
+        completion: Whether to add the options that install and show shell completion.
     """
     app = typer.Typer(
         cls=LazyGroup,
@@ -263,8 +263,8 @@ def new_group(name: str, summary: str = "") -> typer.Typer:
 
     Args:
         name: The name of the group.
-        summary: The help text of the group. If it is empty, the help says that the group has the
-            verbs of ``ros2``.
+        summary: The help text of the group. If ``summary`` is empty, the help says that the group
+            has the verbs of ``ros2``.
     """
 
     def print_help(ctx: typer.Context) -> None:

@@ -54,7 +54,7 @@ class ManyVerb(Verb):
     """A verb with options that take several values, as in argparse: ``--topics /a /b``."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
-        """Write each option before each of its values, and then parse the arguments."""
+        """Turn ``--topics /a /b`` into ``--topics /a --topics /b``, and parse the arguments."""
         many = {name for each in self.params if _is_list(each) for name in each.opts}
         args = [SHORT.get(each, each) for each in _with_frequency(args)]
         for option, following in pairwise([*args, "--"]):

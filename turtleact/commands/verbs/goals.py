@@ -62,7 +62,7 @@ _GOAL_ID = re.compile(r"[0-9a-f]{4,32}")
 _HEXADECIMAL = re.compile(r"[0-9a-fA-F-]+")
 _SECONDS = re.compile(r"(?P<whole>[0-9]{1,10})(?:\.(?P<part>[0-9]{0,9}))?")
 _LATEST = 2**31 * 1_000_000_000
-"""The first moment that is too late for ROS 2's ``builtin_interfaces/msg/Time``."""
+"""The first time (ns since the epoch) that does not fit in a ``builtin_interfaces/msg/Time``."""
 
 EXAMPLES = """\
 [bold]Examples[/]
@@ -575,10 +575,10 @@ def _moment_of_iso(text: str) -> int:
 def _since(text: str) -> int:
     """Parse the value of ``--since`` as nanoseconds since the epoch.
 
-    The value is a moment, or a length of time that ends now.
+    The value is a point in time, or a length of time that ends now.
 
     Raises:
-        UsageError: if the text is neither a length of time nor a moment.
+        UsageError: if the text is neither a length of time nor a point in time.
     """
     try:
         return time.time_ns() - round(span(text) * 1e9)
@@ -609,7 +609,7 @@ def _parts(text: str, known: tuple[str, ...]) -> list[str] | None:
 
 
 def _read(look: Callable[[ModuleType], int]) -> Job:
-    """Make the job that calls ``look`` with the module that reads journals."""
+    """Make a job that passes the module `turtleact.commands.journaled_goals` to ``look``."""
 
     def job(_: Interrupts) -> int:
         from turtleact.commands import journaled_goals

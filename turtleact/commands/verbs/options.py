@@ -1,4 +1,4 @@
-"""Declares the options that several verbs share for Typer, and parses the values of options."""
+"""Declares the Typer options that several verbs share, and parses the values of options."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ Look: TypeAlias = Callable[["Node"], Awaitable[int]]
 Plan: TypeAlias = Callable[[Interrupts], Look]
 """A function that prepares the work before the graph is opened, and may read stdin.
 
-It returns the `Look`.
+The function returns a `Look`.
 """
 
 GRAPH = "Graph"
@@ -243,7 +243,7 @@ def on_graph(where: Reach, look: Look) -> Job:
 
 
 def on_known_graph(where: Reach, interfaces: Path | None, plan: Plan) -> Job:
-    """Make a job that loads the interfaces, then calls the `Look` from ``plan`` on a graph."""
+    """Make a job that loads the interfaces, calls ``plan``, and calls its result on a graph."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph
@@ -311,7 +311,7 @@ def in_seconds(*names: str, text: str, panel: str | None = None, is_of_bag: bool
     Args:
         *names: The names of the option.
         text: The help text of the option.
-        panel: The heading of the help under which the option is listed.
+        panel: The heading under which the help lists the option.
         is_of_bag: Whether the value is a time in a bag, which has an upper limit; see
             `bag_seconds`.
     """

@@ -40,7 +40,7 @@ OWN_OPTIONS = ("--face", "--embedded", "--interfaces", "--connect", "--config")
 ROS_OPTIONS = ("--ros-args", "-p", "--param", "--params-file", "-r", "--remap", "__node", "__ns")
 
 MOST_LISTED = 40
-"""The help lists at most this many programs. A sourced ROS has hundreds."""
+"""The help lists at most this many programs. A sourced ROS installation has hundreds of them."""
 
 _HELP = "'turtleact run --help' lists what can be run"
 

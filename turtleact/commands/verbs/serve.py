@@ -45,10 +45,10 @@ if TYPE_CHECKING:
 __all__ = ["app", "serve"]
 
 MOST_TURTLES = 10_000
-"""The maximum number of turtles. A node could not publish the poses of more in time."""
+"""The maximum number of turtles. A node could not publish the poses of more turtles in time."""
 
 _NODE_NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
-"""The pattern of module names that a node can have without being hidden."""
+"""Matches valid node names, except hidden ones, which begin with an underscore."""
 
 _WORLD_NODES = ("turtlesim", "turtle_actions", "world")
 

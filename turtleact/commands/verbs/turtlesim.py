@@ -83,7 +83,7 @@ def turtle_teleop_key(arguments: Sequence[str], where: Reach) -> Job:
     """Make the job of ``run turtlesim turtle_teleop_key``.
 
     Args:
-        arguments: The arguments of the program: none, or ``--ros-args`` and what follows it.
+        arguments: The program's arguments: none, or ``--ros-args`` followed by ROS arguments.
         where: The graph of the turtle.
 
     Raises:
@@ -148,8 +148,8 @@ def _driving(
             contains no turtle's name, the job drives turtle1, or the only turtle if there is no
             turtle1.
         remaps: Other names for the turtle's topic and action.
-        speeds: The linear speed (m/s) and the angular speed (rad/s), in this order. Each key is the
-            name of the speed in error texts.
+        speeds: The linear speed (m/s) and the angular speed (rad/s), in this order. Error messages
+            name each speed by its key.
         where: The graph of the turtle; None to start an embedded world.
         is_plain: Whether to leave out the live map.
     """

@@ -1,10 +1,11 @@
 """Converts messages to CDR, the bytes in which ROS 2 sends them, and back.
 
-The form is plain CDR, version 1: a header of four bytes, then each value at a multiple of its own
-size, counted from the end of the header. Data is written in little endian with zeros for padding,
-and read in either byte order. Each class gets one encoder and one decoder, compiled on first use.
-An encoder or decoder does not say which value is wrong. If a decoder refuses data, ``locate`` reads
-the data again to find the wrong value. This package knows nothing about topics and services.
+The encoding is plain CDR, version 1. Data begins with a header of four bytes. Each value begins at
+a multiple of the value's size, counted from the end of the header. Data is written in little endian
+with zeros for padding, and read in either byte order. Each class gets one encoder and one decoder,
+compiled on first use. An encoder or decoder does not say which value is wrong. If a decoder refuses
+data, ``locate`` reads the data again to find the wrong value. This package does not depend on
+topics and services.
 
 Source: OMG, Data-Distribution Service Interoperability 2.2 (RTPS), chapter 10; ROS 2 implements it
 in ``rosidl_typesupport_fastrtps``.
@@ -79,8 +80,8 @@ def decode(
             case.
 
     Raises:
-        InvalidMessage: with the path and place of the first value that is cut off, has an
-            impossible length or breaks its bound.
+        InvalidMessage: if a value is cut off, has an impossible length or breaks its bound. The
+            error names the first such value.
         InvalidOption: if ``arrays`` is neither ``"list"`` nor ``"array"`` nor ``"numpy"``.
 
     >>> from turtleact.interfaces.standard import Time
@@ -108,9 +109,9 @@ def writer_behind(
 ) -> Callable[[object, bytes], bytes]:
     """Return a function that encodes a message of this class and appends it to other bytes.
 
-    The function takes the message and the other bytes, which begin with the header. It returns the
-    other bytes with the encoded message behind them, or raises one of `UNFIT` if it cannot write
-    the message unchanged.
+    The function takes the message, and the bytes to append the message to, which begin with the
+    header. The function returns all these bytes with the encoded message at the end. If the
+    function cannot encode the message unchanged, it raises one of `UNFIT`.
 
     Args:
         cls: The class of the message.

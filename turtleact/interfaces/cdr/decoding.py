@@ -104,9 +104,9 @@ class Reader:
     Attributes:
         source: The code so far.
         pending: The pending run: the values for which no code has been added yet.
-        place: Where the pending run starts; None if this is known only at run time. The generated
-            code then has it in the variable ``p``.
-        places: The places, modulo 8, where the pending run may start; used only if ``place`` is
+        place: The offset at which the pending run starts. None means that the generated code
+            computes the offset in the variable ``p``.
+        places: The offsets, modulo 8, at which the pending run may start. Used only if ``place`` is
             None.
     """
 
@@ -206,7 +206,10 @@ class Reader:
         return value
 
     def rows(self, cls: type[Message], value: str, count: str, size: int) -> None:
-        """Add code that reads a sequence of messages, each a single run of the same size."""
+        """Add code that reads a sequence of messages, if one struct fits all of them.
+
+        ``size`` is the alignment of the messages; see `common_alignment`.
+        """
         self.align(size, count)
         expression = self.message(cls)
         items, self.pending = self.pending, []
@@ -241,7 +244,7 @@ class Reader:
         self.places = ANYWHERE
 
     def align(self, size: int, count: str) -> None:
-        """Add code that skips the padding before the elements of a sequence that is not empty."""
+        """Add code that skips the padding before the first element, if there are elements."""
         if any(padding(place, size) for place in self.places):
             pads = [padding(place, size) for place in range(WIDEST)]
             self.source.add(f"if {count}: p += {self.source.hold(pads)}[p & 7]")
@@ -289,7 +292,7 @@ def narrow(content: bytes, order: str) -> str:
     """Decode the text of a wstring. Each four bytes hold a character, or half of a surrogate pair.
 
     Raises:
-        ValueError: if four bytes hold neither of these.
+        ValueError: if four bytes hold neither a character nor half of a surrogate pair.
     """
     codec = "utf-32-le" if order == "<" else "utf-32-be"
     units = content.decode(codec, "surrogatepass")
@@ -339,7 +342,7 @@ def locate(cls: type[Message], data: bytes, order: str) -> None:
         order: The byte order of the data, ``<`` or ``>``.
 
     Raises:
-        InvalidMessage: with the path and the place of the first value that cannot be read.
+        InvalidMessage: naming the first value that cannot be read.
     """
     try:
         Walk(data, order).message(cls)
@@ -348,11 +351,11 @@ def locate(cls: type[Message], data: bytes, order: str) -> None:
 
 
 class Walk:
-    """Reads data value by value, to find the error for which a decoder has refused the data.
+    """Reads data value by value, to find the error that made a decoder refuse the data.
 
     Attributes:
-        place: Where the next value begins, or the padding before it, in bytes from the start of the
-            data.
+        place: The offset of the next value, or of the padding before that value, in bytes from the
+            start of the data.
     """
 
     def __init__(self, data: bytes, order: str) -> None:

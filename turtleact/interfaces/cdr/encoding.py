@@ -95,11 +95,11 @@ class Writer:
     Attributes:
         source: The code so far.
         pending: The pending run: the values for which no code has been added yet.
-        places: Where the pending run may start, modulo 8.
-        pieces: The expressions that evaluate to the bytes so far. After the code has created
-            ``out``, no expressions are added.
-        is_begun: Whether the code has created ``out``, which holds the bytes so far.
-        is_strict: Whether to accept only values of exactly the expected Python type.
+        places: The offsets, modulo 8, at which the pending run may start.
+        pieces: The expressions for the data up to the pending run. Once the code has created
+            ``out``, the code appends data to ``out`` instead.
+        is_begun: Whether the code has created the bytearray ``out`` for the data.
+        is_strict: Whether to refuse values whose Python type is not exactly the expected type.
     """
 
     def __init__(self, signature: str, places: Places, *, is_strict: bool) -> None:
@@ -232,7 +232,7 @@ class Writer:
             self.source.depth -= 1
 
     def numbers_behind(self, field_type: FieldType, value: str, code: str) -> None:
-        """Add code that writes the pending run and the numbers of a sequence in one call."""
+        """Add code that calls one function to write the pending run and a sequence's numbers."""
         items, self.pending = self.pending, []
         runs = Runs("pack", "<", items, min(self.places), code)
         values = "".join(f"{item.text}, " for item in items if item.text)
@@ -248,9 +248,9 @@ class Writer:
         self.places = places_in_steps(size_of(code), first) | places_after(items, self.places)
 
     def is_common(self, items: list[Item]) -> bool:
-        """Whether the padding in a run is the same at each place where the run may start.
+        """Whether the padding in a run is the same at each offset where the run may start.
 
-        The same must be true of the run without its last item.
+        The result is true only if the run without its last item has this property as well.
         """
         return all(common_run("<", each, self.places) for each in (items, items[:-1]))
 
@@ -269,7 +269,7 @@ class Writer:
         self.source.depth -= 1
 
     def align(self, size: int, value: str) -> None:
-        """Add code that writes the padding before the elements of a sequence that is not empty."""
+        """Add code that writes the padding before the first element, if there are elements."""
         self.flush()
         if any(padding(place, size) for place in self.places):
             self.begin()
@@ -399,7 +399,11 @@ def behind(runs: Runs, *values: object) -> bytes:
 
 
 def copied(code: str, value: object) -> bytes:
-    """Return the bytes of an array. Raise TypeError if CDR would store its elements differently."""
+    """Return the bytes of an array.
+
+    Raises:
+        TypeError: if CDR would store the elements of the array differently.
+    """
     view = memoryview(value)  # type: ignore[arg-type]  # raises TypeError if it is not an array
     wanted = (KINDS[code], size_of(code), 1, "little")
     if (KINDS.get(view.format), view.itemsize, view.ndim, sys.byteorder) != wanted:

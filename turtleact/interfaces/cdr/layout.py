@@ -89,7 +89,7 @@ ANYWHERE: Places = frozenset(range(WIDEST))
 #: Runs are cached for this many different numbers of values.
 MOST_RUNS = 256
 
-#: A message with more fields than this, nested ones included, gets a function of its own.
+#: A message with a greater `weight` than this gets a function of its own.
 MOST_INLINED = 64
 
 
@@ -154,7 +154,7 @@ def padding(place: int, size: int) -> int:
 
 
 def run(order: str, items: Iterable[Item], place: int) -> struct.Struct:
-    """Return the struct for these values at a place, in the byte order ``<`` or ``>``."""
+    """Return the ``Struct`` for a run at the offset ``place``, in the byte order ``<`` or ``>``."""
     text, at = order, place
     for code, _ in items:
         pad = padding(at, alignment(code))
@@ -164,28 +164,31 @@ def run(order: str, items: Iterable[Item], place: int) -> struct.Struct:
 
 
 def phases(order: str, items: Sequence[Item]) -> list[struct.Struct]:
-    """Return eight structs for a run: one for each place, modulo 8, where the run may start."""
+    """Return eight ``Struct`` objects for a run: one for each start offset, modulo 8."""
     return [run(order, items, place) for place in range(WIDEST)]
 
 
 def common_run(order: str, items: Sequence[Item], places: Places) -> struct.Struct | None:
-    """Return the struct that fits a run at each of the places; None if the padding differs."""
+    """Return the ``Struct`` that fits a run at all offsets in ``places``; None if none fits all."""
     runs = [run(order, items, place) for place in places]
     return runs[0] if len({each.format for each in runs}) == 1 else None
 
 
 def places_after(items: Sequence[Item], places: Places) -> Places:
-    """Return where a run may end if it starts at one of these places."""
+    """Return the offsets at which a run may end if the run starts at an offset in ``places``."""
     return frozenset((place + run("<", items, place).size) % WIDEST for place in places)
 
 
 def places_aligned(size: int, places: Places) -> Places:
-    """Return ``places``, and the places to which padding for a value of this size may lead."""
+    """Return the offsets in ``places``, both as they are and padded for a value of this size."""
     return places | {(place + padding(place, size)) % WIDEST for place in places}
 
 
 def places_in_steps(size: int, places: Places) -> Places:
-    """Return where a sequence of values of this size may end if it starts at one of the places."""
+    """Return the offsets at which a sequence that starts at an offset in ``places`` may end.
+
+    ``size`` is the size of each element.
+    """
     steps = range(0, WIDEST, min(size, WIDEST))
     return frozenset((place + step) % WIDEST for place in places for step in steps)
 
@@ -250,7 +253,7 @@ def code_in_run(field_type: FieldType) -> str:
 
 @functools.cache
 def weight(cls: type[Message]) -> int:
-    """Return how many fields a message has, plus one. The fields of nested messages count, too.
+    """Return the number of fields in a message, plus one. The fields of nested messages count.
 
     A sequence of messages counts as one field.
     """
@@ -282,7 +285,7 @@ def row(cls: type[Message]) -> list[Item] | None:
 
 
 def common_alignment(cls: type[Message], *, counted: bool) -> int:
-    """Return the alignment of the messages in a sequence; 0 if one struct does not fit them all.
+    """Return the alignment of the messages in a sequence; 0 if their layouts may differ.
 
     Args:
         cls: The class of the messages.
