@@ -61,7 +61,7 @@ def make_known(folder: str | None, *, is_silent: bool = False) -> None:
     """Register turtleact's own interfaces, and those that `make_found` registers.
 
     Args:
-        folder: A folder with interface files; None for no folder.
+        folder: A folder with interface files, or None.
         is_silent: Whether to leave out the note on stderr.
 
     Raises:

@@ -462,7 +462,7 @@ async def _names(node: Node, owner: str, prefixes: Sequence[str]) -> list[str]:
 
 
 async def _values(node: Node, owner: str, names: Sequence[str]) -> list[ParameterValue]:
-    """Return the values of parameters. Raise an error if the node lacks one of them."""
+    """Return the values of parameters. Raise an error if the node lacks any of ``names``."""
     response = await _ask(node, GetParameters, owner, GetParameters.Request(list(names)))
     if len(response.values) < len(names):
         await _refuse_unknown(node, owner, names)
