@@ -78,11 +78,11 @@ class Client(Introspected, Subscriptable, Entity):
 
     @property
     def logger_name(self) -> str:
-        """The name to use in log messages: that of the service, as the program gave it."""
+        """The name for log messages: the service's name, in the form that the program used."""
         return self.srv_name
 
     def call(self, request: Anything, timeout_sec: float | None = None) -> Anything:
-        """Send a request and wait for the response. Another thread must spin the node meanwhile.
+        """Send a request and wait for the response, while another thread spins the node.
 
         Raises:
             TypeError: if the request is not a ``srv_type.Request``, or if a value does not fit the
@@ -142,7 +142,10 @@ class Client(Introspected, Subscriptable, Entity):
             return self._end.is_served
 
     def wait_for_service(self, timeout_sec: float | None = None) -> bool:
-        """Wait, without spinning, until the service has a server. Return whether it has one."""
+        """Wait, without spinning, until the service has a server.
+
+        Return whether the service has a server.
+        """
         return wait_until(self.service_is_ready, timeout_sec, self.context.ok)
 
     def is_ready_now(self) -> bool:

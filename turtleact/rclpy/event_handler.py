@@ -106,7 +106,7 @@ class QoSRequestedDeadlineMissedInfo(_Counted, frozen=True):
 
 
 class QoSLivelinessLostInfo(_Counted, frozen=True):
-    """Reports that the publisher did not show in time that it is alive."""
+    """Reports that the publisher did not assert its liveliness in time."""
 
 
 class QoSMessageLostInfo(_Counted, frozen=True):
@@ -172,23 +172,22 @@ class Event(Protocol):
         """If an event has happened since the last call, return its info object; otherwise None."""
 
     def due_in(self) -> float | None:
-        """How long until a time limit is exceeded (s); None if no limit applies."""
+        """Return the time until a time limit is exceeded (s); None if no limit applies."""
 
     def noted(self, *, is_message: bool) -> None:
-        """Record a message or, if ``is_message`` is false, a sign that the publisher is alive."""
+        """Record a message, or an assertion of liveliness if ``is_message`` is false."""
 
 
 class _Late(Event):
     """Notices when no message comes for longer than a limit.
 
-    There is no limit before the first message.
+    The limit does not apply before the first message.
 
     Args:
         limit: The longest time without a message (ns); None for no limit.
         info: The class of the info object.
         repeats: Whether to count each further period of ``limit`` without a message. If false, only
-            the first period is counted, and a sign that the publisher is alive has the effect of a
-            message.
+            the first period is counted, and an assertion of liveliness counts as a message.
     """
 
     def __init__(self, limit: int | None, info: type[_Counted], *, repeats: bool) -> None:
@@ -219,7 +218,10 @@ class _Late(Event):
 
 
 Found: TypeAlias = "Counter[Endpoint]"
-"""The endpoints of the other kind on the topic. Two equal endpoints count twice."""
+"""The endpoints at the other end of the topic.
+
+Two endpoints with equal descriptions count as two.
+"""
 
 Tell: TypeAlias = "Callable[[Found, Found, Found], object | None]"
 """Makes the info object of an event from three groups of endpoints: present now, new, and gone."""
@@ -329,7 +331,7 @@ class EventHandler(Waitable):
         connection.watch(self.wake)
 
     def noted(self, *, is_message: bool = True) -> None:
-        """Record a message or, if ``is_message`` is false, a sign that the publisher is alive."""
+        """Record a message, or an assertion of liveliness if ``is_message`` is false."""
         self._event.noted(is_message=is_message)
         self.wake()  # the executor sleeps until the next event that was due
 
@@ -340,7 +342,7 @@ class EventHandler(Waitable):
         return self._info is not None
 
     def due_in(self) -> float | None:
-        """How long until a time limit is exceeded (s); None if no limit applies."""
+        """Return the time until a time limit is exceeded (s); None if no limit applies."""
         return None if self._handle.is_destroyed else self._event.due_in()
 
     def take_data(self) -> object | None:

@@ -52,13 +52,14 @@ __all__ = [
 ]
 
 Work: TypeAlias = tuple[Task, object, object]
-"""Something to run, and the entity and node that it belongs to, if any."""
+"""A task to run, with the entity and the node of the task, if any."""
 
 LONGEST_LOCK = 0.1 if sys.platform == "win32" else 1.0
-"""How long to wait for a lock at a time (s).
+"""The longest wait for a lock at a time (s).
 
-On Windows, a signal cannot interrupt that. Elsewhere it can, unless it comes right before the wait:
-then Python calls its handler only after the wait.
+On Windows, a signal cannot interrupt a wait for a lock. On other systems, a signal interrupts the
+wait, unless the signal arrives right before the wait. In that case, Python calls the signal handler
+only after the wait.
 """
 
 
@@ -389,9 +390,9 @@ class Executor(Block):
         """Wait until `wake` is called, until an entity is due, or until ``end``.
 
         ``end`` is a time of `time.monotonic` (s). ``seen`` is the number of calls of `wake` that
-        the calling thread has noticed. If there have been more calls, return at once. The calls are
-        counted, because several threads may spin at the same time: if one thread cleared a flag,
-        the others would miss the call.
+        the calling thread has noticed. If `wake` has been called more than ``seen`` times, return
+        at once. A count is used, not a flag, because several threads may spin at the same time. If
+        one thread cleared a flag, the other threads would miss the call of `wake`.
         """
         now = time.monotonic()
         left = None if end is None else end - now
@@ -456,7 +457,7 @@ class MultiThreadedExecutor(Executor):
 
         Args:
             timeout_sec: How long to wait (s). None or a negative number means for ever.
-            wait_for_threads: Whether to wait also until the threads of the pool have ended.
+            wait_for_threads: Whether to wait for the end of the pool's threads as well.
         """
         if not super().shutdown(timeout_sec):
             return False

@@ -1,7 +1,7 @@
 """Decides which rclpy a program gets: the genuine one, or turtleact's.
 
-No program uses modules of both rclpys. Unless the user asks for turtleact's, the genuine rclpy is
-used if it can be imported and the type support of a message can be loaded. A separate process tries
+A program uses modules of only one rclpy. The genuine rclpy is used if Python can import it and load
+the type support of a message, unless the user asks for turtleact's rclpy. A separate process tries
 the import and the loading, because an import that fails halfway cannot be undone.
 """
 
@@ -31,7 +31,9 @@ ATTEMPT: Final = (
 
 
 def chosen_face(asked: str) -> tuple[Literal["turtleact", "ros"], str]:
-    """Return the rclpy to use, and the genuine rclpy's middleware (empty for turtleact's).
+    """Return which rclpy to use, and the middleware of the genuine rclpy.
+
+    If turtleact's rclpy is used, the middleware is an empty string.
 
     Args:
         asked: The rclpy that the user has asked for: one of `FACES`.

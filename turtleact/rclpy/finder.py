@@ -32,7 +32,7 @@ OURS: Final = "turtleact.rclpy"
 KINDS: Final = ("msg", "srv", "action")
 
 SUFFIXES: Final = ("_msgs", "_interfaces", "_srvs", "_actions", "_msg", "_action", "_interface")
-"""The endings of the names of packages with interfaces."""
+"""The suffixes that names of interface packages usually have."""
 
 ALIASES: Final = {
     **dict.fromkeys(
@@ -60,7 +60,7 @@ BESIDE: Final = {
     "rosidl_runtime_py.convert": "rosidl_runtime",
     "rosidl_runtime_py.set_message": "rosidl_runtime",
 }
-"""Other packages of ROS that turtleact has in part, by the name of our module."""
+"""Modules of other ROS packages, each with the turtleact module that takes its place."""
 
 MISSING: Final = {
     "tf2_ros": "tf2 is not part of turtleact",

@@ -240,8 +240,8 @@ class Node(NodeParameters, NodeGraph, Block):
     def entities(self) -> tuple[Sequence[Anything], ...]:
         """The node's entities except waitables: one sequence for each kind.
 
-        An executor checks the sequences in this order. The node replaces a sequence instead of
-        changing it, so any thread may iterate over it.
+        An executor checks the sequences in this order. The node replaces sequences and never
+        changes them, so any thread may iterate over a sequence.
         """
         return self._timers, self._subscriptions, self._guards, self._clients, self._services
 

@@ -39,8 +39,9 @@ class ParameterEventCallbackHandle:
 class ParameterEventHandler:
     """Calls callbacks for the events on ``/parameter_events``.
 
-    Callbacks for single parameters are called before callbacks for all events. Among the callbacks
-    of one parameter, and among those for all events, the callback that was added last comes first.
+    Callbacks for single parameters are called before callbacks for all events. Callbacks for the
+    same parameter are called in reverse order of their registration, and so are callbacks for all
+    events.
 
     Args:
         node: The node that subscribes to the topic.

@@ -1,4 +1,4 @@
-"""Prepares this process for a program that imports rclpy, and ends it when the program has ended.
+"""Prepares the process for a program that imports rclpy, and ends the process after the program.
 
 `prepare` must be called before the program's first import. This module imports little, so it hardly
 delays a program that does not use rclpy.
@@ -54,7 +54,8 @@ def prepare(options: Options, *folders: Path) -> None:
 
     Args:
         options: How the program is run.
-        *folders: Folders of the program. Packages near them are searched for interfaces, too.
+        *folders: Folders of the program. Packages near these folders are also searched for
+            interfaces.
 
     Raises:
         UsageError: if ``options.face`` is unknown, or if it asks for the genuine rclpy and that
@@ -80,7 +81,7 @@ def prepare(options: Options, *folders: Path) -> None:
 def offer_neighbours(*folders: Path) -> None:
     """Offer the program the interfaces of packages near these folders.
 
-    A parent folder that is called ``src``, or contains a ``src``, is searched as well. If the
+    A parent folder is searched as well if it is named ``src`` or has a subfolder ``src``. If the
     sourced workspace or a package near the working directory has an interface with the same name,
     that interface is used instead.
     """
@@ -131,7 +132,7 @@ def leave(error: BaseException | None) -> NoReturn:
 
 
 def _places(folders: Sequence[Path]) -> Iterator[Path]:
-    """Yield ``folders``, and those of their parent folders that are called or contain ``src``."""
+    """Yield each folder, then each near parent that is named ``src`` or has a subfolder ``src``."""
     for folder in folders:
         yield folder
         for above in list(folder.absolute().parents)[:PARENTS]:

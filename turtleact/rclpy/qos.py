@@ -1,8 +1,8 @@
 """Quality of service: policies, profiles, preset profiles, and a check of their compatibility.
 
-turtleact's transports apply only depth, reliability and durability. They connect endpoints even if
-their profiles are incompatible. They only show the other policies to other nodes. Deadlines and
-liveliness are checked by `turtleact.rclpy.event_handler`.
+turtleact's transports apply only depth, reliability and durability. All other policies are shown to
+other nodes, but have no effect on messages. The transports connect endpoints even if the profiles
+of the endpoints are incompatible. `turtleact.rclpy.event_handler` checks deadlines and liveliness.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class QoSPolicyEnum(IntEnum):
 
     @classmethod
     def get_from_short_key(cls: type[P], name: str) -> int:
-        """Return the number of the value with this short name."""
+        """Return the value with this short name, as an integer."""
         return cls[name.upper()].value
 
     @property
@@ -100,7 +100,7 @@ class QoSPolicyEnum(IntEnum):
 
 
 class HistoryPolicy(QoSPolicyEnum):
-    """Whether all messages are kept, or only the latest, as many as the profile's ``depth``."""
+    """Whether all messages are kept, or only the latest ``depth`` messages."""
 
     SYSTEM_DEFAULT = 0
     KEEP_LAST = 1

@@ -108,7 +108,7 @@ class SwitchableEvents(CallEvents):
         self._publish(kind, gid, sequence, response=response)
 
     def close(self) -> None:
-        """Close the topic. Events cannot be switched on again."""
+        """Close the topic. From then on, `configure` cannot switch the events on."""
         with self._lock:
             self._is_closed = True
             before, self._sender = self._sender, None

@@ -1,9 +1,9 @@
 """Signals: SIGINT and SIGTERM shut every context down.
 
 Python may call a signal handler anywhere in the program, even while the program holds a lock. The
-handler therefore only wakes a thread, which shuts the contexts down. Then the handler calls the
-handler that was installed before it. For SIGINT, that is usually Python's own handler, which raises
-KeyboardInterrupt.
+handler therefore only wakes a thread, which shuts the contexts down. The handler then calls the
+previously installed handler. For SIGINT, the previous handler is usually Python's own handler,
+which raises KeyboardInterrupt.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ __all__ = ["Future", "Task"]
 
 
 class Runner(Protocol):
-    """The methods of an executor that a future uses."""
+    """The executor methods that a `Future` calls."""
 
     def create_task(self, callback: Anything, *args: Anything) -> object:
         """Run a function or coroutine."""
@@ -44,8 +44,8 @@ class Future(Subscriptable):
     """The result or exception of an operation that may not have ended yet.
 
     Args:
-        executor: Runs the done callbacks. Without an executor, they run in the thread that sets the
-            result.
+        executor: Runs the done callbacks. Without an executor, the callbacks run in the thread that
+            sets the result.
     """
 
     def __init__(self, *, executor: Runner | None = None) -> None:
@@ -132,7 +132,7 @@ class Future(Subscriptable):
         self._run_callback(callback)
 
     def remove_done_callback(self, callback: Callable[[Anything], object]) -> bool:
-        """Remove a done callback. Return False if it is not registered, or was called already."""
+        """Remove a done callback. Return whether the callback was still registered."""
         with self._lock:
             try:
                 self._callbacks.remove(callback)

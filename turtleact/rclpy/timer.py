@@ -1,8 +1,8 @@
 """Timers and rates.
 
-A timer that is late calls its function once, however many calls it has missed. The later calls
-come at the times that were planned at the start. A timer with a simulated clock becomes due only
-when somebody sets the time of the clock, for example with a message on ``/clock``.
+A timer that is late calls its function once, however many calls were missed. Later calls follow the
+original schedule. A timer with a simulated clock becomes due only when somebody sets the time of
+the clock, for example with a message on ``/clock``.
 """
 
 from __future__ import annotations
@@ -229,7 +229,7 @@ class Rate:
 
     @property
     def timer(self) -> Timer:
-        """The timer whose calls wake the threads that sleep."""
+        """The timer that wakes the sleeping threads."""
         return self._timer
 
     def _tick(self) -> None:

@@ -23,7 +23,7 @@ def check_for_type_support(msg_or_srv_type: Anything) -> None:
     """Check that an object is the class of a message, service or action.
 
     Raises:
-        AttributeError: if the object is not such a class.
+        AttributeError: if the object is not the class of a message, service or action.
         NoTypeSupportImportedException: if the class is from the genuine ROS, and ROS has not loaded
             its type support.
     """

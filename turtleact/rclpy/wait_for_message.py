@@ -33,7 +33,7 @@ def wait_for_message(
         time_to_wait: How long to wait (s); -1 means for ever.
 
     Returns:
-        Whether a message has come, and the message. Without a message, the second value is None.
+        A pair: whether a message has arrived, and the message, or None if no message has arrived.
     """
     from turtleact.rclpy.node import Node
 

@@ -53,8 +53,8 @@ class Recorded(msgspec.Struct, frozen=True):
         stamp: When it was recorded (ns since 1970).
         schema: The type of the message, with the definition that the bag has.
         data: The encoded message: CDR, unless the bag names another format for the topic.
-        value: The decoded message. None if decoding was not asked for, the type is unknown, or the
-            bytes do not fit the type.
+        value: The decoded message. The value is None if the reader does not decode messages, if the
+            type is unknown, or if the bytes do not fit the type.
     """
 
     topic: str
@@ -295,7 +295,7 @@ async def read(
 
     Args:
         path: The folder of the bag, or a single file.
-        topics: The topics to read. If left out, all topics are read.
+        topics: The names of the topics to read; None for all topics.
         start: The earliest stamp to read (ns since 1970).
         end: The latest stamp to read (ns since 1970); None for no limit.
 

@@ -50,10 +50,10 @@ STEP: Final = 32 * 1024
 """The reserved disk space grows in steps of this many bytes."""
 
 TOPIC_SIZE: Final = 500
-"""``metadata.yaml`` has at most this many bytes for a topic, besides its names and offers."""
+"""The maximum size of a topic's entry in ``metadata.yaml``, without names and offers (bytes)."""
 
 FILE_SIZE: Final = 300
-"""``metadata.yaml`` has at most this many bytes for a file, besides its name."""
+"""The maximum size of a file's entry in ``metadata.yaml``, without the file's name (bytes)."""
 
 
 class Split(msgspec.Struct, frozen=True, kw_only=True):
@@ -300,7 +300,7 @@ class BagWriter:
         return Counter({own: counts[its] for own, its in self._numbers.items()})
 
     def _lost_of_file(self) -> Counter[str]:
-        """How many messages of each topic were given to the current file but are not in it."""
+        """Count the messages of each topic that were added for the current file but not written."""
         lost = Counter[str]()
         for number, count in (self._offered - self._written()).items():
             lost[self._channels[number].topic] += count

@@ -23,7 +23,7 @@ from turtleact.recording.storage import Channel, Range, Raw
 __all__ = ["Output", "convert"]
 
 CHECK = 1000
-"""After this many messages, ``goes_on`` is asked whether to go on."""
+"""The number of messages between two calls of ``goes_on``."""
 
 
 class Output(msgspec.Struct, frozen=True, kw_only=True):
@@ -54,9 +54,9 @@ def convert(
     Args:
         inputs: The bags to read.
         outputs: The bags to write.
-        goes_on: Called before the first message, and again after every 1,000 messages. If it
-            returns False, `convert` stops reading, and the outputs keep the messages written so
-            far.
+        goes_on: Returns whether to continue. `convert` calls this function before the first message
+            and after every 1,000 messages. If ``goes_on`` returns False, `convert` stops reading,
+            and the outputs keep the messages written so far.
 
     Returns:
         How many messages were written to each output.

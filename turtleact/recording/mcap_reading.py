@@ -77,8 +77,8 @@ class _Summary(NamedTuple):
         statistics: How many messages each channel has, and the times of the earliest and latest
             message.
         declared: The records of schemas and channels, each with its opcode.
-        chunks: The records that say where the chunks are. They are not decoded yet, because a file
-            of 1 GB has about a thousand of them, and only `McapFile.messages` needs them.
+        chunks: The records that say where the chunks are. These records are not decoded yet,
+            because only `McapFile.messages` needs them, and a file of 1 GB has about a thousand.
         about: Where the last metadata record about the bag begins, in bytes from the start of the
             file; 0 if there is none.
     """

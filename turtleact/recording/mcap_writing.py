@@ -5,9 +5,9 @@ process is killed, only the last chunk in the file may be incomplete. If a write
 cut back to the end of its last complete record, and can still be closed.
 
 The classes of records come from the ``mcap`` package. The package's ``Writer`` takes 25 us per
-message. In the process of an action server, a recorder with that ``Writer`` would take more time
-than the goals. This module therefore packs each message and its index entry itself, which takes 2
-us. Also, a ``Writer`` cannot be closed after a failed write.
+message, so in the process of an action server, recording would take more time than the goals. This
+module therefore packs each message and the message's index entry itself, which takes 2 us. Also, a
+``Writer`` cannot be closed after a failed write.
 
 Source: the MCAP specification; rosbag2 ``mcap_storage.cpp`` for the profile and the metadata.
 """
@@ -48,18 +48,24 @@ Compression: TypeAlias = Literal["none", "zstd_fast", "zstd_small"]
 """How chunks are compressed. rosbag2 has presets with these names."""
 
 CHUNK: Final = 768 * 1024
-"""A chunk is written once it has this many bytes: as many as in rosbag2."""
+"""The size at which a chunk is written to the file (bytes), as in rosbag2."""
 
 LEVELS: Final[Mapping[Compression, int]] = {"zstd_fast": 1, "zstd_small": 19}
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-"""The bytes with which a file begins and ends. ``mcap.writer`` has them too, but imports slowly."""
+"""The bytes with which a file begins and ends.
+
+This constant also exists in ``mcap.writer``, which imports slowly.
+"""
 
 HELD_BACK: Final = 64
 """How many of the last chunks can be given up to make room for the index."""
 
 MESSAGE: Final = struct.Struct("<BQHIQQ")
-"""Opcode, length, channel, sequence, log time and publish time of a message. The data follow."""
+"""The header of a message record, which precedes the data.
+
+The fields are opcode, length, channel, sequence, log time and publish time.
+"""
 
 INDEX_SIZE: Final = 1000
 """The bytes of an index without channels and chunks, with some to spare."""
@@ -80,7 +86,7 @@ class McapWriter:
     The constructor, `flush`, `add_metadata` and `finish` may raise OSError.
 
     Args:
-        path: The file to create. It must not exist yet.
+        path: The file to create. The file must not exist yet.
         compression: How to compress chunks.
 
     Attributes:
@@ -309,7 +315,7 @@ class McapWriter:
     def _summary(self, offset: int, metadata: list[MetadataIndex]) -> bytes:
         """Return the index, the statistics and the footer, with which the file ends.
 
-        ``offset`` is where they begin, in bytes from the start of the file.
+        ``offset`` is where the returned bytes begin, in bytes from the start of the file.
         """
         head = _bytes_of(DataEnd(0))
         start = offset + len(head)

@@ -1,8 +1,8 @@
 """Reads and writes the text of ``metadata.yaml``, which describes a bag.
 
 A bag's MCAP files have the type hash of each channel, but its ``metadata.yaml`` has no type hashes.
-If it had them, the package rosbags would compare them with its own hashes, which differ for the
-types of actions.
+The package rosbags would compare type hashes in ``metadata.yaml`` with its own hashes, which differ
+for the types of actions.
 
 Source: rosbag2 ``metadata_io.cpp``, ``yaml.hpp`` and ``qos.cpp``. This module writes version 9 of
 ``metadata.yaml``, and also reads older versions.
@@ -45,12 +45,12 @@ VERSION: Final = 9
 METADATA: Final = "metadata.yaml"
 
 NOT_CLOSED: Final = "not_closed"
-"""The custom text that names a file without an index, because the disk had no room for it."""
+"""The key of the custom text that names a file whose index is missing because the disk was full."""
 
 ROOT: Final = "rosbag2_bagfile_information"
 
 FOREVER: Final = {"sec": 9223372036, "nsec": 854775807}
-"""The value with which ROS 2 writes that a policy has no limit."""
+"""The value that ROS 2 writes for a policy without a limit."""
 
 
 class BagError(TurtleactError):
@@ -214,7 +214,7 @@ def offers_text(offers: Iterable[Offer]) -> str:
 
 
 def read_offers(given: object) -> tuple[Offer, ...]:
-    """Read offers from YAML text, or from values parsed from YAML. Anything else gives no offers.
+    """Read offers from YAML text, or from values parsed from YAML. Invalid input gives no offers.
 
     >>> read_offers("- {depth: 1, reliability: 2, durability: transient_local}")[0].qos
     QoS(depth=1, durability='transient_local', reliability='best_effort')
@@ -269,7 +269,7 @@ _POLICIES: Final[dict[str, tuple[str, ...]]] = {
     "liveliness_lease_duration": (),
     "avoid_ros_namespace_conventions": (),
 }
-"""The policies of a file with overrides, with their values if turtleact checks them."""
+"""The policies that a file with overrides may set. An empty tuple allows any value."""
 
 _LOADER: Final[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 

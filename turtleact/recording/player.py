@@ -7,9 +7,10 @@ a server may still hold the recorded goals and would then reject their ids.
 
 In virtual time, many messages have the same stamp, and their order matters to a simulation. The
 player assumes that the simulation itself publishes all messages that are not played from the bag.
-Among messages with the same stamp, the player therefore looks for the first message that is not
-played. Messages recorded before that message are played `NUDGE` early, and all others `NUDGE` late.
-The simulation then gets all messages in the recorded order, and reaches exactly the recorded poses.
+Among messages with the same stamp, the player therefore finds the first message that the simulation
+itself publishes. The player publishes messages recorded before this first message `NUDGE` earlier
+than their stamp, and all other messages `NUDGE` later than their stamp. The simulation then gets
+all messages in the recorded order, and reaches exactly the recorded poses.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ from turtleact.transports.base import Endpoint, Publication, QoS, RawFormat
 __all__ = ["PlayOptions", "Played", "play"]
 
 NUDGE: Final = 1000
-"""In virtual time, each message is played this much earlier or later than its stamp (ns)."""
+"""How much earlier or later than its stamp a message is played in virtual time (ns)."""
 
 PATIENCE: Final = 2.0
 """How long to wait until known readers can be reached (s)."""
@@ -58,7 +59,7 @@ UNSENT: Final = (
     "not sent, because the recording does not have the goal itself; to record goals, serve the "
     "action with introspection 'contents'"
 )
-"""The reason of goals that were accepted in a recording without their messages."""
+"""The reason why a goal is not sent if the recording has only the goal's acceptance."""
 
 CLOCK: Final = "/clock"
 """The topic with the time, for nodes with ``use_sim_time``."""
@@ -90,8 +91,8 @@ class Played(msgspec.Struct):
             goal's last state. If the goal is counted in ``failed``, the pair has a reason in place
             of the state.
         skipped: Why messages or goals could not be played, by the name of their topic or action.
-        failed: How many goals could not be sent, were rejected, or have no known end. These goals
-            also count in ``goals``, unless their action is in ``skipped``.
+        failed: How many goals could not be sent, were rejected, or have no known end. The counts in
+            ``goals`` include failed goals, except goals of the actions in ``skipped``.
     """
 
     messages: int = 0
@@ -280,7 +281,7 @@ class _Player:
             await clock.sleep(1 / self._frequency)
 
     async def _messages(self) -> AsyncGenerator[tuple[Recorded, int]]:
-        """Yield the messages to play, each with its delay relative to its stamp (ns)."""
+        """Yield each message to play, and how much later than its stamp to play it (ns)."""
         is_exact = not isinstance(self._node.clock, WallClock)
         # Messages that are not played tell what came first, where that matters.
         wants = None if is_exact else self._is_wanted
@@ -302,10 +303,10 @@ class _Player:
             yield pair
 
     def _ordered(self, moment: list[Recorded]) -> Iterable[tuple[Recorded, int]]:
-        """Yield the messages to play, each with its delay relative to its stamp (ns).
+        """Yield each message to play, and how much later than its stamp to play it (ns).
 
-        All messages in ``moment`` have the same stamp. A message with a negative delay is played
-        before its stamp.
+        All messages in ``moment`` have the same stamp. A negative number means that the message is
+        played before its stamp.
         """
         others = [place for place, each in enumerate(moment) if not self._is_wanted(each.topic)]
         first = others[0] if others else -1

@@ -42,8 +42,8 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
         feedback_count: How many feedback messages were recorded.
         result: The result; None if it was not recorded.
         is_begun_before: Whether the goal was accepted before the recording began.
-        told: Why the goal was rejected or ended without success, as its server published it; empty
-            if the bag does not say.
+        told: The reason that the server published for rejecting the goal, or for ending the goal
+            without success; empty if the bag has no reason.
     """
 
     action: str

@@ -99,7 +99,7 @@ class Recording:
 
     @property
     def count(self) -> int:
-        """How many messages are in the bag or about to be written."""
+        """How many messages are in the bag or wait to be written."""
         return self._spool.count
 
     @property
@@ -196,7 +196,7 @@ class Recording:
             await self._look()
 
     async def _wait_for_events(self) -> None:
-        """Wait for service events from other processes, because these send events with a delay."""
+        """Wait for service events from other processes, which publish events with a delay."""
         if self._is_over:
             return
         transport = self._node.transport
@@ -293,11 +293,11 @@ async def record(
         path: The folder to create. A path that ends in ``.mcap`` names a single file instead.
         **options: ``topics``, ``actions`` and ``services`` are the names to record. If all three
             are left out, everything that is not hidden is recorded. ``selection``, a `Selection`,
-            replaces these three. When a file has reached ``max_size`` (bytes) or ``max_duration``
-            (s), recording continues in another file. ``compression`` is "none", "zstd_fast" or
-            "zstd_small". ``capacity`` is how many bytes may wait to be written. ``qos`` maps topics
-            to the quality of service to request; for other topics, the recorder requests one that
-            suits all publishers.
+            replaces ``topics``, ``actions`` and ``services``. When a file has reached ``max_size``
+            (bytes) or ``max_duration`` (s), recording continues in another file. ``compression`` is
+            "none", "zstd_fast" or "zstd_small". ``capacity`` is how many bytes may wait to be
+            written. ``qos`` maps topics to the quality of service to request; for other topics, the
+            recorder requests one that suits all publishers.
 
     Raises:
         BagError: if the folder or file exists already, or cannot be created. If the disk was full

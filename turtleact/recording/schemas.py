@@ -2,11 +2,11 @@
 
 In a schema, a type is written as ``pkg/Name``, both in fields and in headings, because some readers
 accept only this form. The topic's own type, called the root, comes first and has no heading. Each
-other type follows once, below a line of 80 equals signs and a line ``MSG: pkg/Name``.
+nested type then appears once, after a line of 80 equals signs and a line ``MSG: pkg/Name``.
 
-A message is decoded with the class that the program knows by the schema's name, if that class has
-the layout of the schema. Otherwise, a class is made from the schema. The new class is not
-registered, so reading a file does not change the types that the program knows.
+If the program has a class with the schema's name and layout, messages are decoded with this class.
+Otherwise, a class is made from the schema. The new class is not registered, so reading a file does
+not change the types that the program knows.
 
 Source: rosbag2 ``docs/message_definition_encoding.md``. Tests with rosbags,
 @foxglove/rosmsg and mcap-ros2-support showed what readers accept.
@@ -31,7 +31,7 @@ __all__ = ["Schema", "class_of", "schema_of"]
 SEPARATOR: Final = "=" * 80
 
 SAME: Final = {"byte": "uint8", "char": "uint8"}
-"""Types that other writers replace by a type with the same bytes."""
+"""Types that other writers replace with the given type, which has the same encoding."""
 
 FILLER: Final = "structure_needs_at_least_one_member"
 """The field that ROS 2 gives to a message without fields."""
@@ -79,9 +79,10 @@ def class_of(schema: Schema, known_hash: str = "") -> type[Message] | None:
 
     Args:
         schema: The schema.
-        known_hash: The type hash in the file, or empty. If this module cannot read the schema's
-            text, it can only return the class that the program knows. The type hash of that class
-            must then equal ``known_hash``, unless ``known_hash`` is empty.
+        known_hash: The type hash in the file, or empty. If the schema has no text in the format
+            ``"ros2msg"``, this function can only return the program's own class with the schema's
+            name. The type hash of this class must then equal ``known_hash``, unless ``known_hash``
+            is empty.
     """
     known = _known(schema.name)
     if schema.encoding == "ros2msg" and schema.text:
@@ -160,9 +161,9 @@ class _Making:
     """Makes the classes of one schema.
 
     Args:
-        root: The full name of the topic's own type, ``pkg/kind/Name``. The schema names other types
-            without their kind. Types of the same action or service, such as ``Name_Goal``, have the
-            same kind; all others have the kind ``msg``.
+        root: The full name of the topic's own type, ``pkg/kind/Name``. In the schema, names of
+            other types lack the kind. Other types of the same action or service, such as
+            ``Name_Goal``, have the kind of the root. All remaining types have the kind ``msg``.
         texts: The definitions of the other types, by their names ``pkg/Name``.
     """
 

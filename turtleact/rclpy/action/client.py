@@ -1,9 +1,9 @@
 """Action clients.
 
 The server's answers, feedback and goal states wait in one queue in the order of their arrival. An
-executor handles them in the callback group of the client. No answer and no feedback is dropped. If
-several messages with goal states wait, only the newest is handled. If feedback arrives before the
-answer to its goal request, the feedback waits for that answer.
+executor handles the queued messages in the client's callback group. Answers and feedback are never
+dropped. If several messages with goal states wait, only the newest is handled. If feedback arrives
+before the answer to its goal request, the feedback waits for that answer.
 
 Source: rcl_action ``action_client.c``; rclpy ``action/client.py`` for names and texts.
 """
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 __all__ = ["ActionClient", "ClientGoalHandle"]
 
 Event: TypeAlias = "tuple[Callable[..., Anything], tuple[Anything, ...]]"
-"""Something that has arrived: the function that handles it, and its arguments."""
+"""A queued message: the function that handles the message, and the function's arguments."""
 
 FEEDBACK_QOS = QoSProfile(depth=10)
 
@@ -106,7 +106,7 @@ class ClientGoalHandle(Subscriptable):
     def cancel_goal(self) -> Anything:
         """Ask the server to cancel the goal, and wait for the answer.
 
-        Another thread must spin the node meanwhile.
+        While this method waits, another thread must spin the node.
         """
         return self._action_client.wait_for_future(self.cancel_goal_async(), "cancel_goal()")
 
@@ -115,7 +115,7 @@ class ClientGoalHandle(Subscriptable):
         return self._action_client.cancel_goal_async(self)
 
     def get_result(self) -> Anything:
-        """Wait for the result. Another thread must spin the node meanwhile."""
+        """Wait for the result, while another thread spins the node."""
         return self._action_client.wait_for_future(self.get_result_async(), "get_result()")
 
     def get_result_async(self) -> Future:
@@ -179,7 +179,8 @@ class ActionClient(Introspected, Waitable):
     ) -> Anything:
         """Send a goal and wait for its result, a message with ``status`` and ``result``.
 
-        Another thread must spin the node meanwhile. Returns None if the goal is rejected.
+        While this method waits, another thread must spin the node. Returns None if the goal is
+        rejected.
 
         Raises:
             TypeError: if the goal is not of the action's class, or a value does not fit its type.
@@ -251,7 +252,7 @@ class ActionClient(Introspected, Waitable):
         return future.result()
 
     def server_is_ready(self) -> bool:
-        """Whether the action has a server that a goal would reach now."""
+        """Whether the action has a server that can receive a goal now."""
         with self.handle:
             return all(end.is_served for end in self._ends.values())
 
@@ -270,7 +271,7 @@ class ActionClient(Introspected, Waitable):
     ) -> Future:
         """Send a request, and return the future of what ``handle(response)`` returns.
 
-        If there is no response, ``lost()`` is called and the future is never done.
+        If there is no response, ``lost()`` is called and the future never gets a result.
         """
         future = Future()
         response_class = self._kind.service(service).Response

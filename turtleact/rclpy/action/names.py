@@ -77,7 +77,7 @@ class ActionKind:
         return self._info(goal_id, self._time(*divmod(now, 1_000_000_000)))
 
     def events(self, service: str) -> SwitchableEvents:
-        """Make the publisher of a service's introspection events. It is switched off at first."""
+        """Make the publisher of a service's introspection events, which is off at first."""
         name = getattr(self.names, service)
         return SwitchableEvents(self._node, name, self.service(service), is_client=False)
 
@@ -88,7 +88,10 @@ class ActionKind:
         return self._node.connection.serve(end, hash_of(type_name), handler)
 
     def has_built_in(self) -> bool:
-        """Whether a built-in action has this name. It gives way to other servers of the name."""
+        """Whether a built-in action has this name.
+
+        A built-in action withdraws when another server uses the same name.
+        """
         nodes = {
             each.node
             for each in self._node.connection.endpoints(self.names.send_goal)

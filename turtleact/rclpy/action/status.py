@@ -1,7 +1,8 @@
 """The status topic of an action: the states of all goals that its server holds.
 
-One message contains the states of all goals, so it may be long. It is therefore made only while
-somebody reads the topic, and several changes in quick succession become one message.
+A status message contains the states of all goals, so the message may be long. The message is
+therefore made only when the transport sends it, and several changes in quick succession become one
+message.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class StatusTopic(Source):
         return [encode(message) for message in self.current()]
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Do nothing, because messages are made only while the topic has readers."""
+        """Do nothing, because the transport itself asks for the messages to send."""
 
     def close(self) -> None:
         """Close the topic."""

@@ -1,5 +1,5 @@
 """The code that the modules of rclpy share: event loop, graph, and the base class of entities.
 
-Programs import a module of this package only if the genuine rclpy has the module, too. An example
-is `rclpy.impl.implementation_singleton`.
+Programs import only those modules of this package that the genuine rclpy also has, such as
+`rclpy.impl.implementation_singleton`.
 """

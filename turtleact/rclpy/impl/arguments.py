@@ -323,7 +323,7 @@ def _rules(tree: Mapping[str, object], path: str) -> Iterator[ParameterRule]:
 
 
 def _plain(value: object) -> object:
-    """Replace each `Spelled` in a parsed tree: ``null`` with None, any other word with its text."""
+    """Replace `Spelled` words in a parsed tree: ``null`` by None, and other words by their text."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):

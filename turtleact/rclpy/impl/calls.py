@@ -38,7 +38,7 @@ class CallEnd:
         target: Which servers get the requests.
 
     Attributes:
-        events: Publishes the events of the calls; the same object as the argument.
+        events: The argument ``events``, which publishes the events of the calls.
     """
 
     def __init__(
@@ -111,16 +111,19 @@ class CallEnd:
             self._connection.loop.start(call)
 
     def close(self) -> None:
-        """Leave the graph when all calls under way have ended. Publish no more events.
+        """Leave the graph when all pending calls have ended. Publish no more events.
 
-        In rcl, a client publishes the event of a response when it takes the response. A destroyed
-        client takes no more responses, so it publishes no events for them.
+        In rcl, a client publishes a response event only when the client takes the response. A
+        destroyed client takes no more responses, so no more response events are published.
         """
         self._connection.loop.post(self._caller.close)
         self.events.close()
 
     def _watched(self, handler: RequestHandler, request: bytes, respond: Respond) -> Respond:
-        """Report a call inside this process to the observers, because no transport reports it."""
+        """Report a request to the observers, and return a function that reports the response.
+
+        No transport reports calls inside this process.
+        """
         both = (self.events, handler.observer)
         observers = [each for each in both if each is not None and each.is_on]
         if not observers:

@@ -146,8 +146,8 @@ class RequestHandler:
         observer: Gets the requests and the responses while its `is_on` is true.
 
     Attributes:
-        take: The argument ``take``.
-        observer: The argument ``observer``.
+        take: The function that handles requests.
+        observer: The observer of the requests and responses; None if there is none.
         has_far_callers: Whether another process has sent a request.
         is_threaded: Always True: transports may call the handler outside the event loop.
     """
@@ -237,10 +237,10 @@ class Connection:
             wait([self._exploring])
 
     def once_explored(self, function: Callable[[], object]) -> None:
-        """Call a function as soon as `wait_until_explored` no longer has to wait.
+        """Call a function when the exploration of the graph has ended.
 
-        If there is nothing to wait for, this method itself calls the function at once. Otherwise,
-        the event loop calls the function later.
+        If the exploration has ended already, this method itself calls the function at once.
+        Otherwise, the event loop calls the function later.
         """
         self._exploring.add_done_callback(lambda _: function())
 
@@ -289,7 +289,7 @@ class Connection:
     def advertise(self, endpoint: Endpoint, type_hash: str, source: Source | None = None) -> Sender:
         """Open a publisher of a topic.
 
-        A subscription that this process has already discovered gets even the first message.
+        A subscription that this process has already discovered also gets the first message.
         """
         transport = self._transport
 
@@ -326,7 +326,7 @@ class Connection:
     def join(self, endpoint: Endpoint, type_hash: str, target: Target = EVERY_SERVER) -> Caller:
         """Open a client of a service.
 
-        Call the client's methods in the event loop, unless a method may be called in any thread.
+        The client's methods must be called in the event loop, except those that allow any thread.
         """
         return self.loop.call(partial(self._transport.join, endpoint, Encoded(type_hash), target))
 

@@ -157,7 +157,7 @@ class Entity(Destroyable):
         raise NotImplementedError
 
     def due_in(self) -> float | None:
-        """How long until the entity is ready (s); None if this depends on more than the time."""
+        """Return the time until the entity is ready (s); None if the time is unknown."""
         return None
 
     def take(self) -> Anything:

@@ -1,9 +1,9 @@
 """The parameters of a node: their declarations, values, descriptors and callbacks.
 
 `set_parameters` sets each parameter on its own. `set_parameters_atomically` sets all parameters or
-none. In both cases, the "pre" callbacks may first change the list of parameters. Then, the
-descriptors and the "on" callbacks may refuse the values. If nothing refuses them, the values
-change, the change is published, and the "post" callbacks are called.
+none. Before checking values, both methods call the pre-set callbacks, which may change the list of
+parameters. Then, the descriptors and the on-set callbacks may refuse the values. If all values are
+allowed, the values change, the change is published, and the post-set callbacks are called.
 
 Source: the ROS 2 design article "ROS 2 Parameters"; rclpy ``node.py`` for names and texts.
 """
@@ -249,7 +249,7 @@ class NodeParameters:
         return [self.get_parameter(name) for name in names]
 
     def get_parameter_or(self, name: str, alternative_value: Parameter | None = None) -> Parameter:
-        """Return a parameter. If it is not declared or has no value, return the alternative."""
+        """Return a parameter, or the alternative if the parameter is undeclared or has no value."""
         if alternative_value is None:
             alternative_value = Parameter(name, Parameter.Type.NOT_SET)
         if not self.has_parameter(name):
@@ -258,7 +258,7 @@ class NodeParameters:
         return alternative_value if found.type_ is Parameter.Type.NOT_SET else found
 
     def get_parameters_by_prefix(self, prefix: str) -> dict[str, Parameter]:
-        """Return the parameters below a prefix, by the part of their names after the prefix."""
+        """Return the parameters below a prefix, keyed by their names without the prefix."""
         start = f"{prefix}{PARAMETER_SEPARATOR_STRING}" if prefix else ""
         return {
             name.removeprefix(start): self.get_parameter_or(name)
@@ -369,7 +369,7 @@ class NodeParameters:
         allow_not_set: bool,
         may_be_read_only: bool,
     ) -> Anything:
-        """Set parameters if their descriptors and the "on" callbacks allow the values."""
+        """Set parameters if their descriptors and the on-set callbacks allow the values."""
         for parameter in parameters:
             descriptor = descriptors[parameter.name]
             if descriptor.read_only and not may_be_read_only:

@@ -1,8 +1,8 @@
 """Opens the graph that a program joins: the existing graph, or a new one.
 
-A program looks for a router on its machine, such as ``turtleact serve``. If there is no router, the
-program becomes the router itself. Programs on one machine thus find each other, whichever of them
-starts first.
+A program looks for a router, such as ``turtleact serve``, on its own machine. If there is no
+router, the program becomes the router itself. Programs on one machine thus find each other,
+whichever of them starts first.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from turtleact.rclpy.impl.opening import open_chosen
 __all__ = ["PROCESS", "Process"]
 
 PATIENCE = 2.5
-"""How long to wait for contexts that other threads shut down before the process ends (s)."""
+"""How long the end of the process waits while other threads shut contexts down (s)."""
 
 
 class Closable(Protocol):
@@ -93,7 +93,7 @@ class Process:
                 self._ended.notify_all()
 
     def leave(self, user: object) -> None:
-        """Leave the graphs that ``user`` has joined and that nobody else uses."""
+        """Leave each graph that ``user`` has joined, unless the graph has other users."""
         closing: list[Connection] = []
         with self._lock:
             for domain, (connection, users) in list(self._connections.items()):

@@ -176,7 +176,7 @@ LOG = _Log()
 
 
 class _Site:
-    """Remembers the options of a call site's first message, and the state of its filters."""
+    """Stores the options of the first message at a call site, and the state of the filters."""
 
     __slots__ = ("filters", "has_logged", "has_skipped", "last", "name", "severity")
 
@@ -189,7 +189,7 @@ class _Site:
         self.last = 0
 
     def check(self, severity: LoggingSeverity, name: str, filters: dict[str, Anything]) -> None:
-        """Raise ValueError if these are not the options of the call site's first message."""
+        """Raise ValueError if the options differ from those of the first message."""
         if severity != self.severity:
             raise ValueError("Logger severity cannot be changed between calls.")
         if name != self.name:

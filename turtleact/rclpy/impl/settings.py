@@ -13,8 +13,8 @@ class Place(msgspec.Struct, frozen=True):
     """Describes the graph to join.
 
     Attributes:
-        connect: The Zenoh endpoints to connect to. If there are none, the graph is that of this
-            machine.
+        connect: The Zenoh endpoints to connect to. Without endpoints, the program joins the graph
+            of this machine.
         config: Additional configuration of Zenoh: values by their paths in the configuration.
         is_embedded: Whether this process also runs a world of turtles, an "embedded world".
         is_alone: Whether the graph is inside this process, so that no other process sees it.

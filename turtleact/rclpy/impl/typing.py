@@ -7,10 +7,10 @@ from typing import Any, Protocol, TypeAlias
 __all__ = ["Anything", "ServiceHost", "Subscriptable"]
 
 Anything: TypeAlias = Any
-"""A message, an interface, or a callback of the program.
+"""The type of the program's messages, interfaces and callbacks.
 
-Message classes are made at run time, so no type checker knows their fields, and rclpy calls a
-callback with as many arguments as it takes.
+The type is `Any`, because message classes are made at run time, so no type checker knows their
+fields. Also, rclpy calls a callback with as many arguments as the callback takes.
 """
 
 

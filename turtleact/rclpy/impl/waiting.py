@@ -15,7 +15,7 @@ POLL = 0.02
 """The interval at which a wait checks its condition (s)."""
 
 PATIENCE = 0.5
-"""How long to wait before checking again (s), because a signal may not interrupt the wait."""
+"""The longest wait between two checks (s), because a signal cannot always interrupt a wait."""
 
 
 def wait_until(
