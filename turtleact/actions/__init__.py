@@ -30,8 +30,8 @@ def serve_built_ins(node: Node, *, side: float, **options: Unpack[ServerOptions]
 
     A built-in action is withdrawn if another server, in any process, serves an action of the same
     name. As soon as discovery shows that server, the built-in action accepts no more goals, but its
-    running goals finish. When the other server has gone, the built-in action is served again. Both
-    changes are logged.
+    running goals finish. When the other server is gone, the built-in action is served again. The
+    log reports each withdrawal and each return of a built-in action.
 
     Args:
         node: The node that serves the actions.

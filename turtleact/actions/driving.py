@@ -18,9 +18,8 @@ If a robot keeps its commands (see `Robot.keeps_commands`), the drive publishes 
 differs from the last one, or if the last one would soon expire. While the poses of this robot are
 as expected, they do not wake the task that drives the robot.
 
-While a goal is paused, its drive is held: the turtle stands still, its poses are ignored, and the
-time of the drive does not advance. A pause therefore delays the goal, but uses up none of its time
-limits.
+While a goal is paused, its turtle stands still, the turtle's poses are ignored, and `Drive.time`
+does not advance. A pause therefore delays the goal, but uses up none of the goal's time limits.
 """
 
 from __future__ import annotations
@@ -59,23 +58,23 @@ if TYPE_CHECKING:
 __all__ = ["PATIENCE", "Drive", "Turtles"]
 
 PAUSE: Final = 0.5
-"""The drive stops a turtle after this time (s) without poses, or after at most twice this time."""
+"""A drive stops its turtle this long (s) after the last pose, or up to `PAUSE` later."""
 
 SILENCE: Final = 2.0
-"""A drive fails after this time (s) without poses, or at most `PAUSE` later."""
+"""A drive fails this long (s) after the last pose, or up to `PAUSE` later."""
 
 PATIENCE: Final = 2.0
-"""A target is given up after this multiple of the longest time that the steering law needs."""
+"""A drive gives up a target after `time_bound`, multiplied by this factor."""
 
 LEARNING: Final = 0.3
-"""With each pose, the measured time between poses moves by this share towards the newest time."""
+"""The weight of the newest pose interval in the moving average of the pose intervals."""
 
 
 class Drive:
     """Drives one turtle to the targets of a goal.
 
     Attributes:
-        travelled: How far the turtle has gone (m).
+        travelled: The distance that the turtle has driven (m).
     """
 
     def __init__(
@@ -109,7 +108,7 @@ class Drive:
 
     @property
     def seen(self) -> Sighting:
-        """Where the turtle is and how fast it moves, as its newest pose says."""
+        """The turtle's place and speed according to its newest pose."""
         if self._taken is not None:
             self._seen, self._taken = self._robot.read(self._taken), None
         return self._seen
@@ -128,7 +127,7 @@ class Drive:
         return self._helm.steering.is_reached(self.seen.pose, (target.x, target.y), theta=theta)
 
     def distance_to(self, targets: Sequence[Point]) -> float:
-        """Return the length of the straight lines from the turtle through all targets (m)."""
+        """Return the length (m) of the path from the turtle straight to each target in turn."""
         stops = [self.seen.pose[:2], *((target.x, target.y) for target in targets)]
         return sum(distance(*a, *b) for a, b in pairwise(stops))
 
@@ -136,9 +135,9 @@ class Drive:
         """Return the time of the drive (s): the time of the node's clock without the pauses.
 
         The length of a pause is the time from the last pose before the pause to the last pose
-        during the pause. The length is therefore a whole number of ticks, no matter when between
-        two ticks the pause begins and ends. The time is rounded to nanoseconds, to remove the
-        rounding errors that arise when the lengths of pauses are added up.
+        during the pause. A pause that begins or ends between two ticks therefore still counts as a
+        whole number of ticks. The time is rounded to nanoseconds, to remove the rounding errors
+        that arise when the lengths of pauses are added up.
         """
         return round(self._clock.time() - self._passed_over, 9)
 
@@ -166,7 +165,7 @@ class Drive:
             self._publish(self._helm.speeds)
 
     async def checkpoint(self) -> None:
-        """Let other tasks run, and wait until the turtle is not held."""
+        """Let other tasks run. After `hold`, also wait for `release`."""
         await anyio.lowlevel.checkpoint()
         await self._stand()
 
@@ -209,9 +208,9 @@ class Drive:
         Args:
             target: The target to drive to (m).
             next_target: The target after ``target`` (m).
-            theta: The wanted heading at the target (rad). If left out, any heading will do.
-            until: A time of the drive (s, see `time`). The method returns at the first tick at or
-                after this time, or earlier.
+            theta: The wanted heading at the target (rad); None for any heading.
+            until: A deadline on the clock of `time` (s). The method returns no later than the first
+                tick at or after this deadline.
 
         Raises:
             Abort: if no pose of the turtle arrives.
@@ -244,9 +243,9 @@ class Drive:
         await self.wait_for_pose()
 
     async def wait_for_pose(self) -> None:
-        """Wait for the next pose. If several poses have already come, use only the newest.
+        """Wait for the next pose. If several poses have already arrived, use only the newest.
 
-        While the turtle is held, the method does not return.
+        Between `hold` and `release`, the method does not return.
 
         Raises:
             Abort: if no pose arrives, or if a pose is not valid.
@@ -285,7 +284,7 @@ class Drive:
         await self._poses.aclose()
 
     def _take(self, message: TurtlePose) -> bool:
-        """Record a pose; return False if the task that drives must wake up for a new command."""
+        """Record a pose and return True, or return False to wake the drive for a new command."""
         # This is called while a pose is being published, 62 times a second for each turtle. It must
         # be short and must not await. It reads the whole message only if somebody asks for it.
         if self._held is not None:
@@ -301,13 +300,13 @@ class Drive:
         return True
 
     def _pass_over(self) -> None:
-        """Ignore a pose of a held turtle, and leave the time since the last pose out of `time`."""
+        """Exclude the time since the last pose from `time`, because the goal is paused."""
         now = self._clock.time()
         self._passed_over += now - self._heard
         self._heard = now
 
     async def _stand(self) -> None:
-        """Wait while the turtle is held."""
+        """If `hold` has stopped the turtle, wait for `release`."""
         self._is_standing = True
         try:
             while self._held is not None:
@@ -318,8 +317,8 @@ class Drive:
     def _keep_pace(self, *, is_a_tick: bool) -> None:
         """Measure the time between poses, which may differ from ``Robot.dt``.
 
-        If the turtle has moved exactly as far as in one tick, the time counts as ``Robot.dt``,
-        however late the pose has come.
+        If the turtle has moved by exactly one tick, the interval counts as ``Robot.dt``, even if
+        the pose is late.
         """
         before, self._decided = self._decided, self.time()
         poses, self._taken_since = 1 + self._taken_since, 0
@@ -358,8 +357,8 @@ class Drive:
     async def _keep_watch(self) -> None:
         """Stop the turtle when no more poses arrive.
 
-        If still no pose arrives for `SILENCE` seconds, or nobody publishes poses any more, make the
-        goal that waits for poses fail.
+        After `SILENCE` seconds without poses, end the drive, so that `wait_for_pose` raises Abort.
+        If the pose topic has lost its publishers, end the drive sooner.
         """
         last: Message | None = None
         silence = 0.0
@@ -381,7 +380,7 @@ class Drive:
         self.release()  # a driver that waits for the release gives up, too
 
     def _is_heard(self, message: Message) -> bool:
-        """Return whether a pose can be used. If it cannot, record why, for the error message."""
+        """Return whether a pose can be used. Otherwise, record the reason for the error message."""
         try:
             seen = self._robot.read(message)
         except InvalidMessage:  # the driver reads it again and reports the error
@@ -391,7 +390,7 @@ class Drive:
         return not objection
 
     def _objection(self, seen: Sighting) -> str:
-        """Return why a pose must not be used, or an empty string if it may be used."""
+        """Return why a pose must not be used, or an empty string for a usable pose."""
         if seen.stamp is None:
             return ""
         age = (self._clock.now() - seen.stamp) / 1e9
@@ -403,12 +402,12 @@ class Drive:
 
 
 class Turtles:
-    """The turtles of a graph, and which of them are being driven.
+    """The turtles of a graph, and the drives of these turtles.
 
     Args:
         node: The node that opens the topics of the turtles.
         area: The area in which targets must lie (m).
-        robot: What kind of robot the turtles are. If left out, they are turtlesim's turtles.
+        robot: The kind of robot that the turtles are; None for turtles of turtlesim.
     """
 
     def __init__(self, node: Node, area: Area, robot: Robot | None = None) -> None:
@@ -499,8 +498,8 @@ class Turtles:
         Args:
             turtle: The name of the turtle.
             steering: The steering law.
-            goal: The goal for which the turtle is driven. While the goal is paused, the turtle is
-                held.
+            goal: The goal for which the turtle is driven. While the goal is paused, the turtle
+                stands still.
 
         Raises:
             Abort: if no pose of the turtle arrives, or another goal drives the turtle already.
@@ -539,7 +538,7 @@ class Turtles:
     def _topic(self, turtle: str) -> str:
         """Return the full name of a turtle's pose topic.
 
-        The full name is the same whether the name of the turtle is relative or absolute.
+        A relative and an absolute name of the same turtle give the same full name.
         """
         poses, _ = self._robot.topics(turtle)
         return resolve_name(poses, self._node.namespace, self._node.name)

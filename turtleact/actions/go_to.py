@@ -33,16 +33,16 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         Attributes:
             x: The x coordinate of the place (m).
             y: The y coordinate of the place (m).
-            turtle: The name of the turtle. Its topics are ``<turtle>/pose`` and
+            turtle: The name of the turtle, which has the topics ``<turtle>/pose`` and
                 ``<turtle>/cmd_vel``.
             tolerance: How far from the place the turtle may stop (m), above zero.
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
             style: ``natural``, ``fastest``, ``forward`` or ``rotate_then_drive``.
-            theta: The wanted heading at the place (rad): 0 is to the right, 1.5708 is up. It has no
-                effect if ``heading_tolerance`` is 0.
-            heading_tolerance: How far the final heading may be from ``theta`` (rad). If 0, any
-                heading will do.
+            theta: The wanted heading at the place (rad): 0 is to the right, 1.5708 is up. If
+                ``heading_tolerance`` is 0, any heading will do.
+            heading_tolerance: How far the final heading may be from ``theta`` (rad); 0 for any
+                heading.
         """
 
         STYLE_NATURAL: ClassVar[string] = "natural"
@@ -65,7 +65,7 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         Attributes:
             distance: How far the turtle went (m).
             duration: How long the turtle took (s), by the clock of the graph. Pauses do not count.
-            bound: The shortest possible time (s) at the goal's highest speeds and in its style.
+            bound: The shortest possible time (s) for the goal's style and highest speeds.
         """
 
         distance: float64 = 0.0
@@ -77,7 +77,7 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
 
         Attributes:
             pose: Where the turtle is.
-            distance_remaining: The distance from the turtle to the place, in a straight line (m).
+            distance_remaining: The straight-line distance from the turtle to the place (m).
         """
 
         pose: TurtlePose = TurtlePose()
@@ -94,7 +94,7 @@ def serve(
     """Serve ``/go_to``.
 
     After a restart, a goal from a journal goes on from wherever its turtle stands. While a goal is
-    paused, its turtle stands still, and its time limit does not run.
+    paused, its turtle stands still, and the pause does not count towards its time limit.
 
     Args:
         node: The node that serves the action.
@@ -180,7 +180,7 @@ class _GoTo:
 
 
 def _missed(goal: GoTo.Goal, *, is_there: bool) -> str:
-    """Return a text that says what the turtle did not reach: the place, or only the heading."""
+    """Return a description of what the turtle missed: the place, or only the heading."""
     if is_there:
         return f"theta: {goal.theta:g}, heading_tolerance: {goal.heading_tolerance:g}"
     return f"x: {goal.x:g}, y: {goal.y:g}"

@@ -30,13 +30,13 @@ PERIOD = 1.0
 """Seconds between two feedback messages on the way to a target."""
 
 WHOLE = 24
-"""For this many stops, the bound includes the turns (10 ms of work).
+"""The bound includes the turns at up to this many stops, and ignores the turns at later stops.
 
-For later stops, it does not.
+Computing a bound with this many stops takes about 10 ms.
 """
 
 AT_ONCE = 16
-"""A round takes at least one tick, and at least one more for each group of this many stops."""
+"""Between two groups of this many stops, a new pose must arrive. Each round begins a new group."""
 
 
 class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
@@ -48,9 +48,9 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
         Attributes:
             targets: The places (m), in order; z is ignored.
             loops: How many more rounds follow the first round, 0 or more.
-            turtle: The name of the turtle. Its topics are ``<turtle>/pose`` and
+            turtle: The name of the turtle, which has the topics ``<turtle>/pose`` and
                 ``<turtle>/cmd_vel``.
-            stop_on_failure: Whether the patrol ends if a target is not reached in time. If false,
+            stop_on_failure: Whether the patrol ends if a target is not reached in time. Otherwise,
                 the turtle goes on to the next target.
             tolerance: How close to a target the turtle must come (m), above zero.
             max_linear: Highest speed (m/s), above zero.
@@ -80,8 +80,8 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
                 target that was missed in several rounds appears several times.
             distance: How far the turtle went (m).
             duration: How long the patrol took (s), by the clock of the graph. Pauses do not count.
-            bound: The shortest possible time (s) through all targets, at the goal's highest speeds
-                and in its style.
+            bound: The shortest possible time (s) through all targets, for the goal's style and
+                highest speeds.
         """
 
         reached: int32 = 0
@@ -96,13 +96,13 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
         Attributes:
             index: The index of the target that the turtle is heading for or has reached, counted
                 from 0.
-            target: The place of that target (m).
-            is_reached: Whether the turtle has just reached that target. If false, the turtle is on
-                its way there.
+            target: The place of the target at ``index`` (m).
+            is_reached: True if the turtle has just reached the target, false if the turtle is on
+                its way.
             reached: How many targets have been reached so far, over all rounds.
             pose: Where the turtle is.
-            distance_remaining: The distance from the turtle through all targets that are left, in
-                straight lines (m).
+            distance_remaining: The straight-line distance (m) from the turtle to its target and on
+                through all later targets.
         """
 
         index: int32 = 0
@@ -122,9 +122,10 @@ def serve(
 ) -> None:
     """Serve ``/patrol`` and ``/command_turtle``.
 
-    After a restart, a goal from a journal goes on from wherever its turtle stands. It continues
-    with the first target that no feedback in the journal reports as reached. While a goal is
-    paused, its turtle stands still, and the time limit for its current target does not run.
+    After a restart, a goal from a journal goes on from wherever its turtle stands. The goal
+    continues with the first target that has not been reached according to the feedback in the
+    journal. While a goal is paused, its turtle stands still, and the pause does not count towards
+    the time limit for the current target.
 
     Args:
         node: The node that serves the actions.
@@ -172,10 +173,10 @@ class _Tour:
     async def bound(self, drive: Drive, goal: Patrol.Goal) -> float:
         """Return the shortest possible time (s) of the patrol.
 
-        The bound includes the turns of at most `WHOLE` stops. It is computed twice: with the turns
-        of the first round only, and with the turns of all rounds. The bound with fewer turns may be
-        higher, because the search is finer with fewer stops. The method therefore returns the
-        higher of the two bounds.
+        The method computes two bounds and returns the higher one. One bound includes the turns of
+        the first round, the other the turns of all rounds, for at most `WHOLE` stops each. The
+        bound for the first round may be the higher one, because the search is finer if there are
+        fewer stops.
         """
         straight = [max(0.0, leg - 2.0 * goal.tolerance) for leg in self._legs]
         least = 0.0
@@ -197,7 +198,7 @@ class _Patrol:
         self._turtles = turtles
 
     def check(self, goal: Patrol.Goal) -> GoalResponse:
-        """Reject a goal of ``/patrol`` that cannot be done. The error names the wrong field."""
+        """Accept a goal of ``/patrol``, or raise Reject."""
         self._steering(goal)
         if goal.loops < 0:
             raise Reject(f"loops is {goal.loops}: it is a number of extra rounds, 0 or more")
@@ -209,7 +210,6 @@ class _Patrol:
         return GoalResponse.ACCEPT
 
     def check_command(self, command: PatrolCommandInterface.Goal) -> GoalResponse:
-        """Reject a goal of ``/command_turtle`` that cannot be done."""
         return self.check(Patrol.Goal(targets=command.targets))
 
     async def execute(
@@ -217,7 +217,6 @@ class _Patrol:
         goal: Patrol.Goal,
         handle: ServerGoalHandle[Patrol.Goal, Patrol.Result, Patrol.Feedback],
     ) -> Patrol.Result:
-        """Run a goal of ``/patrol``."""
         left = handle.resumed
         result = (left and left.partial_result) or Patrol.Result()
         # Only published feedback counts. A target that is in the partial result but in no feedback
@@ -236,7 +235,7 @@ class _Patrol:
             PatrolCommandInterface.Feedback,
         ],
     ) -> PatrolCommandInterface.Result:
-        """Run a goal of ``/command_turtle``, with the lecture's messages."""
+        """Run a goal of ``/command_turtle`` as a patrol with ``stop_on_failure``."""
 
         def tell(feedback: Patrol.Feedback) -> None:
             if feedback.is_reached:
@@ -258,9 +257,9 @@ class _Patrol:
         tell: Callable[[Patrol.Feedback], None],
         note: Callable[[Patrol.Result], None],
     ) -> Patrol.Result:
-        """Visit all stops and publish feedback. Record the result, however the patrol ends.
+        """Visit all stops and publish feedback. Record the result even if the patrol fails.
 
-        For a goal from a journal, ``result`` holds what was done for the goal before the restart.
+        For a goal from a journal, ``result`` is the partial result from before the restart.
         """
         tour = _Tour(goal.targets, 1 + goal.loops)
         started, before = handle.node.clock.time() - result.duration, result.distance
@@ -345,7 +344,6 @@ class _Leg:
         return True
 
     def tell(self, *, is_reached: bool) -> None:
-        """Publish feedback."""
         remaining = self._tour.length_from(self._stop)
         if not is_reached:
             remaining += self._drive.distance_to([self._target])
@@ -362,4 +360,4 @@ class _Leg:
 
 
 def _nothing(_: Patrol.Result) -> None:
-    """Drop a partial result, because the lecture's result message cannot hold one."""
+    """Drop a partial result, because a result of ``/command_turtle`` is only a text."""

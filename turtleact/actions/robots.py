@@ -1,8 +1,8 @@
-"""The kinds of robot that actions can drive: their topics and what they are able to do.
+"""The kinds of robot that actions can drive: their topics, message types and limits.
 
 A `Robot` receives its speeds on one topic and publishes its pose on another. `POSE_TYPES` and
-`TWIST_TYPES` list the types that these topics may have. The default topics and types are those of
-turtlesim.
+`TWIST_TYPES` list the types that these topics may have. By default, a robot has the topics and
+types of turtlesim.
 
 Source: the message definitions of ROS 2 Jazzy; Diebel, Representing Attitude, 2006, equation 290
 (the heading of a quaternion).
@@ -31,7 +31,7 @@ __all__ = ["POSE_TYPES", "TWIST_TYPES", "Robot", "Sighting"]
 
 
 class Sighting(NamedTuple):
-    """Where a robot is and how fast it moves, as its pose message says.
+    """A robot's place and speed, as reported in a pose message.
 
     Attributes:
         pose: x and y (m), and the heading (rad, in [-pi, pi)).
@@ -65,7 +65,7 @@ TWIST_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped
 
 
 class Robot(msgspec.Struct, frozen=True, kw_only=True):
-    """A kind of robot: its topics and what it can do.
+    """A kind of robot: its topics, message types and limits.
 
     Attributes:
         pose_topic: The topic of the robot's pose. ``{turtle}`` is replaced by the goal's turtle.
@@ -126,8 +126,8 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     def keeps_commands(self) -> bool:
         """Whether the robot follows each command for a second, so that commands need no repetition.
 
-        turtlesim's turtles keep their commands. Other robots may stop sooner, so they get a command
-        after each pose.
+        A turtlesim turtle follows each command for a second. Any other robot may stop sooner, so
+        the drive sends a command after each pose.
         """
         return POSE_TYPES[self.pose_type] is None
 

@@ -1,39 +1,40 @@
 """Lower and upper bounds of the time that a turtle needs for a tour of targets.
 
 `shortest_time` is a lower bound for any steering law that keeps to a given style. `time_bound` is
-an upper bound for the law in `turtleact.actions.steering.law`. For unlimited accelerations, the
-docstring of that module proves the upper bound. For limited accelerations, the upper bound is an
-estimate that no test has exceeded.
+an upper bound for the law in `turtleact.actions.steering.law`. For unlimited accelerations, that
+law's docstring proves the upper bound. For limited accelerations, the upper bound is an estimate
+that no test has exceeded.
 
-`least_loss` computes the least time that a turtle loses by turning while it drives. On each leg of
-a tour, the turtle must cover a certain distance in the direction of the leg. The error e is the
-angle between the turtle's heading and that direction. Only the share cos(e) of the turtle's speed
-counts in that direction, or nothing if cos(e) is negative. In each tick, the turtle therefore loses
-the share 1 - cos(e) of its speed, or all of its speed if cos(e) is negative. F(e) is the integral
-of the lost share from 0 to e. The error changes no faster than the turn rate. While the turtle
-turns an error e to zero, it therefore loses at least the time F(e) divided by the turn rate. The
-loss on a leg depends on the errors at the start and at the end of the leg:
+`least_loss` computes the least time that a turtle loses because it turns while it drives. On each
+leg of a tour, the turtle must cover a certain distance in the direction of the leg. The heading
+error e is the angle between the turtle's heading and the direction of the leg. The turtle advances
+along the leg at cos(e) times its speed. If cos(e) is negative, the bound assumes no advance. The
+turtle thus loses the share 1 - cos(e) of its speed, or all of its speed if cos(e) is negative. F(e)
+is the integral of the lost share of the speed over the heading errors from 0 to e. The heading
+error changes no faster than the turn rate. While the heading error falls from e to zero, the turtle
+therefore loses at least the time F(e) divided by the turn rate. The time lost on a leg depends on
+the heading errors at the start and at the end of the leg:
 
-- If the two errors are on different sides of the direction, the loss is the sum of F for both
-  errors. If the turtle covers more than the length of the leg while it turns, the excess is added
-  to the loss.
-- If the two errors are on the same side, and the error falls to zero on the way, the loss is also
-  the sum of F for both errors. On a short leg, the error may fall only to a value m above zero. The
-  loss is then the sum minus 2 F(m).
+- If the two errors are on different sides of the leg's direction, the loss is the sum of F for both
+  errors. If the turtle drives farther along the leg than the length of the leg while it turns, the
+  excess is added to the loss.
+- If the two errors are on the same side, and the heading error falls to zero on the way, the loss
+  is also the sum of F for both errors. On a short leg, the smallest heading error on the way may be
+  a value m above zero. For such a leg, the loss is the sum minus 2 F(m).
 
-The true loss may be larger, because these formulas measure the leg in only one direction. The
-distance that the leg covers in any other direction gives another lower bound of the loss, which may
-be higher if the leg is short. Short legs are therefore measured in several directions. For each
-pair of headings at the two ends of a leg, the highest bound counts. If `shortest_time` leaves a leg
-out of the length of the tour, the leg still takes at least the time to turn from the heading at its
-start to the heading at its end.
+These formulas project the leg onto only one direction, so the true loss may be larger. The
+projection onto any other direction gives another lower bound of the loss. For a short leg, another
+direction may give a higher bound than the leg's own. `least_loss` therefore projects short legs
+onto several directions. For each pair of headings at the two ends of a leg, it uses the highest of
+these lower bounds. `shortest_time` may leave a leg out of the length of the tour. Even then, the
+leg takes at least the time to turn from the heading at its start to the heading at its end.
 
 The heading at the end of a leg is the heading at the start of the next leg. The possible headings
 between two legs are divided into ranges, called cells, and `least_loss` tries all cells. The loss
-of a cell is the loss of its best heading, so the result is a lower bound, however wide the cells
-are. In this module, angles are in rad, distances in turning radii, and losses in rad of turning at
-full rate. In each tick, the turtle first turns and then moves. This order may save time, so the
-bounds are lowered by the time that it may save.
+of a cell is the loss of its best heading, so the result is a lower bound even if the cells are
+wide. In this module, angles are in rad, distances in turning radii, and losses in rad of turning at
+full rate. In each tick, the turtle first turns and then moves. The turn before the move may save
+time, so the lower bounds are reduced by the largest possible saving.
 
 Source: Boyd and Vandenberghe, Convex Optimization, section 5.2 (weak duality); Pontryagin et al.,
 The Mathematical Theory of Optimal Processes, 1962, chapter 1 (the directions are the multipliers of
@@ -82,7 +83,7 @@ _COARSE, _FINE = 1, 3  # Cells per part while directions are turned, and for the
 _VIEWS = 8  # for which a short leg is also measured in so many directions.
 
 ROOM = 2.0
-"""A leg of this many radii has room for both of its turns."""
+"""A leg of at least this many turning radii has room for the turns at both of its ends."""
 
 _RIGHT = math.pi / 2
 _ROUNDING = 1e-9  # Angles this close (rad) count as equal, so a cell may end at a direction.
@@ -93,21 +94,20 @@ def time_bound(
 ) -> float:
     """Return a time (s) within which the steering law is sure to have reached all targets in order.
 
-    The bound is a sum. For each target, it contains the time to drive to the target and one
-    tolerance farther, at full speed. It also contains four ticks and the time of half a turn at
-    full rate, or of three quarters of a turn for ``natural`` and ``forward``. For a wanted heading,
-    it contains the time of another half turn and another four ticks.
+    For each target, the bound adds up a drive at full speed to the target and one tolerance
+    farther, a turn, and four ticks. The turn is by 180° at full rate, or by 270° for ``natural``
+    and ``forward``. A wanted heading adds another turn by 180° and another four ticks.
 
-    With limited accelerations, the sum is multiplied by 3. For n targets, 4 (n + 1) times a ramp
-    time is then added. The ramp time is the time to reach full speed from rest, plus the time to
-    reach the full turn rate from rest. The bound holds if every command takes effect in the tick
-    for which it was computed, and nobody else moves the turtle.
+    With limited accelerations, the bound is multiplied by 3, and 4 (n + 1) ramp times are added for
+    n targets. A ramp time is the time to reach full speed from rest, plus the time to reach the
+    full turn rate from rest. The bound holds if every command takes effect in the tick for which it
+    was computed, and nobody else moves the turtle.
 
     Args:
         pose: The pose at which the turtle starts: x and y (m), and the heading (rad).
         targets: The targets in order (m). Without targets, the time is 0.
         steering: The steering law with its style and limits.
-        theta: The wanted heading (rad) at the last target. If left out, any heading will do.
+        theta: The wanted heading (rad) at the last target; None for any heading.
     """
     limits = steering.limits
     length = sum(distance(*a, *b) for a, b in pairwise([(pose[0], pose[1]), *targets]))
@@ -141,23 +141,24 @@ def shortest_time(
     - The second bound is the time to drive along this line from rest with the limited acceleration.
     - The third bound is the time to turn to the wanted heading at the last target.
 
-    For styles that turn while they drive, the time lost by turning is the least sum of the losses
-    over all possible headings at the targets (see the docstring of the module). For
-    ``rotate_then_drive``, it is the time of all turns on the spot.
+    For styles that turn while they drive, the time lost by turning is the minimum over all possible
+    headings at the targets (see `least_loss`). For ``rotate_then_drive``, the time lost by turning
+    is the time of all turns on the spot.
 
-    The length of the shortest line is not computed exactly. Instead, the function chooses one unit
-    vector for each leg. By duality, every choice of vectors proves a lower bound of the length. To
-    compute this bound, each leg is measured along its vector, and the lengths are added up. Each
-    point between two legs is at the place in its disc where the sum is least. A leg with a zero
-    vector adds nothing to the sum. In tours of at most six targets, if a leg is too short for its
-    turns, the function rotates the vectors, or sets them to zero, as long as that raises the first
-    bound. In such tours, it also measures short legs in several directions.
+    The function does not compute the exact length of the shortest line. Instead, the function
+    chooses one unit vector for each leg. By duality, every choice of unit vectors proves a lower
+    bound of the length. For this lower bound, the function projects each leg onto its unit vector
+    and adds up the projections. Each point between two legs is at the place in its disc where the
+    sum is least. A leg with a zero vector adds nothing to the sum. A leg may be too short for its
+    turns. In a tour of at most six targets with short legs, the function rotates unit vectors, or
+    sets them to zero, as long as the first bound rises. In the same tours, the function also
+    projects the short legs onto several directions.
 
     Args:
         pose: The pose at which the turtle starts, at rest: x and y (m), and the heading (rad).
         targets: The targets in order (m). Without targets, the time is 0.
-        steering: A steering law with the style and the limits. If left out, ``Steering()`` is used.
-        theta: The wanted heading (rad) at the last target. If left out, any heading will do.
+        steering: A steering law with the style and the limits; None for ``Steering()``.
+        theta: The wanted heading (rad) at the last target; None for any heading.
 
     Source: Boyd and Vandenberghe, Convex Optimization, section 5.2 (weak duality).
     """
@@ -167,10 +168,10 @@ def shortest_time(
 def rising_times(
     pose: Pose, targets: Sequence[Point], steering: Steering, *, theta: float | None = None
 ) -> Iterator[float]:
-    """Yield lower bounds (s) of the time of a tour. `shortest_time` returns the highest of them.
+    """Yield the lower bounds (s) from which `shortest_time` returns the highest.
 
-    Computing one bound takes a few milliseconds at most, so that the caller can let other tasks run
-    between two bounds. Without targets, this yields nothing.
+    Computing one lower bound takes a few milliseconds at most, so that the caller can let other
+    tasks run between two bounds. Without targets, the function yields no bound.
     """
     if not targets:
         return
@@ -197,7 +198,7 @@ def _turn_time(angle: float, limits: Limits) -> float:
 
 
 def _tour(start: complex, centres: Sequence[complex], tolerance: float) -> list[complex]:
-    """Return one point in each target's disc; the line through them is nearly the shortest."""
+    """Return one point in each target's disc, so that the line through all points is short."""
     touches = list(centres)
     for _ in range(_ROUNDS):
         before = start
@@ -216,18 +217,17 @@ def _touch(before: complex, leg: complex, centre: complex, tolerance: float) -> 
 
 
 def _unit(leg: complex) -> complex:
-    """Return the unit vector along a leg, or zero if the leg has no length."""
     return leg / abs(leg) if leg else leg
 
 
 def _proven_length(
     start: complex, centres: Sequence[complex], units: Sequence[complex], tolerance: float
 ) -> float:
-    """Return the lower bound (m) that unit vectors prove for the length of a tour.
+    """Return a lower bound (m) of the length of a tour, from one unit vector for each leg.
 
-    `shortest_time` explains the bound. The sum over the legs is computed as a sum over their end
-    points: each point is multiplied by the difference of the unit vectors of the legs before
-    and after it. The result is negative if the vectors point against the legs.
+    The docstring of `shortest_time` explains this bound as a sum over legs. The code adds up points
+    instead. It multiplies each point by the difference between the unit vectors before and after
+    the point. The result is negative if the unit vectors point backwards along their legs.
     """
     total = -(start * units[0].conjugate()).real
     for centre, unit, leaving in zip(centres, units, [*units[1:], 0j], strict=True):
@@ -237,7 +237,7 @@ def _proven_length(
 
 
 def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[float]:
-    """Yield the least time (s) of each turn on the spot towards the disc of the next target."""
+    """Yield, for each turn on the spot, the least time (s) to face the disc of the next target."""
     heading, off = cmath.rect(1.0, theta), 0.0
     for i, (stop, target) in enumerate(pairwise(stops)):
         leg, ends = target - stop, (2.0 if i else 1.0) * limits.tolerance
@@ -253,7 +253,7 @@ def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[f
 class _Tour:
     """Computes lower bounds for a tour of a turtle that turns while it drives.
 
-    Each bound is proved by unit vectors, one for each leg (see `shortest_time`).
+    Each lower bound follows from a choice of one unit vector for each leg (see `shortest_time`).
     """
 
     def __init__(
@@ -266,7 +266,7 @@ class _Tour:
         self._theta = theta
 
     def proofs(self, units: Sequence[complex]) -> Iterator[tuple[float, float]]:
-        """Yield pairs of lower bounds: of the length (m) and of the time (s) of the tour."""
+        """Yield pairs of lower bounds: the length (m) and the time (s) of the tour."""
         if len(units) > _TUNED:
             yield self._length(units), self._time(units, _COARSE)[0]
             return
@@ -279,10 +279,10 @@ class _Tour:
         yield self._length(units), time
 
     def _better(self, units: list[complex]) -> Iterator[tuple[float, list[complex], list[float]]]:
-        """Rotate unit vectors, or set them to zero, as long as that raises the bound of the time.
+        """Rotate unit vectors, or set them to zero, as long as the time bound rises.
 
-        After each attempt, this yields the best result so far: the bound of the time (s), the
-        vectors that prove it, and the headings (rad) at the targets.
+        After each attempt, yield the best lower bound of the time (s) so far, its unit vectors, and
+        its headings (rad) at the targets.
         """
         known: dict[tuple[Leg, ...], list[Cell]] = {}
         best, headings = self._time(units, _COARSE, known)
@@ -302,7 +302,7 @@ class _Tour:
         return _proven_length(self._start, self._centres, units, self._limits.tolerance)
 
     def _legs(self, units: Sequence[complex], views: int = 0) -> dict[int, Leg]:
-        """Return the legs by index; a leg with a zero vector is left out if it has no views."""
+        """Return a dict of the legs by index, without legs that have a zero vector and no views."""
         limits, off, legs = self._limits, self._limits.tolerance, dict[int, Leg]()
         stops = pairwise([self._start, *self._centres])
         for i, ((stop, target), unit) in enumerate(zip(stops, units, strict=True)):
@@ -318,7 +318,7 @@ class _Tour:
         return legs
 
     def _view(self, way: complex, unit: complex, off: float, own: complex | None = None) -> View:
-        """Measure a leg in a direction; ``off`` (m) is the sum of the tolerances at its ends."""
+        """Project a leg onto ``unit``; ``off`` (m) is the sum of the tolerances at both ends."""
         limits = self._limits
         along, ends = (way * unit.conjugate()).real, off + limits.step
         more = unit - (unit if own is None else own)
@@ -336,10 +336,9 @@ class _Tour:
         tried: Sequence[float] | None = None,
         enough: float = -math.inf,
     ) -> tuple[float, list[float]]:
-        """Return the bound (s) that the vectors ``units`` prove, and the headings at the targets.
+        """Return the time bound (s) for some unit vectors, and the headings at the targets.
 
-        If the bound with the headings in ``tried`` is at most ``enough`` (s), no other headings are
-        tried.
+        If the headings in ``tried`` give at most ``enough`` (s), the method tries no others.
         """
         limits, driven = self._limits, self._length(units) / self._limits.max_linear
         legs = self._legs(units, views)
@@ -370,9 +369,10 @@ class _Tour:
 
 
 class View(msgspec.Struct, frozen=True):
-    """How far a leg leads in one direction (rad): from ``least`` to ``most`` (radii).
+    """The distance that a turtle covers in one ``direction`` (rad) on a leg.
 
-    The leg leads at least ``gain`` (radii) farther in this direction than along its own vector.
+    The distance is between ``least`` and ``most`` (turning radii). It exceeds the distance along
+    the leg's own unit vector by at least ``gain`` (turning radii).
     """
 
     direction: float
@@ -382,10 +382,10 @@ class View(msgspec.Struct, frozen=True):
 
 
 class Leg(msgspec.Struct, frozen=True):
-    """A leg of a tour: its unit vector, and how far it leads along this vector (radii).
+    """A leg of a tour: its unit vector, and the distance that the turtle covers along this vector.
 
-    If ``is_left_out`` is true, the leg adds nothing to the length of the tour, and its loss is
-    measured only in the directions of its ``views``.
+    The distance is between ``least`` and ``most`` (turning radii). If ``is_left_out`` is true, the
+    leg adds nothing to the tour's length, and is projected only onto its ``views``.
     """
 
     unit: complex
@@ -399,7 +399,8 @@ class Cell(msgspec.Struct, frozen=True):
     """A range of headings (rad) between two legs.
 
     ``heading`` is the middle of the range. ``cost`` is the least loss (rad) from the start of the
-    tour up to this cell. ``before`` is the cell at the previous corner that leads to this loss.
+    tour up to this cell. ``before`` is the cell at the previous corner on the way with the least
+    loss.
     """
 
     heading: float
@@ -409,19 +410,19 @@ class Cell(msgspec.Struct, frozen=True):
 
 
 _Sight: TypeAlias = tuple[float, int, float]
-"""An error, its side (1, -1, or 0 for either), and the distance covered until it is zero."""
+"""A heading error, its side (1, -1, or 0 for either), and the distance while it falls to zero."""
 
 
 class Turning(msgspec.Struct, frozen=True, kw_only=True):
     """How a turtle turns on a tour, and into how many cells its headings are divided.
 
     Attributes:
-        half: The largest possible error (rad): pi, or pi / 2 if the turtle may also drive in
-            reverse.
-        tick: How far the turtle may turn in a tick before it moves (rad).
-        parts: Into how many cells each range of ``half / 8`` (rad) is divided at a corner.
-        last: The wanted heading at the end of the tour (rad). If None, any heading will do.
-        slack: How far the heading at the end may be off, to either side (rad).
+        half: The largest possible heading error (rad): pi, or pi / 2 if the turtle may also drive
+            in reverse.
+        tick: The largest turn at the start of a tick, before the turtle moves (rad).
+        parts: The number of cells in each range of ``half / 8`` (rad) at a corner.
+        last: The wanted heading at the end of the tour (rad); None for any heading.
+        slack: How far the heading at the end may be from ``last``, to either side (rad).
     """
 
     half: float
@@ -440,22 +441,22 @@ def least_loss(
     tried: Sequence[float] | None = None,
     enough: float = -math.inf,
 ) -> tuple[float, list[float]]:
-    """Return the least loss by turning on all legs (rad), and the headings at the corners (rad).
+    """Return the least loss on a tour, and the headings at the corners (rad) that cause this loss.
 
-    The loss is given in rad of turning at full rate. The headings are those that lead to this loss.
+    The loss is the sum over all legs, in rad of turning at full rate.
 
     Args:
         heading: The heading at the start, a unit vector.
         legs: The legs in order, at least one.
         turning: How the turtle turns.
-        known: A cache for calls with the same ``heading`` and ``turning``. It maps the first legs
-            of a tour to the cells at the corner before the last of these legs. The function adds
-            its own results to the cache.
-        tried: A guess of the best headings (rad), one for each corner. The function tries these
-            headings first. If ``known`` is not given, the function skips headings that cannot be
-            better than the guess.
-        enough: If the loss with the headings in ``tried`` is at most this (rad), no other headings
-            are tried.
+        known: A cache for calls with the same ``heading`` and ``turning``. Each key consists of the
+            first legs of a tour. The value lists the cells at the corner before the last leg of the
+            key. The function adds its own results to the cache.
+        tried: A guess of the best headings (rad), one for each corner. The function tries the guess
+            first. If ``known`` is not given, the function skips headings that cannot be better than
+            the guess.
+        enough: A loss (rad). If the headings in ``tried`` lose at most ``enough``, the function
+            tries no other headings.
     """
     corners = [_corner(one, next_, turning) for one, next_ in pairwise(legs)]
     wanted = None if turning.last is None else Cell(turning.last, 2.0 * turning.slack)
@@ -483,7 +484,7 @@ def least_loss(
 def _ended(
     cells: Sequence[Cell], leg: Leg, wanted: Cell | None, turning: Turning
 ) -> tuple[float, list[float]]:
-    """Return the least loss up to the end of the last leg, and the headings at all corners."""
+    """Return the least loss on the tour and its headings, from the cells before the last leg."""
     if wanted is None:
         costs = [cell.cost + _started(cell, leg, turning) for cell in cells]
         cost = min(costs)
@@ -499,7 +500,7 @@ def _ended(
 
 
 def _nearest(corner: Sequence[Cell], heading: float, half: float) -> Cell:
-    """Return the cell that contains a heading or, if there is none, the nearest cell."""
+    """Return the cell that contains a heading, or else the nearest cell."""
     apart = [
         abs(math.remainder(cell.heading - heading, 2.0 * half)) - cell.width / 2.0
         for cell in corner
@@ -511,8 +512,8 @@ def _corner(leg: Leg, following: Leg, turning: Turning) -> list[Cell]:
     """Divide all headings at a corner into cells.
 
     Cells end exactly at the directions of the two legs and at the opposite directions. If both legs
-    have room for their turns, the only cell is the best heading. With this heading, the turtle
-    makes half of the turn before the corner.
+    have room for their turns, return a single cell with the best heading. At the best heading, the
+    turtle has made half of its turn before the corner.
     """
     half, begun = turning.half, phase(leg.unit)
     turn = math.remainder(phase(following.unit * leg.unit.conjugate()), 2.0 * half)
@@ -528,9 +529,9 @@ def _corner(leg: Leg, following: Leg, turning: Turning) -> list[Cell]:
 
 
 def _views(leg: Leg) -> Sequence[View]:
-    """Return a leg as seen along each direction (its views). The first direction is the leg's own.
+    """Return the views of a leg, beginning with the view along the leg's own unit vector.
 
-    If ``leg.is_left_out`` is true, that first view is not returned.
+    If ``leg.is_left_out`` is true, return only ``leg.views``.
     """
     if leg.is_left_out:
         return leg.views
@@ -538,7 +539,7 @@ def _views(leg: Leg) -> Sequence[View]:
 
 
 def _sight(cell: Cell, view: View, half: float, tick: float = 0.0) -> _Sight:
-    """Return the least error of a cell's headings in a view, after a turn by up to ``tick`` rad."""
+    """Return a cell's least heading error in a view, after a turn by at most ``tick`` (rad)."""
     angle, off = math.remainder(cell.heading - view.direction, 2.0 * half), cell.width / 2.0
     error = abs(angle)
     if error < off - _ROUNDING or error > half - off + _ROUNDING:
@@ -559,9 +560,9 @@ def _pass(
     limit: float = math.inf,
     following: Leg | None = None,
 ) -> Iterator[Cell]:
-    """Yield the cells at the end of a leg, each with the least loss up to this cell.
+    """Yield the cells at the end of a leg, each with the least loss up to that cell as its cost.
 
-    A cell is left out if its loss plus the least loss on the following leg exceeds ``limit``.
+    Omit a cell if its cost plus the least loss on the following leg exceeds ``limit``.
     """
     half, tick = turning.half, turning.tick
     starts, views = _best(starts, half), _views(leg)
@@ -601,10 +602,7 @@ def _pass(
 
 
 def _best(cells: Sequence[Cell], half: float) -> list[Cell]:
-    """Return the cells in the order of their cost, without those that are never needed.
-
-    A cell is not needed if another cell and a turn on the spot from that cell cost no more.
-    """
+    """Sort cells by cost. Drop a cell if another cell plus a turn on the spot costs no more."""
     best: list[Cell] = []
     for cell in sorted(cells, key=_cost):
         for other in best:
@@ -627,9 +625,9 @@ def _turned(start: Cell, end: Cell, half: float) -> float:
 
 
 def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
-    """Return the least loss of a leg that begins with one error and ends with another.
+    """Return the least loss on a leg with the heading errors ``start`` and ``end``.
 
-    Each error may be larger by up to ``width`` (rad), because a cell is a range of headings.
+    Each true error may be larger by up to ``width`` (rad), because a cell is a range of headings.
     """
     sides = start[1] * end[1]
     if sides > 0:
@@ -641,7 +639,7 @@ def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) 
 
 
 def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
-    """Return the least loss that a leg has when its two errors are on different sides."""
+    """Return the least loss on a leg that begins and ends with errors on different sides."""
     (error, _, made), (wanted, _, made_wanted) = start, end
     least = max(error - made + wanted - made_wanted, error + wanted - view.most)
     # Or the turtle turns the other way round: an error of half a turn is on both sides.
@@ -656,10 +654,10 @@ def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: f
 
 
 def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
-    """Return the least loss that a leg has when its two errors are on the same side.
+    """Return the least loss on a leg that begins and ends with errors on the same side.
 
-    On the leg, the error first falls. It rises again when the rest of the leg is just long enough
-    for the turn to the other error.
+    Along the leg, the heading error first falls. The heading error rises again when the rest of the
+    leg is just long enough to turn to the error at the end.
     """
     (low, _, made_low), (high, _, made_high) = (one, other) if one < other else (other, one)
     lost = low - made_low + high - made_high
@@ -678,7 +676,7 @@ def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
 
 
 def _started(cell: Cell, leg: Leg, turning: Turning) -> float:
-    """Return the least loss of a leg that begins in a cell and may end with any heading."""
+    """Return the least loss on a leg that begins in a cell and may end with any heading."""
     least = 0.0
     for view in _views(leg):
         if view.least > 0.0:
@@ -689,10 +687,10 @@ def _started(cell: Cell, leg: Leg, turning: Turning) -> float:
 
 
 def _made(error: float) -> float:
-    """Return how far the turtle gets along a leg while it turns an error to zero (radii)."""
+    """Return the distance along a leg (radii) during a turn from a heading error to zero."""
     return math.sin(error) if error < _RIGHT else 1.0
 
 
 def _lost(error: float) -> float:
-    """Return the loss while the turtle turns an error to zero: F in the docstring of the module."""
+    """Return the loss during a turn from a heading error to zero: F in the module's docstring."""
     return error - _made(error)
