@@ -157,7 +157,10 @@ class Entity(Destroyable):
         raise NotImplementedError
 
     def due_in(self) -> float | None:
-        """Return the time until the entity is ready (s); None if the time is unknown."""
+        """Return the time until the entity is ready (s).
+
+        Return None if the entity's readiness does not depend on time alone.
+        """
         return None
 
     def take(self) -> Anything:
