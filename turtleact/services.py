@@ -6,9 +6,9 @@ their requests through a `Caller`.
 
 - The server handles each request in its own task, so it can handle several at the same time.
 - Every caller gets an answer: the response, or the reason why there is none.
-- If a caller is gone, the handler of its request is cancelled. A caller in another process counts
-  as gone only when its client is closed or its process has died. If the server is closed, all
-  handlers are cancelled.
+- If a call in this process is cancelled, its handler is also cancelled. For a caller in
+  another process, the handler is cancelled only when the client is closed or the process dies.
+- If the server is closed, all handlers are cancelled.
 
 Source: rclpy ``service.py`` and ``client.py`` for names and behaviour.
 """
@@ -349,9 +349,9 @@ class ServiceClient(Generic[Req, Res]):
         return await wait_until_served(self._transport, self._find, timeout)
 
     async def aclose(self) -> None:
-        """Close the client, without waiting for calls under way.
+        """Close the client without waiting for calls under way.
 
-        These calls continue. The client leaves the graph when they have ended.
+        Calls under way continue. The client leaves the graph when all its calls have ended.
         """
         self._is_open = False
         self._membership.close()
@@ -380,7 +380,8 @@ class ServiceClient(Generic[Req, Res]):
     def _find_local(self) -> LocalService | None:
         """Return the server in this process.
 
-        Return None if there is none, or if an observer needs the requests to travel as messages.
+        Return None if this process has no server for the service, or if an observer needs the
+        requests to be sent as messages.
         """
         found = self._transport.local(self.name, self.service_type.type_name)
         is_observed = self._caller.observer is not None or observer_of(found) is not None

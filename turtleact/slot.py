@@ -1,7 +1,7 @@
 """Policies: decide which goals may run at the same time, and what happens to the others.
 
-A `Slot` has one or more places in which goals run. Several actions can share one slot. Each slot
-follows one of these policies:
+A `Slot` has one or more places, and a goal needs a place to run. Several actions can share one
+slot. Each slot follows one of these policies:
 
 - ``parallel``: every goal starts at once. With ``max_active``, at most that many goals run at a
   time, and the others wait in a queue.
@@ -9,18 +9,19 @@ follows one of these policies:
 - ``queue``: while a goal runs, new goals wait in a queue. They start in the order in which they
   came.
 - ``preempt``: a new goal cancels the running goal, and waits until that goal's clean-up has ended.
-  Only one goal waits. If another goal comes, it replaces the waiting goal.
+  At most one goal waits at a time. A new goal replaces the waiting goal.
 
 If the body of one goal sends another goal, the first goal is the parent, and the second is its
 child. Two more rules concern children:
 
-- If the parent belongs to another action and runs in the same slot, the child runs in the parent's
-  place. The place becomes free when both goals have ended.
+- If the parent belongs to another action and runs in the same slot, the child starts at once and
+  shares the parent's place. The place becomes free when both goals have ended.
 - If a child would have to wait for the end of its own parent, the child is rejected, because each
-  of the two would wait for the other. A child is also rejected if its waiting would block the
-  slot: no place can become free once every place holds an ancestor of a waiting goal.
+  of the two would wait for the other.
+- A child is also rejected if the slot would be blocked while the child waits. A slot is blocked if
+  every place holds an ancestor of a waiting goal, because no place can become free.
 
-A `Slot` only makes these decisions. Its caller starts, cancels and rejects the goals.
+A `Slot` only decides what happens to goals. Its caller starts, cancels and rejects the goals.
 
 Source: nav2 ``SimpleActionServer`` for preempting with one pending goal.
 """
@@ -132,7 +133,7 @@ class Entry(msgspec.Struct, Generic[C], frozen=True):
 
 
 class Slot(Generic[C]):
-    """A number of places in which goals run.
+    """Decides which goals of one or several actions may run at the same time.
 
     Args:
         rules: How goals share the slot.
@@ -197,7 +198,7 @@ class Slot(Generic[C]):
         return claim
 
     def overdue(self) -> Entry[C] | None:
-        """Return which running goals must be canceled for the waiting goal; None if there are none.
+        """Return which running goals must be canceled so that the waiting goal can start, or None.
 
         Only the policy ``preempt`` cancels goals. Call this method after each `leave`: if the ended
         goal has detached a child, the child still runs, so it must be canceled now.

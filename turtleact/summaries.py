@@ -88,8 +88,8 @@ def field_hint(error: BaseException) -> str:
 def syntax_hint(error: BaseException) -> str:
     """Advise what to write if a body returns its result after a ``yield``; otherwise return "".
 
-    Bodies in rclpy return their results, so many users try this. Python's own message does not help
-    them.
+    In rclpy, a body returns its result, so many users also write ``return`` in a generator. The
+    error message of Python does not say what to write instead.
     """
     if isinstance(error, SyntaxError) and error.msg == _RETURN_IN_GENERATOR:
         return "a body that yields feedback yields its result, too: write 'yield' for 'return'"
@@ -143,9 +143,9 @@ def shortened(text: str) -> str:
 
 
 def encodable(text: str) -> str:
-    r"""Escape the characters that UTF-8 cannot encode: lone halves of surrogate pairs.
+    r"""Escape lone surrogates, the characters that UTF-8 cannot encode.
 
-    Python uses such halves for file names that are not UTF-8 (PEP 383).
+    Python uses lone surrogates for file names that are not UTF-8 (PEP 383).
 
     >>> print(encodable("caf\udce9"))
     caf\udce9
@@ -156,9 +156,9 @@ def encodable(text: str) -> str:
 def loggable(error: BaseException) -> BaseException:
     """Return an exception that can be logged with its traceback without printing a huge text.
 
-    `logging` prints the whole text of an exception and of its causes. If one of these texts is
-    longer than `LONGEST`, this returns another exception with the same traceback and a shortened
-    text.
+    `logging` prints the whole text of an exception and of its causes. If the text of the exception
+    or of a cause is longer than `LONGEST`, this function returns another exception, with the same
+    traceback and a shortened text.
     """
     if not any(_is_huge(each) for each in _chain(error)):
         return error

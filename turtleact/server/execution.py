@@ -558,7 +558,7 @@ class Execution:
 
         Args:
             grace: How long bodies may clean up (s).
-            reason: The reason that goals get if they end because their bodies are given up.
+            reason: The reason for goals that end because their bodies are given up.
         """
         await wait_while(lambda: self.bodies, self._ended, grace)
         for task, goal in list(self.bodies.items()):

@@ -62,7 +62,7 @@ SHUTDOWN = "shutdown"
 
 
 class SlotRequest:
-    """A goal's request for a place in a slot. Canceling the waiting goal calls `cancel`.
+    """A goal's request for a place in a slot. The server cancels a waiting goal with `cancel`.
 
     Attributes:
         goal: The goal.
@@ -125,7 +125,7 @@ class LocalActionServer:
         durable: The goals in the server's journal; None if the server has no journal.
         pauses: Pauses and resumes the goals.
         slot_name: The name of the slot that the server shares with others; empty if there is none.
-        closing_reason: The reason that goals get if they end because the server closes.
+        closing_reason: The reason for goals that end because the server closes.
 
     Raises:
         InvalidOption: if the value of an option is not allowed.
@@ -259,7 +259,7 @@ class LocalActionServer:
     ) -> Goal:
         """Accept a goal once it is on disk, or return the known goal with the same id.
 
-        Cancelling: while the goal is being written, has no effect until the caller's next wait.
+        Cancelling: a cancellation during the write to disk takes effect at the caller's next await.
         """
         await durable.restored.wait()
         goal_id = order.goal_id or new_goal_id()
@@ -385,10 +385,11 @@ class LocalActionServer:
         return goal
 
     def _show_accepted(self, goal: Goal) -> None:
-        """When a goal starts at once, tell the observers the goal's state.
+        """Tell the observers the state of a goal that starts without waiting for its turn.
 
-        If an observer must hear that the goal is ACCEPTED, the goal is first ACCEPTED and then
-        EXECUTING. If an observer cancels the ACCEPTED goal, the goal never becomes EXECUTING.
+        If the ``wants_acceptance`` of an observer is true, the goal is first ACCEPTED and then
+        EXECUTING. Otherwise, the goal is EXECUTING from the beginning. If an observer cancels the
+        ACCEPTED goal, the goal never becomes EXECUTING.
         """
         if not self.observers.want_acceptance:
             self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _EXECUTING)
@@ -459,7 +460,7 @@ class LocalActionServer:
         return self._table.held(self._now())
 
     async def wait_for_end(self, goal: Goal) -> None:
-        """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
+        """Wait until a goal has ended. Cancelling: safe, the goal continues."""
         signal = self.signal(goal)
         goal.waiters += 1
         try:
@@ -569,11 +570,11 @@ class LocalActionServer:
     # pausing
 
     async def pause(self, goal: Goal, timeout: float) -> None:
-        """Pause a goal, and return when its body stands still; see `Pauses.pause`."""
+        """Pause a goal, and return when the goal is paused; see `Pauses.pause`."""
         await self.pauses.pause(goal, timeout)
 
     async def resume(self, goal: Goal) -> None:
-        """Let a paused goal go on; see `Pauses.resume`."""
+        """Resume a paused goal; see `Pauses.resume`."""
         await self.pauses.resume(goal)
 
     def client_lost(self, sender: object) -> None:
@@ -634,7 +635,7 @@ class LocalActionServer:
     # closing
 
     async def _suspend(self, durable: DurableGoals) -> None:
-        """Stop the bodies. The goals of these bodies go on after a restart."""
+        """Stop the bodies. Unfinished goals continue after a restart."""
         self.execution.is_suspended = True
         for goal in self._table.active:
             if goal.status is not _ACCEPTED:  # waiting goals keep their place in the queue
@@ -657,8 +658,8 @@ class LocalActionServer:
         result. A body that ignores its cancellation for `grace` seconds is given up; see
         `Execution.wait_for_bodies`.
 
-        With a journal and ``on_restart="resume"``, goals do not end but go on after a restart.
-        Everybody who waits for such a goal gets `ServerUnavailable`.
+        With a journal and ``on_restart="resume"``, unfinished goals do not end, but continue after
+        a restart. Everybody who waits for an unfinished goal gets `ServerUnavailable`.
         """
         self.is_open = False
         self._callbacks.close()

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["PauseEndpoints"]
 
 PATIENCE = 5.0
-"""How long bodies may take to stand still when all goals are paused (s, event loop time)."""
+"""The timeout for pausing each goal when all goals are paused (s, event loop time)."""
 
 _PAUSABLE = (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
 
@@ -39,7 +39,7 @@ class PauseEndpoints(Source, GoalObserver):
 
     Args:
         server: The server of the goals.
-        transport: The transport to open them on.
+        transport: The transport to open the services and the topic on.
         endpoint: A function that makes the description of an endpoint.
         tasks: The functions for tasks on the event loop, asyncio or trio.
     """

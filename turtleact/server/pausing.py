@@ -1,13 +1,17 @@
-"""Pauses goals: the body of a paused goal stands still until the goal is resumed.
+"""Pauses goals: the body of a paused goal waits until the goal is resumed.
 
-A generator stands still at a ``yield``, because the server does not continue it. A coroutine body
-stands still at ``await handle.checkpoint()``, if it is declared with ``pausable=True``. Once the
-body stands still, the server calls ``on_pause``, if there is one, to bring the robot to rest.
-If the body is of neither kind, it runs on, and a pause only calls ``on_pause``.
+The body of a paused goal waits at one of these points:
+
+- a generator: at a ``yield``, where the server does not resume the generator
+- a coroutine declared with ``pausable=True``: at ``await handle.checkpoint()``
+
+When the body has reached this point, the server calls ``on_pause``, if there is one, to bring the
+robot to rest. A coroutine without ``pausable=True`` continues during a pause, and only ``on_pause``
+stops the robot.
 
 ROS 2 has no state for paused goals, so a pause does not change the state of a goal. A paused goal
-keeps its place in its slot. A cancel, a preemption and the server's shutdown reach a paused goal at
-once.
+keeps its place in its slot. Cancellation, preemption and the server's shutdown take effect on a
+paused goal at once.
 
 Source: VDA 5050 ``startPause`` and ``stopPause``, for what users expect of a pause.
 """
@@ -36,17 +40,17 @@ logger = logging.getLogger("turtleact.server")
 Callback = Callable[[Any], Awaitable[object]]
 
 CLEANING = 5.0
-"""After a pause that has failed, goals have this long to go on (s, event loop time)."""
+"""How long resuming goals may take after a failed pause (s, event loop time)."""
 
 
 class Hold:
-    """A request to the body of a goal to stand still.
+    """A request to the body of a goal to wait.
 
     Attributes:
-        is_standing: Whether the body stands still.
-        is_before_start: Whether the goal is held before its body begins.
-        changed: A signal that fires when the body begins to stand still or sends a goal, and when
-            the request is withdrawn.
+        is_standing: Whether the body waits because of this request.
+        is_before_start: Whether the goal was paused before its body started.
+        changed: A signal that fires when the body starts to wait, when the body sends a goal, and
+            when the request is withdrawn.
     """
 
     __slots__ = ("changed", "is_before_start", "is_standing")
@@ -58,7 +62,7 @@ class Hold:
 
 
 class Keeper(Protocol):
-    """The part of `turtleact.server.execution.Execution` that pausing needs."""
+    """The interface of `turtleact.server.execution.Execution` that `Pauses` uses."""
 
     durable: DurableGoals | None
     observers: Observers
@@ -71,7 +75,7 @@ class Pauses:
     """Pauses and resumes the goals of one server.
 
     Args:
-        body: The body of the goals.
+        body: The body that the server runs for each goal.
         options: The server's options, with ``pausable``, ``on_pause`` and ``on_resume``.
         keeper: The execution, which makes handles and has the journal and the observers.
         tasks: The functions for tasks on the event loop, asyncio or trio.
@@ -101,18 +105,19 @@ class Pauses:
         self.paused: dict[Goal, int] = {}
 
     async def pause(self, goal: Goal, timeout: float) -> None:
-        """Pause a goal and the goals that its body has sent. Return when all of them stand still.
+        """Pause a goal and the goals that its body has sent. Return when all of them are paused.
 
         Pausing a paused goal does nothing. Cancelling: the goal and the goals that its body has
-        sent go on.
+        sent continue.
 
         Args:
             goal: The goal.
-            timeout: How long to wait for the body to stand still (s, event loop time).
+            timeout: How long the body may take to reach a ``yield`` or a checkpoint (s, event loop
+                time).
 
         Raises:
-            PauseRefused: if the goal cannot be paused, or its body does not stand still in time.
-                The goal then goes on.
+            PauseRefused: if the goal cannot be paused within ``timeout``. In this case, the goal
+                continues.
         """
         async with self._switch(goal):
             if goal.is_paused:
@@ -121,12 +126,12 @@ class Pauses:
             await self._pause(goal, timeout)
 
     async def resume(self, goal: Goal) -> None:
-        """Let a paused goal, and the goals that its body has sent, go on.
+        """Resume a paused goal and the goals that its body has sent.
 
         Resuming a goal that is not paused does nothing.
 
         Raises:
-            PauseRefused: if ``on_resume`` fails. The goal stays paused.
+            PauseRefused: if ``on_resume`` fails, and the goal therefore stays paused.
         """
         async with self._switch(goal):
             if not goal.is_paused:
@@ -140,9 +145,9 @@ class Pauses:
             await pauses.resume(child)
 
     async def stand(self, goal: Goal) -> None:
-        """If a pause of the goal was requested, wait here until the goal goes on. Cancelling: safe.
+        """If a pause of the goal was requested, wait until the goal may continue. Cancelling: safe.
 
-        If the goal is canceled during the wait, this raises the cancellation.
+        If the goal is canceled during the wait, this method raises the cancellation.
         """
         hold = goal.hold
         if not isinstance(hold, Hold):
@@ -162,7 +167,7 @@ class Pauses:
             await self._tasks.checkpoint()
 
     async def checkpoint(self, goal: Goal) -> None:
-        """Let other tasks run, and stand still while the goal is paused."""
+        """Let other tasks run, and wait while the goal is paused."""
         await self._tasks.checkpoint()
         while goal.hold is not None:
             await self.stand(goal)
@@ -176,7 +181,7 @@ class Pauses:
         return max(0, self._now() - moment)  # the clock may have been set back
 
     def let_go(self, goal: Goal) -> None:
-        """Withdraw the request to stand still, so that the body goes on."""
+        """Withdraw the request to wait, so that the body continues."""
         hold, goal.hold = goal.hold, None
         if isinstance(hold, Hold):
             hold.changed.fire()
@@ -231,7 +236,7 @@ class Pauses:
         self._set(goal, is_paused=True)
 
     def enter(self, goal: Goal, parent: Goal) -> None:
-        """Make a new goal a child of ``parent``, whose body has sent the goal.
+        """Make a new goal a child of ``parent``, the goal whose body has sent the new goal.
 
         If the parent is paused or being paused, the child begins paused, and is resumed with the
         parent.
@@ -274,7 +279,7 @@ class Pauses:
         """Pause a goal like `pause`, but return False if the goal is ending or has ended.
 
         Raises:
-            PauseRefused: if the goal cannot be paused in time. The goal then goes on.
+            PauseRefused: if the goal cannot be paused in time. In this case, the goal continues.
         """
         try:
             await self.pause(goal, timeout)
@@ -342,7 +347,7 @@ class Pauses:
 
 
 def _children(goal: Goal) -> list[tuple[Goal, Pauses]]:
-    """Return a copy of a goal's children, because some may end while the caller uses the copy."""
+    """Return a goal's children in a new list, since children may end while the caller iterates."""
     return list((goal.children or {}).items())
 
 

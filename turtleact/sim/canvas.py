@@ -20,7 +20,7 @@ SIZE: Final = 500
 """Width and height (pixels)."""
 
 METER: Final = 45.0
-"""Pixels per metre: the height of turtlesim's picture of a turtle."""
+"""Pixels per metre. In turtlesim, one metre is the height of the picture of a turtle."""
 
 
 class Colour(NamedTuple):
@@ -32,7 +32,7 @@ class Colour(NamedTuple):
 
 
 class Pen(NamedTuple):
-    """What a turtle draws with: a colour, and a width in pixels (1 to 255)."""
+    """A turtle's pen: a colour, and a width in pixels (1 to 255)."""
 
     colour: Colour = Colour(179, 184, 255)
     width: int = 3
@@ -44,7 +44,10 @@ CLEAR: Final = Colour(255, 255, 255)
 MIDDLE: Final = complex(SIZE, SIZE) / 2.0
 _OPAQUE: Final = 255 << 24
 FLAT: Final = 1e-9
-"""A line that rises by less than this, over its whole length, is level for every pixel."""
+"""A component of a line's direction (a unit vector) counts as 0 if it is smaller than this.
+
+No pixel shows the difference.
+"""
 
 _NOTHING: Final = array("I", [0]) * (SIZE * SIZE)
 
@@ -122,11 +125,12 @@ def _within(low: float, high: float) -> tuple[int, int]:
 def _strip(dx: float, dy: float, low: float, high: float) -> tuple[float, float, float]:
     """Solve ``low <= dx * x + dy * y < high`` for x.
 
-    If the condition does not depend on x, the bounds are infinite, because the caller has already
-    chosen the rows that meet the condition.
+    If ``dx`` is nearly 0, the condition depends only on y, and the bounds of x are infinite. The
+    caller tests only rows that meet the condition.
 
     Returns:
-        How far both bounds of x move if y grows by 1, then the lower and upper bound for y = 0.
+        Three numbers: how much both bounds of x grow when y grows by 1, the lower bound for y = 0,
+        and the upper bound for y = 0.
     """
     if abs(dx) < FLAT:
         return 0.0, -inf, inf

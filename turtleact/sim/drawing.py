@@ -1,17 +1,18 @@
-"""What turtles have drawn, as pixels and as polylines, and the pens that they draw with.
+"""The drawing of a world's turtles, as pixels and as polylines, and the pens of the turtles.
 
-`Pens` moves each turtle's pen with the turtle, tick by tick. A pen that is on draws a line from its
-turtle's old place to its new one, also for a teleport. Within a tick, the turtles take turns in
-name order: each draws its teleports, senses the colour under it, and draws its step. A turtle
-therefore senses the new lines of the turtles before it, but not the line of its own step.
+`Pens` moves each turtle's pen with the turtle, tick by tick. A pen that is on draws a line for each
+step and each teleport of its turtle. Within a tick, the turtles are processed in the order of their
+names. Each turtle draws its teleports, senses the colour under it, and then draws its step. A
+turtle therefore senses the new lines of turtles with earlier names. A turtle does not sense the
+line of its own step.
 
-`Drawing` notes new lines, and turns them into pixels and polylines when somebody reads the
-drawing, so an unread drawing costs little. When `UNREAD` lines are noted, the drawing converts the
-oldest of them without waiting for a reader. The lines of a fleet arrive as arrays, tick by tick;
-`rasterising` joins and draws them.
+`Drawing` stores new lines, and converts the lines to pixels and polylines when somebody reads the
+drawing. An unread drawing therefore costs little. When `UNREAD` lines are stored, the drawing
+converts the oldest lines without waiting for a reader. The lines of a fleet arrive as arrays, tick
+by tick; `rasterising` joins and draws these lines.
 
-- Pixels show every line, and later lines cover earlier ones.
-- A polyline leaves out points only if it still passes within `TOLERANCE` of them.
+- Pixels show every line, and later lines cover earlier lines.
+- A polyline omits a point only if the polyline passes within `TOLERANCE` of the point.
 - A polyline continues as long as each new line of its turtle begins at the end of the line before,
   and is drawn with the same pen. A polyline has at most `LONGEST` points.
 - The size of a drawing is limited: when its polylines have `MOST_POINTS` points, everything drawn
@@ -19,9 +20,9 @@ oldest of them without waiting for a reader. The lines of a fleet arrive as arra
 
 Places are complex numbers, ``x + 1j * depth``, in metres. This module knows no ROS and no clock.
 
-Source: turtlesim 1.8.2, ``Turtle::update`` and ``Turtle::setPenCallback``; for leaving out points
-the cone intersection method (Sklansky and Gonzalez, Fast polygonal approximation of digitized
-curves, 1980).
+Source: turtlesim 1.8.2, ``Turtle::update`` and ``Turtle::setPenCallback``; Sklansky and Gonzalez,
+Fast polygonal approximation of digitized curves, 1980, for the cone intersection method, which
+chooses the points that a polyline omits.
 """
 
 from __future__ import annotations
@@ -44,28 +45,31 @@ if TYPE_CHECKING:
 __all__ = ["MOST_POINTS", "TOLERANCE", "Drawing", "Pens", "Polyline"]
 
 TOLERANCE: Final = 0.05
-"""The largest distance of an omitted point from its polyline (pixels): a twentieth."""
+"""The maximum distance of an omitted point from its polyline (pixels)."""
 
 MOST_POINTS: Final = 20_000
-"""The maximum number of points in all polylines: about a megabyte."""
+"""The maximum number of points in all polylines, which take about a megabyte."""
 
 LONGEST: Final = 500
 """The maximum number of points in one polyline."""
 
 UNREAD: Final = 4096
-"""The maximum number of lines that are only noted (200 kB). Beyond it, the oldest are computed."""
+"""The maximum number of lines that are stored and not yet converted (200 kB).
+
+When this many lines are stored, the drawing converts the oldest lines.
+"""
 
 UNREAD_OF_FLEET: Final = 1024
-"""The limit `UNREAD` for a fleet.
+"""The maximum number of a fleet's lines that are stored and not yet converted.
 
-Beyond it, all lines are computed at once, in a few milliseconds.
+When this many lines are stored, the drawing converts all lines at once, in a few milliseconds.
 """
 
 _PORTION: Final = 64
-"""How many noted lines are computed at a time: about a millisecond's work."""
+"""How many stored lines are converted at a time. The conversion takes about a millisecond."""
 
 _STRAIGHT: Final = 1e-6
-"""Lines that bend by less than this (pixels) are drawn as one, because no pixel shows the bend."""
+"""Lines that bend by less than this (pixels) become one line, because no pixel shows the bend."""
 
 _FIELDS: Final = 6
 
@@ -103,7 +107,7 @@ class Drawing:
             self._read(_PORTION)
 
     def lines(self, pen: Pen, who: Numbers, start: Places, end: Places) -> None:
-        """Draw a straight line for each of several turtles. Otherwise this works like `line`.
+        """Draw a straight line for each of several turtles, as `line` does for one turtle.
 
         Args:
             pen: The pen of all these turtles.
@@ -162,7 +166,7 @@ class Drawing:
         return self._canvas
 
     def _read(self, most: int | None = None) -> None:
-        """Turn the noted lines into pixels and polylines: all, or only the ``most`` oldest."""
+        """Convert the stored lines, or only the ``most`` oldest lines, to pixels and polylines."""
         if most is None:
             self._end_fleet()
         if not self._unread and not self._runs:
@@ -186,7 +190,7 @@ class Drawing:
             self._draw_runs()
 
     def _end_fleet(self) -> None:
-        """Note the lines of the fleet that are still unfinished."""
+        """Finish the lines of the fleet that later steps could extend, and store these lines."""
         if self._fleet is not None:
             self._note(self._fleet.pen, self._fleet.take_all())
 
@@ -205,7 +209,7 @@ class Drawing:
             self._read_fleet()
 
     def _read_fleet(self) -> None:
-        """Do the same as `_read` for all noted lines, but faster if all have the same pen."""
+        """Convert all stored lines, as `_read` does, but faster if all lines have the same pen."""
         import numpy as np
 
         from turtleact.sim.rasterising import draw_lines
@@ -261,7 +265,7 @@ class Pens:
         world: The world of the turtles. Call `follow` after each of its steps.
 
     Attributes:
-        drawing: What the pens have drawn.
+        drawing: The drawing that the pens make.
     """
 
     def __init__(self, world: World) -> None:
@@ -363,9 +367,10 @@ class Pens:
         self._fleet = None
 
     def _follow_fleet(self, before: Sequence[complex], now: Sequence[complex]) -> bool:
-        """Draw the lines of all turtles at once, and return whether that was possible.
+        """Draw the lines of all turtles at once. Return False if they must be drawn one by one.
 
-        It is possible if there are many turtles, and all have the same pen, which is on.
+        Lines can be drawn at once if there are many turtles, and all of them have the same pen,
+        switched on.
         """
         if isinstance(now, list):  # a few turtles: see `World.places`
             return False
@@ -422,7 +427,7 @@ class _Fleet(NamedTuple):
 
 
 class _Run:
-    """Consecutive lines of one turtle that set the same pixels as one straight line."""
+    """A straight line that replaces consecutive lines of one turtle and sets the same pixels."""
 
     __slots__ = ("end", "pen", "start")
 
@@ -474,7 +479,7 @@ class _Stroke:
         return start == self.tip and pen == self.pen and len(self.corners) < LONGEST
 
     def add(self, point: complex) -> bool:
-        """Continue the line to a point. Return whether that made the old tip a corner."""
+        """Continue the polyline to a point. Return whether the old tip has become a corner."""
         is_bent = not self._sees(point)
         if is_bent:
             self.corners.append(self.tip)

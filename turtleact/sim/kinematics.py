@@ -1,10 +1,10 @@
 """One step of a turtle: drop an expired command, turn, move, stop at the walls.
 
 The numbers and the order of the operations are turtlesim's, so that Poses equal turtlesim's to the
-last bit. Therefore y is kept as the depth below the upper edge, and half a turn is 3.14159265. A
-Pose is rounded to float32 only when it is read. `Handful` moves a few turtles in plain floats;
-`turtleact.sim.fleet` moves many as arrays. This module knows no names, no ROS and no clock: it
-counts time in ticks.
+last bit. As in turtlesim, y is stored as the depth below the upper edge, and half a turn is
+3.14159265. A Pose is rounded to float32 only when it is read. `Handful` moves a few turtles with
+plain floats; `turtleact.sim.fleet` moves many turtles with arrays. This module knows no names, no
+ROS and no clock: it counts time in ticks.
 
 Source: turtlesim 1.8.2, ``Turtle::update`` in ``turtle.cpp``; for arcs Lynch and Park, Modern
 Robotics, section 13.3.1, the integral of a constant twist.
@@ -49,7 +49,10 @@ SIDE = 11.088889122009277
 """Width and height of the world (m): 499/45 in float32."""
 
 COMMAND_TICKS = 63
-"""How many ticks a command lasts. In the 64th it is 1.008 s old; over 1.0 s is too old."""
+"""How many ticks a command lasts.
+
+In the 64th tick, the command would be 1.008 s old, and turtlesim drops commands older than 1.0 s.
+"""
 
 
 NEVER = 2**62
@@ -75,7 +78,7 @@ class Command(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a turtle is put: x (m), depth below the upper edge (m), theta (rad, any angle)."""
+    """A place to put a turtle: x (m), depth below the upper edge (m), theta (rad, any angle)."""
 
     x: float
     depth: float
@@ -83,10 +86,10 @@ class Place(NamedTuple):
 
 
 class State(NamedTuple):
-    """Where a turtle is and how it moves, unrounded.
+    """The place and the speeds of a turtle, not rounded.
 
     After a step, x and depth (m) are in [0, SIDE], and theta (rad) is in [-pi, pi). The speeds are
-    those of the turtle's command, or 0 without one.
+    the values of the turtle's command, or 0 if the turtle has no command.
     """
 
     x: float
@@ -98,7 +101,7 @@ class State(NamedTuple):
 
 
 class Hit(NamedTuple):
-    """A turtle that a step would have carried out of the world.
+    """A turtle that has hit a wall in a step.
 
     ``turtle`` is the turtle's index. ``x`` and ``depth`` (m) are where the turtle would be without
     the wall.
@@ -128,7 +131,10 @@ class Turtles(Protocol):
         """Place a turtle. The next step wraps the angle and moves the turtle inside the walls."""
 
     def insert(self, index: int, place: Place) -> None:
-        """Insert a turtle at rest at this index. Otherwise this works like `place`."""
+        """Insert a turtle at rest at this index.
+
+        As after `place`, the next step wraps the angle and moves the turtle inside the walls.
+        """
 
     def remove(self, index: int) -> None:
         """Remove a turtle."""
@@ -143,7 +149,10 @@ class Turtles(Protocol):
         """A copy of the places of all turtles, as ``x + 1j * depth``."""
 
     def orders(self) -> list[tuple[State, int]]:
-        """Each turtle's state, and the tick in which its command expires (`NEVER`: no command)."""
+        """The state of each turtle, and the tick in which its command expires.
+
+        The tick is `NEVER` if the turtle has no command.
+        """
 
     def step(self, tick: int) -> Hits:
         """Move all turtles by one step, which completes tick number ``tick``.
@@ -177,8 +186,8 @@ def chord(rule: StepRule, turn: float) -> tuple[float, float]:
         turn: How far the turtle turns in the step (rad).
 
     Returns:
-        The angle by which the line lags behind the heading at the end of the step (rad), and the
-        length of the line divided by the speed (s).
+        Two numbers: the heading at the end of the step minus the direction of the line (rad), and
+        the time in which the turtle would move along the line at its speed (s).
     """
     if rule is StepRule.EULER or not turn:
         return 0.0, DT
@@ -207,7 +216,7 @@ def wrap(theta: float, half: float) -> float:
 
 
 class Handful:
-    """Moves a few turtles with plain floats, which is faster than arrays below about ten turtles.
+    """Moves turtles with plain floats. Up to about ten turtles, floats are faster than arrays.
 
     Args:
         places: Where the turtles stand, by index.
@@ -237,7 +246,10 @@ class Handful:
         turtle.x, turtle.depth, turtle.theta = place
 
     def insert(self, index: int, place: Place) -> None:
-        """Insert a turtle at rest at this index. Otherwise this works like `place`."""
+        """Insert a turtle at rest at this index.
+
+        As after `place`, the next step wraps the angle and moves the turtle inside the walls.
+        """
         self._turtles.insert(index, _Turtle(place))
 
     def remove(self, index: int) -> None:
@@ -259,7 +271,10 @@ class Handful:
         return [complex(turtle.x, turtle.depth) for turtle in self._turtles]
 
     def orders(self) -> list[tuple[State, int]]:
-        """Each turtle's state, and the tick in which its command expires (`NEVER`: no command)."""
+        """The state of each turtle, and the tick in which its command expires.
+
+        The tick is `NEVER` if the turtle has no command.
+        """
         return [(self.state(index), each.expires) for index, each in enumerate(self._turtles)]
 
     def step(self, tick: int) -> Hits:
@@ -293,9 +308,9 @@ class _Turtle:
 
     Attributes:
         turn: How far the turtle turns in a step (rad).
-        lag: The first value of `chord` (rad).
-        length: The second value of `chord` (s).
-        expires: The tick in which the command expires (`NEVER`: no command).
+        lag: The first number that `chord` returns for the command (rad).
+        length: The second number that `chord` returns for the command (s).
+        expires: The tick in which the command expires; `NEVER` if there is no command.
     """
 
     __slots__ = (

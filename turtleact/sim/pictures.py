@@ -1,8 +1,9 @@
 """Makes pictures of a world as SVG and PNG: the drawing, and the turtles on it.
 
-A picture has 500×500 pixels, like turtlesim's window. Turtles are seen from above and look along
-their headings. They are as large as turtlesim's pictures of turtles (45 pixels). A turtle's colours
-depend only on its name, so they are the same in every picture. All functions are pure.
+A picture has 500×500 pixels, like turtlesim's window. A picture shows the turtles from above, each
+facing in the direction of its heading. The turtles are as large as turtlesim's pictures of turtles
+(45 pixels). A turtle's colours depend only on its name, so the colours are the same in every
+picture. All functions are pure.
 
 Source: W3C, Scalable Vector Graphics 2; W3C, Portable Network Graphics, third edition.
 """
@@ -86,7 +87,7 @@ class Figure(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """Everything that a picture shows.
+    """The contents of a picture.
 
     Attributes:
         background: The colour where nothing was drawn.
@@ -107,7 +108,7 @@ class Snapshot(NamedTuple):
 def to_svg(snapshot: Snapshot) -> str:
     """Draw a scalable picture: the polylines as vectors, over an image of ``base``.
 
-    A polyline covers the polylines that began before it.
+    The polylines are drawn in the order in which they began. Later lines cover earlier lines.
     """
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{SIZE}" height="{SIZE}"'
@@ -151,8 +152,8 @@ def to_png(snapshot: Snapshot) -> bytes:
 def thumbnail(pixels: bytes, width: int, height: int) -> list[list[Colour | None]]:
     """Scale a drawing down to rows of colours, top row first; None where nothing was drawn.
 
-    A pixel of the result gets a colour that was drawn there. If several colours were drawn there,
-    the pixel gets the colour with the highest blue value.
+    Each pixel of the result represents an area of the drawing, and gets a colour from this area. If
+    the area has several colours, the pixel gets the colour with the highest blue value.
 
     Args:
         pixels: The drawing, as `Drawing.pixels` gives it.
@@ -178,7 +179,7 @@ def svg_shades(name: str) -> str:
 
 
 class _Part(NamedTuple):
-    """The shade and outline (pixels) of a part of a turtle that stands at 0 and looks right."""
+    """A part of a turtle at 0 with theta 0: the shade and the outline (pixels) of the part."""
 
     shade: str
     outline: tuple[complex, ...]
@@ -192,7 +193,7 @@ def _ellipse(centre: complex, across: float, up: float, turn: float = 0.0) -> tu
 
 
 def _seam(angle: float) -> tuple[complex, ...]:
-    """The corners (pixels) of a thin stripe on the shell, from the middle plate to the edge."""
+    """The corners (pixels) of a thin line on a turtle's shell, from its middle to its edge."""
     start, end = (complex(a * math.cos(angle), b * math.sin(angle)) for a, b in _SEAM)
     aside = 1j * (end - start) / abs(end - start) * _LINE / 2
     return tuple(each * METER for each in (start + aside, end + aside, end - aside, start - aside))
@@ -228,7 +229,7 @@ def _short(number: float) -> str:
 SVG_TURTLE: Final = "\n".join(
     f'<polygon{_SVG_FILLS[part.shade]} points="{_svg_points(part.outline)}"/>' for part in _PARTS
 )
-"""The shape of a turtle at 0 that looks to the right. The element around it needs `svg_shades`."""
+"""The shape of a turtle at 0 with theta 0. The element around the shape needs `svg_shades`."""
 
 
 def _paint(

@@ -2,8 +2,9 @@
 
 While a turtle moves straight, `Runs` joins its steps into one line, so that a fleet does not draw
 one line per turtle and tick. `draw_lines` colours the pixels of many lines. It colours exactly the
-same pixels as `Canvas.line`, because it calculates in the same order. For a few turtles, `drawing`
-joins lines with plain floats. This module does not depend on turtles, ROS or a clock.
+same pixels as `Canvas.line`, because it calculates in the same order. This module is for many
+turtles; for a few turtles, the module `drawing` joins lines without arrays. This module does not
+depend on turtles, ROS or a clock.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _Floats: TypeAlias = npt.NDArray[np.float64]
 _Whole: TypeAlias = npt.NDArray[np.int64]
 
 _MOST = 1024
-"""How many lines are turned into pixels together. A higher number would only take more memory."""
+"""How many lines are converted to pixels at a time. A higher number would only use more memory."""
 
 
 class Runs:
@@ -45,14 +46,15 @@ class Runs:
         self._end = np.zeros(0, np.complex128)
 
     def take(self, who: Numbers, start: Places, end: Places) -> Lines:
-        """Add a straight piece to the lines of some turtles. Return the lines that have ended.
+        """Add a straight segment to the lines of some turtles. Return the lines that have ended.
 
-        A line ends if the next piece does not go straight on. The piece then begins a new line.
+        If a segment does not continue its turtle's line straight on, the line ends and the segment
+        begins a new line.
 
         Args:
             who: Array of shape (N,): the numbers of the turtles, without duplicates.
-            start: Array of shape (N,): where each piece begins (m).
-            end: Array of shape (N,): where each piece ends (m).
+            start: Array of shape (N,): where each segment begins (m).
+            end: Array of shape (N,): where each segment ends (m).
         """
         self._make_room(int(who.max()) + 1)
         is_held, way, step = self._is_held[who], self._end[who] - self._start[who], end - start

@@ -1,4 +1,4 @@
-"""Where turtles stand at the start, after a spawn, and after a teleport.
+"""The places of turtles at the start, after a spawn, and after a teleport.
 
 The first turtles of a world are placed in one of the ways in `PLACINGS`:
 
@@ -44,7 +44,7 @@ PLACINGS: Final = ("random", "grid", "ring")
 """The ways to place the turtles of a new world."""
 
 _MARGIN = 1.0
-"""Turtles that are placed keep this far from the walls (m)."""
+"""The minimum distance between the walls and the places from `starts` (m)."""
 
 
 class Teleport(Protocol):
@@ -105,7 +105,7 @@ class Spawn(NamedTuple):
 
     @property
     def place(self) -> Place:
-        """The turtle's place. The depth is rounded to float32, too."""
+        """The turtle's place, with a depth that is rounded to float32."""
         (depth,) = array("f", (SIDE - self.y,))
         return Place(self.x, depth, self.theta)
 
@@ -144,7 +144,9 @@ def _on_ring(index: int, count: int) -> Place:
 
 
 def _spread(number: int, seed: int) -> Place:
-    """Return the place of one turtle. Any number of turtles is spread evenly over the square.
+    """Return the place of one turtle.
+
+    The places are spread evenly over the square, for any number of turtles.
 
     Source: Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, R3.
     """

@@ -6,9 +6,9 @@
 - ``<turtle>/set_pen``, ``<turtle>/teleport_absolute`` and ``<turtle>/teleport_relative``;
 - ``<turtle>/rotate_absolute``, one goal at a time.
 
-`Rotation` is turtlesim's controller for these goals. It does not use ROS. A running goal calls it
-once per tick. This module rounds to float32 wherever turtlesim does. The module has no clock: the
-module `turtlesim` calls each turtle's methods at each tick.
+`Rotation` is turtlesim's controller for ``rotate_absolute``, and does not use ROS. A running goal
+calls the controller in each tick. This module rounds to float32 wherever turtlesim does. The module
+has no clock: the module `turtlesim` calls each turtle's methods at each tick.
 
 Source: turtlesim 1.8.2, ``turtle.cpp`` (for the controller ``Turtle::update`` and
 ``Turtle::rotateAbsoluteAcceptCallback``) and ``qos.hpp``.
@@ -58,13 +58,13 @@ TURN_SPEED: Final = 1.0
 """How fast a turtle turns (rad/s)."""
 
 TOLERANCE: Final = 0.02
-"""How close to its target a turtle stops (rad)."""
+"""A turtle stops turning when its heading is less than this angle from the target (rad)."""
 
 _HALF: Final = half_turn(StepRule.EULER)
 
 
 class Habitat(NamedTuple):
-    """What all turtles of a world share.
+    """The objects that all turtles of a world share.
 
     Attributes:
         node: The node that opens the turtles' topics, services and actions.
@@ -87,7 +87,7 @@ class Turtle:
 
     Args:
         name: The turtle's name in the world.
-        habitat: What the turtle shares with the other turtles.
+        habitat: The objects that the turtle shares with the other turtles.
         on_demand: Whether other processes see the turtle's topics, services and action only when
             they ask for them; see `Node`.
 
@@ -180,7 +180,7 @@ class Turtle:
         self._world.set_velocity(self.name, 0.0, 0.0, omega or 0.0)
 
     def tell_colour(self, colour: Colour) -> None:
-        """Publish the colour under the turtle, if somebody still subscribes to it."""
+        """Publish the colour under the turtle, if the colour topic has a subscription."""
         if self.colours.has_subscriptions:
             self.colours.publish(Color(*colour))
 
@@ -305,8 +305,8 @@ class Rotation:
         theta: The turtle's heading before the turn (rad).
 
     Attributes:
-        remaining: How far the turtle had to turn before the latest tick (rad, float32); positive to
-            the left.
+        remaining: The angle left to turn before the latest tick (rad, float32); positive to the
+            left.
         delta: The heading before the turn minus the heading before the latest tick (rad, float32).
     """
 

@@ -2,11 +2,12 @@
 
 `Turtlesim` opens the services ``spawn``, ``kill``, ``clear`` and ``reset``, and declares the
 parameters ``background_r``, ``background_g``, ``background_b`` and ``holonomic``. The module
-`turtle` opens the topics and services of each turtle, and `world_services` opens those for time,
-poses and pictures. In `turtleact.sim`, only these three modules know ROS and a clock.
+`turtle` opens the topics and services of each turtle. The module `world_services` opens the
+services for time and pictures, and defines a message with all poses. The other modules of
+`turtleact.sim` do not use ROS or a clock.
 
 The real turtlesim exits if a new turtle has an invalid name, and lets a turtle turn forever if a
-number is not finite. This node logs a message instead, and goes on.
+number is not finite. In both cases, this node logs a message and continues.
 
 Source: turtlesim 1.8.2, ``turtle_frame.cpp``.
 """
@@ -123,7 +124,7 @@ class Turtlesim:
     async def step(self, ticks: int = 1) -> None:
         """Make ``ticks`` ticks in a paused world, at the pace of the clock, and wait for the last.
 
-        Cancelling: the remaining ticks are not made.
+        Cancelling: the remaining ticks are skipped.
 
         Raises:
             SimError: if the world is not paused, if another `step` is under way, if ``ticks`` is

@@ -50,8 +50,8 @@ class Pose(NamedTuple):
     """The pose of a turtle as turtlesim publishes it, rounded to float32.
 
     x and y (m) are the distances from the left and the lower edge, in [0, SIDE]. theta (rad) is in
-    [-pi, pi). After rounding, they may lie slightly beyond these limits. linear_velocity (m/s) is
-    never negative. angular_velocity is in rad/s.
+    [-pi, pi). Rounding may move x, y and theta slightly beyond these limits. The linear velocity
+    (m/s) is never negative. The angular velocity is in rad/s.
     """
 
     x: float
@@ -69,14 +69,15 @@ class World:
     turtles start in a grid or on a ring.
 
     Up to 16 turtles are computed in plain floats, and their poses equal turtlesim's to the last
-    bit. More turtles are computed as arrays. On curves, their places may then differ from
-    turtlesim's by about 1e-13 m (`turtleact.sim.fleet`).
+    bit. If there are more than 16 turtles, they are computed with arrays. On a curve, arrays may
+    move a turtle to a place about 1e-13 m away from turtlesim's (see `turtleact.sim.fleet`).
 
     Args:
         turtles: How many turtles there are, at least one: ``turtle1``, ``turtle2``, …
         seed: With ``placing="random"``, determines where all turtles except the first start.
         placing: How the turtles are placed at the start: ``"random"``, ``"grid"`` or ``"ring"``.
-        holonomic: Whether turtles can move sideways. If not, ``vy`` is ignored, as in turtlesim.
+        holonomic: Whether turtles can move sideways. If turtles cannot move sideways, ``vy`` is
+            ignored, as in turtlesim.
         rule: How a step turns speeds into motion.
         collide: Whether turtles that meet stop each other (`turtleact.sim.fleet`).
 
@@ -197,8 +198,8 @@ class World:
     def teleport_absolute(self, turtle: str | int, x: float, y: float, theta: float) -> None:
         """Put a turtle at a place in the next step.
 
-        If the place is outside the world, the same step brings the turtle inside. All three numbers
-        are rounded to float32.
+        If the place is outside the world, the turtle is moved inside in the same step. All three
+        numbers are rounded to float32.
 
         Args:
             turtle: The turtle's name or index.
@@ -229,7 +230,7 @@ class World:
     def spawn(self, x: float, y: float, theta: float, name: str = "") -> str:
         """Put a new turtle into the world.
 
-        If the place is outside the world, the turtle's first step brings it inside. All three
+        If the place is outside the world, the turtle is moved inside in its first step. All three
         numbers are rounded to float32.
 
         Args:
@@ -404,8 +405,8 @@ class Names:
     """The names of the turtles that exist.
 
     Args:
-        names: The first N names, in any order. The names that `free_name` makes up are numbered
-            from N + 1.
+        names: The names of the turtles that exist at the start, in any order. If there are N of
+            these names, `free_name` numbers its own names from N + 1.
 
     Attributes:
         names: The names, sorted as strings. A turtle's index is its position in this order.

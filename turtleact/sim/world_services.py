@@ -6,12 +6,13 @@
 - `Simulation` opens the services by which other simulators control time:
   ``~/get_simulator_features``, ``~/get_simulation_state``, ``~/set_simulation_state``,
   ``~/step_simulation`` and ``~/reset_simulation``. It also opens the action ``~/simulate_steps``.
-- `Poses` is one message with the poses of all turtles, in arrays. One message per turtle would take
-  longer than a tick to make, and ``geometry_msgs/msg/PoseArray`` has no names.
+- `Poses` is one message with the poses of all turtles, in arrays. With a message for each turtle,
+  the messages of a tick would take longer than a tick. ``geometry_msgs/msg/PoseArray`` has no field
+  for names.
 - `Pictures` opens the service ``~/snapshot``. The module `pictures` makes the picture, in a thread.
 
-Source: simulation_interfaces 2.1.0; Gazebo, in which the names of these services begin with the
-node's name, too.
+Source: simulation_interfaces 2.1.0; Gazebo, for services with names that begin with the name of
+the node.
 """
 
 from __future__ import annotations
@@ -143,7 +144,7 @@ class Ticking:
     async def step(self, ticks: int = 1, on_tick: Callable[[], None] | None = None) -> None:
         """Make ``ticks`` ticks during a pause, at the pace of the clock, and wait for the last.
 
-        Cancelling: the remaining ticks are not made.
+        Cancelling: the remaining ticks are skipped.
 
         Args:
             ticks: How many ticks to make, 0 or more.
@@ -181,7 +182,7 @@ class Ticking:
             raise SimError(f"the world was {step.how} after {made}: pause it, then step again")
 
     async def aclose(self) -> None:
-        """Stop making ticks. If the clock stands still, it continues."""
+        """Stop making ticks. If the clock is stopped by a pause, let the clock continue."""
         await self._running.aclose()
         self._end_step("closed")
         self._clock.stop_at(math.inf)
@@ -228,10 +229,10 @@ class Ticking:
 
 
 class Simulation:
-    """The services and the action that control a world's time. They are open as long as their node.
+    """The services and the action that control a world's time. The node closes them when it closes.
 
     Args:
-        node: The node on which they are opened.
+        node: The node on which the services and the action are opened.
         ticking: Makes the world's ticks.
         restart: A function that puts the world back to its start.
     """
@@ -390,7 +391,7 @@ class TakeSnapshot(Service, type_name="turtleact_interfaces/srv/TakeSnapshot"):
 
 
 class Pictures:
-    """The service that takes pictures. The service is open as long as its node.
+    """The service that takes pictures. The node closes the service when the node itself closes.
 
     Args:
         node: The node on which the service is opened.

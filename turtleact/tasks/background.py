@@ -37,7 +37,8 @@ class Background:
     Args:
         running: The coroutine.
         name: The coroutine's name in the log.
-        tasks: The task functions to use. If left out, they are those of the running event loop.
+        tasks: The task functions to use. If left out, the task functions of the running event loop
+            are used.
 
     Attributes:
         has_ended: Whether the coroutine has ended.
@@ -82,8 +83,8 @@ class Background:
 async def run_in_daemon(call: Callable[[], T], name: str) -> T:
     """Run a function in its own daemon thread, and return its result.
 
-    The function may block for ever. Unlike a thread of `anyio.to_thread`, the daemon thread does
-    not keep the program from ending. Cancelling: safe; the function keeps running in its thread.
+    The function may block for ever. The program can end while the daemon thread still runs, unlike
+    with a thread of `anyio.to_thread`. Cancelling: safe; the function keeps running in its thread.
 
     Args:
         call: The function.
@@ -108,11 +109,11 @@ async def run_in_daemon(call: Callable[[], T], name: str) -> T:
 async def wait_while(is_busy: Callable[[], object], changed: Signal, patience: float) -> None:
     """Wait as long as ``is_busy()`` is true. The wait is shielded from cancellation.
 
-    If ``is_busy()`` is false at once, this costs almost nothing. That matters when thousands of
-    objects are closed together.
+    If ``is_busy()`` is false at once, the call costs almost nothing. The low cost matters when
+    thousands of objects are closed together.
 
     Args:
-        is_busy: A function that returns whether to go on waiting.
+        is_busy: A function that returns whether to keep waiting.
         changed: A signal that fires when the result of ``is_busy`` may have changed.
         patience: The longest wait (s, loop time).
     """
