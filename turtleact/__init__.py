@@ -2,16 +2,16 @@
 
 The layers, each built on those below it::
 
-    cli                         arguments in, exit status out
-    app, render, testing        the composed world; what a terminal shows; virtual time
+    cli                         the command line
+    app, render, testing        a world with its actions; output in a terminal; virtual time
     actions, sim                fibonacci, go_to, patrol; the turtles
     node                        one participant's topics, services and actions
     server, client              accept, run and cancel goals; send them and read their results
-    body, topics, services      declared bodies; publishers, subscriptions; services
-    transports                  how messages travel
+    body, topics, services      declared actions; publishers and subscriptions; services
+    transports                  delivery of messages
     clock, tasks                time; tasks and wake-ups of the event loop
-    slot, goal, feedback        which goals may run; the states of a goal; kept feedback
-    parameters                  kinds of values, ranges
+    slot, goal, feedback        the choice of goals to run; goal states; recent feedback
+    parameters                  parameter types and ranges
     interfaces                  messages, services and actions as classes
     names, geometry, errors
 

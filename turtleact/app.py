@@ -33,7 +33,7 @@ OpenGraph: TypeAlias = Callable[[Clock], AbstractAsyncContextManager[Transport]]
 class WorldNode(Node):
     """A node in the same process as a world. The node can also pause and step that world.
 
-    `open_world` makes one.
+    `open_world` opens a world and yields its node.
 
     Attributes:
         sim: The simulator of the world.
@@ -49,9 +49,8 @@ class WorldNode(Node):
     async def aclose(self) -> None:
         """Close the node as `Node.aclose` does. `open_world` then closes the world.
 
-        If a built-in action was withdrawn because this node serves the same action, the built-in
-        action is not served again. It would be served only for a moment, and the log would report
-        that.
+        A built-in action that this node replaces stays withdrawn. Otherwise, the built-in action
+        would be served again for a moment, and the log would report its return.
         """
         if self._built_ins is not None:
             await close_withdrawn(self._built_ins)
@@ -115,13 +114,12 @@ async def open_world(
         placing: Where the turtles start: ``"random"``, ``"grid"`` or ``"ring"``.
         collide: Whether turtles block each other.
         paused: Whether the world starts paused.
-        turtlesim_only: Whether the world serves only what the real turtlesim serves, on the node
+        turtlesim_only: Whether the world is limited to what the real turtlesim offers, on the node
             ``/turtlesim``. If False, the node ``/turtle_actions`` also serves the built-in actions
             (``/patrol``, ``/go_to``, ``/command_turtle``, ``/fibonacci``). Another node,
             ``/world``, then has services for time and pictures, and a topic with all poses in one
             message.
-        graph: A function that opens the graph for the world. If left out, the graph is within this
-            process.
+        graph: A function that opens the graph for the world; None for a graph within this process.
         on_transition: Called with each state change of the goals that the world serves; see
             `Node.on_transition`.
         on_start: Called with the simulator before anybody can send commands to the turtles.

@@ -95,7 +95,7 @@ MYPY = False
 if MYPY:
 
     class ActionType(Protocol[G_co, R_co, F_co]):
-        """A subclass of `turtleact.Action` as mypy sees it: with methods that make messages."""
+        """A subclass of `turtleact.Action` for mypy, with methods that make messages."""
 
         @property
         def type_name(self) -> str:
@@ -113,7 +113,7 @@ if MYPY:
 else:
 
     class ActionType(Protocol[G, R, F]):
-        """A subclass of `turtleact.Action` as pyright sees it: with the classes of its messages."""
+        """A subclass of `turtleact.Action` for pyright, with message classes as attributes."""
 
         type_name: str
         Goal: type[G]
@@ -244,8 +244,8 @@ class Declare(Protocol[G, R, F]):
 def _checked(check: Callable[..., None]) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Make a decorator that calls ``check`` with a function's arguments before the function.
 
-    Python reports a missing argument, too, but does not say what to write. Defaults in the function
-    itself would hide the mistake from type checkers, so only ``check`` has them.
+    Python's own error for a missing argument does not say what to write. With defaults in the
+    function, type checkers would not report a missing argument, so only ``check`` has defaults.
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
@@ -333,10 +333,10 @@ def background(run: Callable[[H], Coroutine[Any, Any, object]], /) -> Background
     """Run an ``async def`` in the background while ``turtleact serve`` serves its module.
 
     Use this as a decorator. ``turtleact serve`` calls the function with the node as soon as the
-    module's actions are served. The function is cancelled when the module is reloaded. It is also
-    cancelled when the server ends, before the goals end. If the function raises an exception, the
-    exception is logged, and the server goes on. Without ``turtleact serve``, nothing calls the
-    function, so start it in a task yourself.
+    module's actions are served. The function is cancelled when the module is reloaded. When the
+    server ends, the function is cancelled before the goals end. If the function raises an
+    exception, the exception is logged, and the server goes on. Without ``turtleact serve``, nothing
+    calls the function, so start it in a task yourself.
 
     Raises:
         TypeError: if the function is not a coroutine function, or cannot be called with one

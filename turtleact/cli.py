@@ -1,8 +1,8 @@
-"""The entry point of the command line: arguments in, exit status out.
+"""The entry point of the command line: takes arguments, returns an exit status.
 
 `turtleact.commands.verbs` declares the verbs. This module runs the verbs and turns every exception
 into a line on stderr and an exit status. Modules are imported only when needed, because users wait
-for every import: importing Typer alone takes five times as long as running an empty Python program.
+for every import. Importing Typer alone takes five times as long as running an empty Python program.
 
 ====== =================================================
 status meaning
@@ -15,7 +15,7 @@ status meaning
 5      somebody else canceled the goal
 124    timeout
 130    SIGINT (Ctrl-C); 143 SIGTERM; 129 SIGHUP
-141    the reader of the output has gone
+141    the reader of the output is gone
 any    the status that users' code passed to `sys.exit`
 ====== =================================================
 """
@@ -36,7 +36,7 @@ __all__ = ["main", "run", "serve"]
 FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 
 PATIENCE = 1.5
-"""After this many seconds the Tab key offers nothing, because nobody waits longer."""
+"""The Tab key offers nothing after this many seconds, because users do not wait longer."""
 
 
 def main() -> int:
@@ -124,7 +124,7 @@ def _complete(interrupts: Interrupts) -> None:
 
 
 def _report(error: BaseException) -> int:
-    """Print to stderr what went wrong, and return the exit status for it."""
+    """Print an error to stderr, and return its exit status."""
     from turtleact.errors import InvalidMessage, InvalidName, TurtleactError, UsageError
 
     if isinstance(error, TurtleactError):
@@ -171,10 +171,10 @@ def _advice(error: BaseException) -> str:
 
 
 def _hidden_by_user(error: BaseException) -> str:
-    """Explain an error that is due to a user's module with the name of an installed one.
+    """Explain an error if a user's module hides the installed module of the same name.
 
-    ``turtleact serve`` puts the user's folders at the beginning of ``sys.path``. If one of them has
-    a ``click.py``, every later ``import click`` finds that file.
+    ``turtleact serve`` puts the user's folders at the beginning of ``sys.path``. If a user's folder
+    has a ``click.py``, every later ``import click`` finds that file.
 
     Returns:
         The explanation; empty if the error has another cause.
@@ -206,7 +206,7 @@ def _leaf(error: BaseException) -> BaseException:
 
 
 def _report_broken_output(error: OSError) -> int:
-    """Report that output cannot be written, unless its reader has gone. Return the exit status."""
+    """Report an error of writing output, unless the reader is gone. Return the exit status."""
     import errno
 
     from turtleact.commands.output import abandon

@@ -60,14 +60,14 @@ _Sending: TypeAlias = Coroutine[object, object, T]
 
 
 class ActionClient(Generic[G, R, F]):
-    """Sends goals to one action. `turtleact.Node.action_client` makes one.
+    """Sends goals to one action. Create a client with `turtleact.Node.action_client`.
 
     Attributes:
         name: The fully qualified name of the action.
         action_type: The action, a subclass of `turtleact.Action`.
         is_open: Whether the client can send goals.
-        observers: The observers of this client's goals. They are told of each change of state and
-            of each feedback message.
+        observers: The observers of this client's goals, which get each change of state and each
+            feedback message.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class ActionClient(Generic[G, R, F]):
 
         Args:
             goal: The goal message.
-            goal_id: The id of the goal, 16 bytes or a UUID. If left out, the goal gets a new id.
+            goal_id: The id of the goal, 16 bytes or a UUID. By default, the goal gets a new id.
             feedback_callback: A plain function that is called with each feedback message. A server
                 in this process calls the function while it publishes the message. If the function
                 raises an exception, the exception is logged, and the goal goes on.
@@ -152,8 +152,8 @@ class ActionClient(Generic[G, R, F]):
             ServerUnavailable: (when awaited or entered) if nobody serves the action.
             TurtleactError: (when awaited or entered) if the client is closed or belongs to another
                 event loop.
-            UnknownGoal: (when awaited or entered) if the server has no goal with this id, or has
-                already forgotten it.
+            UnknownGoal: (when awaited or entered) if the server does not know a goal with this id,
+                or no longer knows it.
         """
         return Attach(self, goal_id_bytes(goal_id))
 
@@ -161,7 +161,7 @@ class ActionClient(Generic[G, R, F]):
         """Wait until a server exists for the action. Cancelling: safe.
 
         Args:
-            timeout: How long to wait (s, by the graph's clock). If left out, there is no limit.
+            timeout: How long to wait (s, by the graph's clock); None for no limit.
 
         Returns:
             Whether the action has a server.
@@ -215,8 +215,7 @@ class ActionClient(Generic[G, R, F]):
     async def _find_server(self, patience: float = 0.0) -> GoalServer:
         """Return the action's server. If the graph is new, wait for discovery first.
 
-        If nobody serves the action even then, wait up to ``patience`` seconds longer (event loop
-        time).
+        If discovery finds no server, wait up to ``patience`` more seconds (event loop time).
 
         Raises:
             ServerUnavailable: if nobody serves the action.
@@ -274,7 +273,7 @@ class ActionClient(Generic[G, R, F]):
     def _send(self, order: GoalOrder, send: Callable[[GoalOrder], _Sending[T]]) -> _Sending[T]:
         """Send a goal with ``send``, which is `_run` or `_enter`.
 
-        If an observer wants to be told of calls, send the goal in a copy of the caller's context.
+        If an observer wants reports about calls, send the goal in a copy of the caller's context.
         """
         if not self.observers.want_calls:
             return send(order)
@@ -353,14 +352,15 @@ if TYPE_CHECKING:
 else:
 
     class _Calling(msgspec.Struct, Generic[R], eq=False):
-        """The base class of `SendGoal` at runtime: a struct cannot have an abstract base."""
+        """The runtime base class of `SendGoal`; a struct cannot have an abstract base class."""
 
 
 class SendGoal(_Calling[R], Generic[G, R, F]):
     """A goal that is about to be sent. You can send it only once.
 
-    ``await`` sends the goal and returns its result. If the waiting task is cancelled, the goal is
-    canceled too. The task then waits for the goal's end before the task itself ends as cancelled.
+    ``await`` sends the goal and returns its result. If the waiting task is cancelled, the client
+    cancels the goal. The task ends as cancelled only after the goal has ended, or after the
+    client's ``cancel_timeout``.
 
     ``async with`` sends the goal and gives you a handle. If you leave the block while the goal is
     active, the goal is canceled, and leaving waits for the goal's end. A goal that you have
@@ -385,20 +385,20 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
         return self._start().__await__()
 
     def send(self, value: object) -> object:
-        """Run the coroutine up to its next wait. Event loops call this."""
+        """Continue the coroutine until its next suspension. Event loops call this method."""
         if self._calling is None:
             self._calling = self._start()
         return self._calling.send(value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
-        """Raise an exception in the coroutine, at its current wait. Event loops call this."""
+        """Raise an exception where the coroutine is suspended. Event loops call this method."""
         if self._calling is None:
             self.close()
             raise error
         return self._calling.throw(error)
 
     def close(self) -> None:
-        """Close the coroutine. Event loops call this."""
+        """Close the coroutine. Event loops call this method."""
         self._order = None
         if self._calling is not None:
             self._calling.close()
@@ -457,8 +457,8 @@ Coroutine.register(SendGoal)
 class _InOwnContext(Coroutine[object, object, T]):
     """Runs a coroutine of the caller's task in a copy of the task's context.
 
-    The coroutine therefore never changes the caller's context. It would not be enough to reset
-    context variables with their tokens, because a coroutine may be closed in another context.
+    The coroutine therefore never changes the caller's context. Resetting context variables with
+    their tokens would not be enough, because a coroutine may be closed in another context.
     """
 
     __slots__ = ("_context", "_running")
@@ -468,15 +468,12 @@ class _InOwnContext(Coroutine[object, object, T]):
         self._running = running
 
     def send(self, value: object) -> object:
-        """Run the coroutine up to its next wait."""
         return self._context.run(self._running.send, value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
-        """Raise an exception in the coroutine, at its current wait."""
         return self._context.run(self._running.throw, error)
 
     def close(self) -> None:
-        """Close the coroutine."""
         self._context.run(self._running.close)
 
     def __await__(self) -> Generator[object, object, T]:
@@ -513,11 +510,11 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
 class _ClientObservers(Observers):
     """The observers of one client.
 
-    If the server is in another process, the client itself reports on its goals to these observers.
-    If the server is in the same process, the server reports on the goals to the server's own
-    observers. Therefore, if an observer of the client wants reports about goals, the client adds a
-    relay to the server's observers. The relay passes the reports about this client's goals on to
-    the client's observers.
+    If the server is in another process, the client reports the changes of its goals to these
+    observers. If the server is in the same process, the server reports the changes to the server's
+    own observers. Therefore, if an observer of the client wants reports about goals, the client
+    adds a relay to the server's observers. The relay passes the reports about this client's goals
+    on to the client's observers.
     """
 
     __slots__ = ("_relay", "_relayed", "_theirs")
@@ -529,17 +526,15 @@ class _ClientObservers(Observers):
         self._relayed: Observers | None = None
 
     def add(self, observer: GoalObserver) -> None:
-        """From now on, tell ``observer`` of every change of the client's goals."""
         super().add(observer)
         self._set_relay()
 
     def remove(self, observer: GoalObserver) -> None:
-        """Stop telling ``observer`` of changes. An unknown observer is ignored."""
         super().remove(observer)
         self._set_relay()
 
     def watch(self, server: object | None) -> None:
-        """From now on, relay the reports of ``server``. If ``server`` is None, relay nothing."""
+        """Relay the reports of ``server`` from now on. If ``server`` is None, relay no reports."""
         theirs = getattr(server, "observers", None)
         self._theirs = theirs if isinstance(theirs, Observers) else None
         self._set_relay()
@@ -556,7 +551,7 @@ class _ClientObservers(Observers):
 
 
 class _Relay(GoalObserver):
-    """Passes on what a server in this process reports about one client's goals."""
+    """Passes on the reports of a server in this process about one client's goals."""
 
     def __init__(self, client: ActionClient[Any, Any, Any], observers: Observers) -> None:
         self._client = client
@@ -564,26 +559,21 @@ class _Relay(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """Whether an observer of the client wants to be told of the ACCEPTED state."""
         return self._observers.want_acceptance
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
-        """Called after a goal has changed its state."""
         if goal.sender is self._client:
             self._observers.goal_changed(goal, before, after)
 
     def feedback_published(self, goal: Goal, feedback: object) -> None:
-        """Called with each feedback message of a goal."""
         if goal.sender is self._client:
             self._observers.feedback_published(goal, feedback)
 
     def pause_changed(self, goal: Goal) -> None:
-        """Called after a goal was paused or resumed."""
         if goal.sender is self._client:
             self._observers.pause_changed(goal)
 
     def noted(self, goal: Goal, news: News) -> None:
-        """Called with other news of a goal; see `turtleact.observers.News`."""
         if goal.sender is self._client:
             self._observers.noted(goal, news)
 

@@ -69,7 +69,7 @@ OFFERED_WITHIN: Final = 2.0
 """How long to wait for a server to declare its service for pausing (s, by the graph's clock)."""
 
 AT_ONCE: Final = 8
-"""How many unanswered requests are allowed. Other clients can use the queue's last two places."""
+"""The most unanswered requests of a client. Two of a queue's ten places stay free for others."""
 
 # Both responses begin with a number, in the byte after the CDR header.
 _UNKNOWN: Final = bytes([GoalStatus.UNKNOWN])
@@ -86,9 +86,9 @@ class RequestLimiter:
     async def call(self, caller: Caller, request: object, note: str = "") -> Reply:
         """Send a request when its turn comes, and wait for the reply.
 
-        If ``caller`` raises an error, this method raises it, too.
+        Errors of ``caller`` are raised.
 
-        Cancelling: safe. If the request still waits for its turn, it is not sent.
+        Cancelling: safe. A request that still waits for its turn is not sent.
         """
         await self._wait_for_turn()
         try:
@@ -131,16 +131,16 @@ class ClientEndpoints:
     """The endpoints of one action client.
 
     At first, the only endpoint is the service client for ``send_goal``, which makes the action
-    client visible on the graph. `open` adds the other endpoints later, because adding them takes
-    time, and a client of a server in the same process does not need them.
+    client visible on the graph. `open` adds the other endpoints later, because opening endpoints
+    takes time. A client of a server in the same process does not need the other endpoints.
 
     Args:
         transport: The transport on which the endpoints are opened.
         endpoint: A function that makes the description of an endpoint.
         names: The names of the action's services and topics.
         action_type: The type of the action.
-        introspection: Whether the client publishes events of the three services, and whether they
-            include the contents of messages: "off", "metadata" or "contents".
+        introspection: The service events that the client publishes: "off" for none, "metadata" for
+            events without messages, or "contents" for events with messages.
 
     Attributes:
         transport: The argument ``transport``.
@@ -150,8 +150,8 @@ class ClientEndpoints:
         send_goal: The service client that sends goals, each to one server.
         get_result: The service client that asks for results. It exists only after `open`.
         is_ours: Whether the server ran turtleact when it last answered; see `knows_ours`.
-        takes_both: Whether the client may send a goal and ask for its result at the same time. This
-            becomes False if a result request reached the server before the goal.
+        takes_both: Whether the client may send a goal and ask for its result at the same time. The
+            value is False after a result request has overtaken its goal on the way to a server.
     """
 
     get_result: Caller
@@ -213,8 +213,8 @@ class ClientEndpoints:
     def knows_ours(self) -> bool:
         """Return whether the server is known to run turtleact.
 
-        This is known if the server's last reply had a note, and the action still has the same
-        servers. Requests then need not wait for their turn.
+        A server is known to run turtleact if its last reply had a note, and the action still has
+        the same servers. The client sends requests to such a server at once.
         """
         if self.is_ours and self._seen != self.transport.changes:
             self._seen = self.transport.changes
@@ -222,7 +222,7 @@ class ClientEndpoints:
         return self.is_ours
 
     def learn(self, reply: Reply) -> None:
-        """Learn from a reply whether the server runs turtleact. If so, the reply has a note."""
+        """Learn from a reply whether the server runs turtleact. Only turtleact adds a note."""
         if not reply.note:
             self.is_ours = False
         elif not self.is_ours:
@@ -234,7 +234,8 @@ class ClientEndpoints:
     async def ask_for_goal(self, request: object, note: str) -> Reply:
         """Send a goal, and return the server's answer.
 
-        The request waits for its turn, unless the server is known to run turtleact.
+        If the server is known to run turtleact, the request is sent at once. Otherwise, the request
+        goes through a `RequestLimiter`.
         """
         if self.knows_ours():
             return await self.send_goal.call(request, note)
@@ -243,7 +244,8 @@ class ClientEndpoints:
     async def ask_to_cancel(self, request: object) -> Reply:
         """Send a cancel request, and return the server's answer. Call `open` first.
 
-        The request waits for its turn, unless the server is known to run turtleact.
+        If the server is known to run turtleact, the request is sent at once. Otherwise, the request
+        goes through a `RequestLimiter`.
         """
         self._canceling += 1
         try:
@@ -255,12 +257,12 @@ class ClientEndpoints:
             self._close_events()
 
     async def set_paused(self, goal: Goal, *, is_paused: bool, timeout: float = 0.0) -> None:
-        """Pause or resume a goal. Only servers of turtleact offer a service for this.
+        """Pause or resume a goal. Only turtleact servers offer a service for pausing.
 
         Args:
             goal: The goal.
-            is_paused: Whether to pause the goal (true) or resume it (false).
-            timeout: How long the goal's body may take to stand still (s).
+            is_paused: True to pause the goal, False to resume the goal.
+            timeout: How long the goal's body may take to pause (s).
 
         Raises:
             PauseRefused: if the server refuses, or does not offer the service for pausing.

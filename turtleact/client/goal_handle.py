@@ -109,12 +109,12 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     """A client's handle of a goal.
 
     ``async for feedback in handle`` gives each feedback message once, in order, and ends when the
-    goal ends. The loop also gives messages that were published before it began, if they are still
-    kept. While the sender of the goal iterates, unread messages are kept. If the server is in the
-    same process and the sender is far behind, the goal's body waits for the sender. If the server
-    is in another process, at most 65,536 unread messages are kept. For a sender that does not
-    iterate, and for clients that have attached to the goal, only the newest 1,024 messages are
-    certain to be kept. `missed` counts the messages that were dropped unread.
+    goal ends. The loop also gives messages from before the loop began, if those messages are still
+    kept. While the sender of the goal iterates over its handle, unread messages are kept. If the
+    server is in the same process and the sender is far behind, the goal's body waits for the
+    sender. If the server is in another process, at most 65,536 unread messages are kept. If the
+    sender does not iterate, or if the client has attached to the goal, at least the newest 1,024
+    messages are kept. `missed` counts the messages that were dropped unread.
 
     Callers that cannot await use `done`, `status`, `last_feedback` and `cancel_nowait`.
     """
@@ -184,7 +184,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         return _Events(self._reader)
 
     async def result(self) -> R:
-        """Wait for the result, and return it. Cancelling: safe, the goal goes on.
+        """Wait for the result, and return it. Cancelling the call is safe: the goal continues.
 
         Raises:
             GoalAborted: if the goal was aborted.
@@ -197,7 +197,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         raise failure(goal)
 
     async def outcome(self) -> Outcome[R]:
-        """Wait for the goal's end, and return how it ended, even if it failed. Cancelling: safe.
+        """Wait for the goal's end, and return the outcome, even of a failed goal. Cancelling: safe.
 
         Raises:
             ServerUnavailable: if the server goes away before the goal has ended.
@@ -235,13 +235,13 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         return self._reader.goal.resumed is not None
 
     async def pause(self, timeout: float = 5.0) -> None:
-        """Pause the goal, and return when its body stands still.
+        """Pause the goal, and return once its body has paused.
 
-        Pausing a paused goal does nothing. Cancelling: the request is withdrawn.
+        Pausing a paused goal does nothing. Cancelling the call withdraws the request.
 
         Args:
-            timeout: How long to wait for the body to stand still (s, event loop time). After this
-                time, the request is withdrawn, and the goal goes on.
+            timeout: How long to wait for the body to pause (s, event loop time). After this time,
+                the request is withdrawn, and the goal continues.
 
         Raises:
             PauseRefused: if the goal cannot be paused, or its body takes too long. The error gives
@@ -251,10 +251,10 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         await self._reader.pause(timeout)
 
     async def resume(self) -> None:
-        """Let a paused goal go on. Resuming a goal that is not paused does nothing.
+        """Let a paused goal continue. Resuming a goal that is not paused does nothing.
 
         Raises:
-            PauseRefused: if the server's ``on_resume`` fails. The goal then stays paused.
+            PauseRefused: if the server's ``on_resume`` fails, so that the goal stays paused.
             ServerUnavailable: if the server goes away.
         """
         await self._reader.resume()
@@ -335,10 +335,10 @@ class GoalReader:
             log.hurried = self._hurried
 
     def end_iteration(self, thread: int) -> None:
-        """Record that an iterator is gone. Any thread may call this.
+        """Record that an iterator is gone. Any thread may call this method.
 
-        Reading stops only when the last iterator is gone. So the late end of an abandoned loop does
-        not stop the reading of a newer loop.
+        Reading stops only when the last iterator is gone. The late end of an abandoned loop
+        therefore does not stop a newer loop.
 
         Args:
             thread: The id of the thread in which the iterator was made.
@@ -351,7 +351,7 @@ class GoalReader:
             self._stop_reading()
 
     def _stop_reading(self) -> None:
-        """No longer make the body wait for the sender to read feedback."""
+        """Let the goal's body publish without waiting until the sender has read its feedback."""
         log = self.goal.feedback
         if log is not None and self._is_sender:
             log.read = None
@@ -362,7 +362,7 @@ class GoalReader:
     async def wait_for_end(self) -> Goal:
         """Wait for the goal's end.
 
-        During this wait, the goal's body does not wait for the sender to read feedback.
+        Meanwhile, the goal's body publishes without waiting until the sender has read its feedback.
         """
         self._home.check()
         goal = self.goal
@@ -381,7 +381,8 @@ class GoalReader:
     def _hurry(self, change: int) -> None:
         """Add ``change`` to the number of callers that wait for the goal's end.
 
-        While there are such callers, the body does not wait for the sender to read feedback.
+        If any caller waits, the goal's body publishes without waiting until the sender has read its
+        feedback.
         """
         self._hurried += change
         log = self.goal.feedback  # before there is feedback or a reader, there is no log
@@ -467,13 +468,14 @@ class _Reading:
 class _Iteration(_Reading):
     """The iterator of one ``async for`` loop.
 
-    When the loop ends, the goal's body must no longer wait for the reader. Python does not tell an
-    iterator that its loop was left with ``break``: Python only drops the iterator. The finalizer of
-    the iterator therefore reports the end of the loop. If the iterator is part of a reference
-    cycle, the finalizer may run in any thread. The iterator is not an async generator,
-    although the event loop would close an abandoned async generator: an async generator cannot
-    continue after a cancelled ``anext``. Besides, trio warns about every async generator that is
-    not exhausted.
+    The goal's body may wait for the reader only until the ``async for`` loop ends. If a loop ends
+    with ``break``, Python does not notify the iterator, but only drops it. The finalizer of the
+    iterator therefore reports the end of the loop. If the iterator is part of a reference cycle,
+    the finalizer may run in any thread.
+
+    The event loop would close an abandoned async generator. The iterator is nevertheless not an
+    async generator, because an async generator cannot continue after a cancelled ``anext``. In
+    addition, trio warns about every async generator that is left before its end.
     """
 
     __slots__ = ("_thread",)

@@ -1,61 +1,66 @@
 """The steering law: drives a turtle through targets in nearly the shortest time.
 
-From a pose and a target, the law computes a speed and a turn rate. The law remembers nothing
-between calls, so if somebody else moves the turtle, the turtle continues from its new place. The
-law follows these rules:
+From a pose and a target, the law computes a speed and a turn rate. The law keeps no state between
+calls, so if somebody else moves the turtle, the turtle continues from its new place. The law
+follows these rules:
 
 - **Turn and drive at full speed.** The turtle turns at full rate, the short way round, towards the
   point that it aims at. Meanwhile, it drives at full speed. The shortest paths consist of arcs and
   straight lines (Dubins 1957).
-- **Choose the gear.** With the style ``fastest``, the turtle drives in reverse to a target behind
-  it. With the style ``natural``, the turtle does so only if turning round and driving forwards
-  would take at least three times as long as reversing.
+- **Choose the gear.** The turtle has two gears, forwards and reverse. With the style ``fastest``,
+  the turtle drives in reverse to a target behind it. With the style ``natural``, the turtle drives
+  in reverse only if turning round and driving forwards would take at least three times as long as
+  reversing.
 - **Never circle round a target.** At full speed, a turtle would circle for ever round a target
-  inside its turning circle. The shortest way to such a target begins with an arc in the other gear,
-  and the turtle turns to the same side all the way (Souères, Fourquet and Laumond 1994). With
-  ``fastest``, the turtle drives that arc. With the other styles, it turns on the spot.
-- **Look one target ahead.** If the turtle makes a turn by an angle phi after a target, it loses the
-  time (phi - sin(phi)) / omega, where omega is the turn rate. If it makes half of the turn before
-  the target, it loses only about a quarter of that time. The turtle therefore swings wide, so that
-  it makes half of the turn before the target. The turtle also drives through the inner side of the
-  target's disc, in which the target counts as reached. The turtle does these two things only while
-  the target stays outside the turning circle. With ``natural`` and ``forward``, the turtle begins
-  to turn to the next target as soon as the arc of that turn leads through the current target. If
-  the discs of two targets overlap, the turtle may drive to a point between the targets. It does so
-  if it can reach that point without changing gear, or if it would otherwise have to turn round for
-  the second target.
-- **Stop in time.** In no tick does the turtle turn beyond its aim or drive beyond its target. If a
-  step would leave the area, the turtle stops at the edge of the area and turns there.
+  inside its turning circle. The shortest path to a target inside the turning circle begins with an
+  arc in the other gear, forwards or reverse. On the whole path, the turtle turns to the same side
+  (Souères, Fourquet and Laumond 1994). With ``fastest``, the turtle drives the arc in the other
+  gear. With the other styles, the turtle turns on the spot instead.
+- **Look one target ahead.** A turn by an angle phi after a target costs the time (phi - sin(phi)) /
+  omega, where omega is the turn rate. If the turtle makes half of the turn before the target, the
+  turn costs only about a quarter of that time. The turtle therefore swings wide, so that it makes
+  half of the turn before the target. The disc of a target contains all points that count as
+  reached. The turtle drives through the inner side of this disc to shorten its way. The turtle
+  swings wide and cuts through the disc only while the target is outside the turning circle. With
+  ``natural`` and ``forward``, the turtle begins to turn to the next target as soon as this turn
+  leads through the disc of the current target. If the discs of two targets overlap, the turtle may
+  drive to the point midway between the two targets. The turtle drives there if it can reach that
+  point without changing gear, or if it would otherwise have to turn round for the second target.
+- **Stop in time.** Within a tick, the turtle never turns past its aim or drives past its target. If
+  a step would leave the area, the turtle stops at the edge of the area and turns there.
 - **Turn to a wanted heading last.** If a heading is wanted at the target, the turtle turns to that
   heading at the target, on the spot.
 - **Brake early.** If the accelerations are limited, the turtle brakes early enough to finish its
   turn without swinging wide, to stop at the last target, and to stop before the edge of the area.
-  It does not stop at the other targets. While the turtle still rolls away from the point that it
-  aims at, it does not turn. If a turtle drives fast into a corner of the area, it may leave the
-  area by a few centimetres.
+  The turtle drives through earlier targets without stopping, unless a tick at full speed is longer
+  than the tolerance. A turtle that moves away from its aim first brakes to a halt, and only then
+  turns. If a turtle drives fast into a corner of the area, it may leave the area by a few
+  centimetres.
 
-`Helm` holds a command: the command also applies in the following ticks, as long as the law would
-repeat it. In most ticks, the turtle does the same as in the tick before: it drives straight on, or
-turns at full rate. The helm therefore asks the law twice: for the present pose, and for the pose to
-which the command leads some ticks later. If both answers are the same, the helm assumes the same
-answer for all ticks in between, and holds the command in these ticks. At the end of these ticks,
-the helm looks ahead again, each time twice as far, up to eight ticks. If the answers differ, the
-hold ends. At the end of a hold, the helm uses the answer that it already has for that pose.
+`Helm` holds a command, which means that the turtle follows the command for several ticks without
+asking the law again. In most ticks, the turtle drives straight on or turns at full rate, as in the
+tick before. `Helm` therefore asks the law for two commands: one for the present pose, and one for
+the pose of the turtle some ticks later. If the two commands are the same, `Helm` assumes the same
+command for all ticks in between, and holds it. After these ticks, `Helm` looks ahead again, each
+time twice as far, up to eight ticks. If the two commands differ, `Helm` no longer holds the first
+command. The law has already computed the command for the pose at the end of the held ticks, so
+`Helm` uses that command.
 
-The helm compares each pose with the expected pose. If they differ, the hold ends. While commands
-come late, the helm holds no command. With limited accelerations, it holds no command either,
-because the speeds then change with every tick. A hold ends before the turtle reaches the target,
-and a held command never leads out of the area.
+`Helm` compares each pose with the expected pose. If the two poses differ, for example because a
+command took effect late, `Helm` holds no command. With limited accelerations, `Helm` also holds no
+command, because the speeds change with every tick. `Helm` stops holding a command before the turtle
+reaches the target. A held command never leads out of the area.
 
 Why the turtle always arrives: let e be the angle between its heading and the target, d the distance
 of the target, v the full speed, omega the full turn rate, and R = v/omega the radius of the turning
-circle. The law drives on in a gear only if tan(e) <= d / R. Let T = e/omega + d/v be the time to
-turn on the spot and then drive straight. While the turtle drives on, T falls by at least one second
-per second, also at lower speeds. While the turtle drives in the other gear, T falls at least half
-as fast. In that gear, e falls faster than at the rate omega, so the turtle leaves the gear within
-e/omega. The turtle therefore reaches a target within 1.5 e/omega + d/v. `time_bound` adds time for
-swinging wide. With limited accelerations, the turtle drives no faster than omega d / (2 tan(e))
-while e is below a quarter turn. If e is larger, the turtle stands still and turns.
+circle. The turtle drives on without a change of gear only if tan(e) <= d / R. Let T = e/omega + d/v
+be the time to turn on the spot and then drive straight. While the turtle drives on in the same
+gear, T falls by at least one second per second, even below full speed. While the turtle drives an
+arc in the other gear, T falls by at least half a second per second. On such an arc, e falls by more
+than omega per second, so the arc ends within the time e/omega. The turtle therefore reaches a
+target within 1.5 e/omega + d/v. `time_bound` adds time for the detour when the turtle swings wide.
+With limited accelerations, the turtle drives no faster than omega d / (2 tan(e)) while e is below a
+quarter turn. If e is larger, the turtle stands still and turns.
 
 The law assumes that a command takes effect in the tick after the pose, and that in each tick the
 turtle first turns and then moves.
@@ -115,22 +120,22 @@ LONGEST: Final = 8
 """A command is held for at most this many ticks."""
 
 OLDEST: Final = 32
-"""After this many ticks even the same command is sent again, because a command lasts one second."""
+"""A command lasts one second, so an unchanged command is sent again after this many ticks."""
 
 STILL: Final = (0.0, 0.0)
 """The speeds of a turtle that stands still."""
 
 _SAME = 3e-3
-"""How far a held turn rate may lead away from the law's own course, as a share of the tolerance.
+"""How far a held turn rate may lead off the law's course, as a share of the tolerance.
 
-The error is computed as if the turn rates differed all the time by as much as at the end.
+The computation assumes the final difference between the two turn rates for the whole time.
 """
 
 _FOR_GOOD = 32 * LONGEST
-"""A turn that shows no effect within this many ticks counts as zero, because poses are rounded."""
+"""Because poses are rounded, a turn without clear effect in this many ticks counts as zero."""
 
 _ROUNDING = 1e-5
-"""How far (m, rad) a pose may be from the expected one after a tick, because poses are float32."""
+"""How far (m, rad) a pose may be from the expected pose, because poses are float32."""
 
 
 class Steering(msgspec.Struct, frozen=True):
@@ -186,13 +191,13 @@ class Steering(msgspec.Struct, frozen=True):
         Args:
             pose: The place of the turtle (m) and its heading (rad).
             target: The target to drive to (m).
-            next_target: The target after ``target`` (m). The law takes it into account on the way
-                to ``target``.
+            next_target: The target after ``target`` (m). The way to ``target`` also depends on
+                ``next_target``.
             speeds: The speeds of the last command. If the accelerations are limited, the new speeds
                 depend on the last speeds. If both ways to turn are equally long, the turtle keeps
                 turning to the same side, so that it does not swing to and fro when commands come
                 late.
-            theta: The wanted heading (rad) at the target. If left out, any heading will do.
+            theta: The wanted heading (rad) at the target; None for any heading.
 
         Returns:
             The linear speed (m/s) and the turn rate (rad/s), each within its limit.
@@ -234,7 +239,7 @@ class Steering(msgspec.Struct, frozen=True):
 
     @property
     def _turns_round(self) -> bool:
-        """Whether the turtle turns round while driving, if the next target lies behind it."""
+        """Whether the turtle drives while it turns round to a next target behind it."""
         return self.style in ("natural", "forward")
 
     def _gear(self, seen: complex, turning: float) -> float:
@@ -251,8 +256,8 @@ class Steering(msgspec.Struct, frozen=True):
         """Return whether turning round and driving forwards takes far longer than reversing.
 
         Each of the two ways consists of a turn on the spot and a straight drive to the target's
-        disc. The choice does not change on the way: while the turtle turns round, less of that turn
-        is left, and while the turtle reverses, the disc comes nearer.
+        disc. The choice does not change on the way. If the turtle turns round, the rest of this
+        turn shrinks. If the turtle reverses, the distance to the target's disc shrinks.
         """
         limits, away = self.limits, abs(seen)
         half_width = math.asin(
@@ -263,7 +268,7 @@ class Steering(msgspec.Struct, frozen=True):
         return max(0.0, error - half_width) + length >= _WORTH * reversing
 
     def _push(self, error: float, *, clear: bool) -> float:
-        """Return 1 to drive on in this gear, -1 to change the gear, 0 to turn on the spot."""
+        """Return 1 to drive on in this gear, -1 to change gear, or 0 to turn on the spot."""
         if not clear:
             return -1.0 if self.style == "fastest" else 0.0
         return float(self.style != "rotate_then_drive" or abs(error) <= late(self.limits))
@@ -354,10 +359,10 @@ class Helm:
 
     Attributes:
         speeds: The last command: linear (m/s) and angular (rad/s).
-        at: The pose for which the last command was given, or the newest pose at which it still
-            applied.
-        left: For how many more ticks the last command is held. If 0, the next tick needs a new
-            command.
+        at: The pose for which the last command was computed, or the newest pose at which the helm
+            still held that command.
+        left: The number of ticks for which the last command is still held. If ``left`` is 0, the
+            next tick needs a new command.
     """
 
     def __init__(self, steering: Steering, longest: int = LONGEST) -> None:
@@ -377,8 +382,8 @@ class Helm:
     def steering(self) -> Steering:
         """The steering law.
 
-        If you set a new law, the hold of the last command ends. The helm keeps the tick length of
-        its first law.
+        If you set a new law, the helm no longer holds the last command. The helm keeps the tick
+        length of its first law.
         """
         return self._steering
 
@@ -455,7 +460,7 @@ class Helm:
         return self._steering.command(pose, target, next_target, self.speeds, theta=theta)
 
     def _hold(self, course: Course) -> int:
-        """Return for how many more ticks to hold the command; 0 if it is for the next tick only."""
+        """Return the number of ticks to hold the command; 0 if the next tick needs a new one."""
         pose = self.at
         ticks = min(self._longest, 2 * self._tried, self._before(course.target))
         self._tried = max(1, ticks // 4)
@@ -496,7 +501,7 @@ class Helm:
         )
 
     def _bulge(self, ticks: int) -> float:
-        """Return how far the path of ``ticks`` ticks deviates from a straight line at most (m)."""
+        """Return the largest distance (m) between a path of ``ticks`` ticks and a straight line."""
         return abs(self._step * self._turn) * ticks * ticks / 8.0
 
     def _is_same(self, command: Speeds, ticks: int) -> bool:

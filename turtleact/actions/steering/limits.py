@@ -1,9 +1,9 @@
 """What a turtle may do, how its speed may change, and where it aims.
 
 - `Limits`: speeds, accelerations, tolerances, and the `Area` in which the turtle stays.
-- `ramp` and `stopping_speed`: the speed of the next tick under limited accelerations. A speed holds
-  for one tick, and the next speed differs from it by at most the acceleration times the length of a
-  tick.
+- `ramp` and `stopping_speed`: the speed of the next tick under limited accelerations. The speed is
+  constant within a tick. From one tick to the next, the speed changes by at most the acceleration
+  times the length of a tick.
 - `ramp_time`: the time to cover a length under a limited acceleration. These three functions work
   for lengths (m) and for angles (rad), and the acceleration may be infinite.
 - `Frame`, `approach` and the other functions: where a turtle sees its target, and where it aims on
@@ -62,7 +62,7 @@ Speeds: TypeAlias = tuple[float, float]
 Style: TypeAlias = Literal["natural", "fastest", "forward", "rotate_then_drive"]
 
 MISS = 0.9
-"""Share of the tolerance by which a turning circle may miss the target."""
+"""The largest allowed miss of a turning circle, as a share of the target's tolerance."""
 
 _CUT = 0.75  # Share of the tolerance by which an aim is moved to the inner side of a corner.
 _FACING = 0.5  # Approaches are shaped up to the angle to the target that has this cosine,
@@ -88,11 +88,12 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         max_angular: Highest turn rate, to either side (rad/s).
         max_acceleration: How fast the speed may change (m/s²); may be infinite.
         max_angular_acceleration: How fast the turn rate may change (rad/s²); may be infinite.
-        tolerance: A target at this distance or nearer is reached (m).
+        tolerance: A target counts as reached at this distance or less (m).
         heading_tolerance: How far the turtle's heading may be from the wanted heading (rad).
         dt: Length of a tick (s).
-        area: The rectangle in which the turtle stays. The turtle leaves it only to reach a target
-            outside, or by a few centimetres if an acceleration is limited.
+        area: The rectangle in which the turtle stays. The turtle leaves the rectangle only to reach
+            a target outside it. If an acceleration is limited, the turtle may also overshoot the
+            edge by a few centimetres.
 
     Raises:
         InvalidMessage: if a number is not above zero, if a number other than an acceleration is not
@@ -157,11 +158,11 @@ def ramp(wanted: float, now: float, most: float) -> float:
 
 
 def stopping_speed(room: float, acceleration: float, dt: float) -> float:
-    """Return the highest speed in the next tick from which the turtle can stop within ``room``.
+    """Return the highest speed for the next tick that lets the turtle stop within ``room``.
 
     From a speed v, with ticks of length dt and an acceleration a, the turtle covers v dt + (v - a
-    dt) dt + … until it stops. This is at most (v + a dt / 2)² / 2a. From any speed v <= a dt, the
-    turtle stops within one tick.
+    dt) dt + … until it stops. This distance is at most (v + a dt / 2)² / 2a. From any speed v <= a
+    dt, the turtle stops within one tick.
 
     Args:
         room: The length or angle that the turtle may still cover, 0 or more (m or rad).
@@ -230,17 +231,17 @@ def turn_to(seen: complex, turning: float, limits: Limits) -> float:
 def late(limits: Limits) -> float:
     """Return how far the turtle can turn (rad) before a late command arrives.
 
-    If the direction to a point differs from straight behind by less than this angle, both ways to
-    turn to the point count as equally long.
+    If a point lies within this angle of straight behind, turning left and turning right to the
+    point count as equally long.
     """
     return min(_LATE * limits.turn, math.pi / 8)
 
 
 def sway(aside: float, limits: Limits) -> float:
-    """Return how far a point can move along the turtle's heading (m) before a late command arrives.
+    """Return how far a point can shift ahead or back (m) before a late command arrives.
 
-    The point moves in the turtle's view because the turtle both turns and drives. If the point is
-    ahead or behind by less than this distance, driving forwards and in reverse count as equally
+    The point shifts relative to the turtle, because the turtle turns and drives. If the point is
+    ahead or behind by less than this distance, driving forwards and reversing count as equally
     good.
 
     Args:
@@ -253,8 +254,8 @@ def sway(aside: float, limits: Limits) -> float:
 def leads_back(frame: Frame, target: complex, after: complex, limits: Limits) -> bool:
     """Return whether the turtle must turn by more than a quarter turn for the next target.
 
-    The answer is False if the turtle could drive farther than the tolerance before a late command
-    arrives, because it might then miss both targets.
+    If the turtle can drive farther than the tolerance before a late command arrives, it could miss
+    both ``target`` and ``after``. In this case, the function returns False.
     """
     back = ((target - frame.at) * (after - target).conjugate()).real < 0.0
     return back and _LATE * limits.step <= limits.tolerance
@@ -281,7 +282,7 @@ def inside(target: complex, limits: Limits) -> tuple[Area, complex]:
 def room(area: Area, at: complex, step: complex, limits: Limits) -> float:
     """Return the share of a step, 0 to 1, that the turtle can drive without leaving the area.
 
-    If the turtle is outside and the step leads towards the area, the share is 1.
+    If a turtle outside the area heads back towards the area, the share is 1.
     """
     # Half the margin of the aims, so that rounding on the way to an aim does not end at the edge.
     margin = min(_MARGIN, limits.tolerance / 10) / 2
@@ -303,12 +304,12 @@ def reach(area: Area, at: complex, heading: complex, limits: Limits) -> float:
 
 
 def is_clear(seen: complex, limits: Limits, *, slack: float = 0.0) -> bool:
-    """Return whether the shortest way to a point begins without a change of gear.
+    """Return whether the shortest path to a point begins in the gear that the turtle drives in.
 
-    No change is needed if the turtle faces the point after an arc of at most a quarter turn. The
-    point then lies ahead and outside the turning circle. If the point is farther to the side than
-    the circle's centre, it also lies at least one radius ahead. A point that is inside the circle
-    by up to ``slack`` (m) counts as outside.
+    The turtle keeps its gear if it can face the point after an arc of at most a quarter turn. Such
+    a point lies ahead of the turtle and outside its turning circle. A point farther to the side
+    than the centre of the turning circle also lies at least one radius ahead. A point inside the
+    turning circle by up to ``slack`` (m) counts as outside.
     """
     if seen.real >= limits.radius:
         return True
@@ -321,14 +322,14 @@ def is_clear(seen: complex, limits: Limits, *, slack: float = 0.0) -> bool:
 def approach(
     frame: Frame, target: complex, after: complex, limits: Limits, *, area: Area, sharpest: float
 ) -> complex | None:
-    """Return where to aim on the way to a target that another target follows.
+    """Return the point to aim at on the way to ``target``, if ``after`` is the next target.
 
-    If the turtle must aim at the target itself, the result is None.
+    If the turtle must aim directly at ``target``, return None.
 
     The path consists of a line to a corner, a line from the corner through the inner side of the
-    target's disc, and an arc that joins the two lines. The turtle first aims at the corner, as long
-    as the disc would still be outside the turning circle one tick later. From then on, the turtle
-    aims at a point in the disc.
+    target's disc, and an arc that joins the two lines. The turtle aims at the corner while the
+    target's disc would still be outside the turning circle one tick later. After that, the turtle
+    aims at a point in the target's disc.
     """
     way, leg = target - frame.at, after - target
     if abs(leg) <= limits.tolerance or frame.see(target).real < _FACING * abs(way):
@@ -345,11 +346,11 @@ def approach(
 
 
 def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area: Area) -> float:
-    """Return whether to turn to the next target now: 1 for left, -1 for right, 0 for not yet.
+    """Return the side of a turn to the next target: 1 for left, -1 for right, 0 to wait.
 
-    The turtle turns now if the arc of the turn leads through the disc of the present target. The
-    arc ends after a quarter turn, or as soon as the turtle heads in the direction from the present
-    target to the next. The turtle does not turn if it would leave the area in the next tick.
+    The turn begins if its arc leads through the disc of the current target. The arc ends after a
+    quarter turn, or as soon as the turtle heads in the direction from the current target to the
+    next target. The turn waits if it would take the turtle out of the area in the next tick.
     """
     turn = wrap_angle(phase((after - target) * frame.heading.conjugate()))
     side = math.copysign(1.0, turn)
@@ -368,8 +369,9 @@ def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area
 def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
     """Return the vector from the corner to the aim in the target's disc; see `approach`.
 
-    Its direction is midway between the direction to the target and the direction from the target to
-    the next one. The vector is not longer than the arc needs.
+    The direction of the vector is midway between the direction to the target and the direction from
+    the target to the next target. The vector is as long as the arc requires, but at most as long as
+    `_SWING` times the way to the aim.
     """
     turn = phase(leg / way)
     if abs(turn) > sharpest:
@@ -379,6 +381,6 @@ def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
 
 
 def landing(seen: complex, limits: Limits) -> float:
-    """Return the share of a full step to drive: less than 1 if that step would pass the target."""
+    """Return the share of a full step to drive, below 1 if a full step would pass the target."""
     lands = 0.0 < seen.real < limits.step and abs(seen.imag) <= limits.tolerance
     return seen.real / limits.step if lands else 1.0
