@@ -81,7 +81,7 @@ def test_a_second_install_replaces_the_first():
     assert len(sys.meta_path) == before
 
 
-@pytest.mark.parametrize("name", ["hall_interfaces", "ament_index_python.action"])
+@pytest.mark.parametrize("name", ["attic_interfaces", "ament_index_python.action"])
 def test_a_package_without_interfaces_is_said_to_be_in_none_of_the_places(name):
     with pytest.raises(ModuleNotFoundError, match=rf"No module named '{name}'.*\n  /lab/src"):
         importlib.import_module(name)
