@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 EVENT_SUFFIX = "/_service_event"
-"""The topic with a service's events has the service's name with this suffix."""
+"""The suffix that turns a service's name into the name of the service's event topic."""
 
 #: Each pattern finds a forbidden part of a name. The error shows the match that comes first.
 FAULTS = (

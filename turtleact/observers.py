@@ -4,9 +4,9 @@ The status topic, users' hooks and telemetry are observers. Each server or clien
 its observers. An observer only watches: if it raises an exception, the exception is logged and does
 not affect the goal.
 
-Each change is reported to all observers before the next change is reported to any of them. If an
-observer itself causes a change, for example by canceling a goal, the other observers still get the
-current change first.
+Each change is reported to all observers before the next change is reported to any of them. An
+observer may itself cause a change, for example by canceling a goal. The other observers still get
+the current change before the new one.
 """
 
 from __future__ import annotations
@@ -43,7 +43,10 @@ class BodyFailed(msgspec.Struct, frozen=True):
 
 
 class Detached(msgspec.Struct, frozen=True):
-    """The client has left the goal's ``async with`` block after ``detach()``. The goal goes on."""
+    """The client has left the goal's ``async with`` block after ``detach()``.
+
+    The goal continues.
+    """
 
 
 class FeedbackLost(msgspec.Struct, frozen=True):
@@ -53,7 +56,7 @@ class FeedbackLost(msgspec.Struct, frozen=True):
 
 
 class Lost(msgspec.Struct, frozen=True):
-    """The server stops before the goal's end. The goal goes on after the server's restart.
+    """The server stops before the goal ends. The goal continues after the server restarts.
 
     Attributes:
         before: The goal's state before the server stopped.
@@ -63,13 +66,16 @@ class Lost(msgspec.Struct, frozen=True):
 
 
 News: TypeAlias = BodyFailed | Detached | FeedbackLost | Lost
-"""What can happen to a goal besides a change of its state, feedback and pauses."""
+"""News about a goal, other than state changes, feedback messages and pauses."""
 
 _News: TypeAlias = tuple[str, tuple[object, ...]]  # a method of observers, and its arguments
 
 
 class GoalObserver:
-    """Watches goals. A subclass overrides the methods that it needs."""
+    """The base class of observers, which watch goals.
+
+    A subclass overrides only the methods that the subclass needs.
+    """
 
     @property
     def wants_acceptance(self) -> bool:
@@ -91,7 +97,7 @@ class GoalObserver:
         """Called after a server has paused or resumed ``goal``; see ``goal.is_paused``."""
 
     def noted(self, goal: Goal, news: News) -> None:
-        """Called when something else happens to a goal; see `News`."""
+        """Called with other news about a goal, for example that the body failed; see `News`."""
 
     def goal_rejected(self, reason: str) -> None:
         """Called when a server rejects a goal."""
@@ -99,7 +105,7 @@ class GoalObserver:
     def closed(self) -> None:
         """Called when the client closes.
 
-        Its goals may go on, but the client's observers no longer hear of them.
+        The client's goals may continue, but the client's observers get no more calls.
         """
 
     def enter_body(self, goal: Goal) -> None:
@@ -196,11 +202,11 @@ class Observers:
         self._set(())
 
     def add(self, observer: GoalObserver) -> None:
-        """Tell ``observer`` of every change from now on."""
+        """Notify ``observer`` of every change from now on."""
         self._set((*self._observers, observer))
 
     def remove(self, observer: GoalObserver) -> None:
-        """Stop telling ``observer``. Do nothing if it was not added."""
+        """Stop notifying ``observer`` of changes. Do nothing if ``observer`` was not added."""
         self._set(tuple(each for each in self._observers if each is not observer))
 
     @property
@@ -221,7 +227,7 @@ class Observers:
         self._tell("pause_changed", goal)
 
     def noted(self, goal: Goal, news: News) -> None:
-        """Tell all observers that something else has happened to a goal; see `News`."""
+        """Tell all observers other news about a goal, for example that the body failed."""
         self._tell("noted", goal, news)
 
     def goal_rejected(self, reason: str) -> None:
@@ -276,7 +282,8 @@ class Observers:
     def _tell(self, method: str, *news: object) -> None:
         """Call a method of all observers.
 
-        If an observer causes another change, report the current change to all observers first.
+        If an observer causes another change, that change is reported only after all observers have
+        got the current change.
         """
         if self._is_telling:  # an observer has caused this; the call below tells it next
             self._untold.append((method, news))

@@ -1,9 +1,9 @@
 """Makes functions that open a resource for an ``async with`` block, such as `open_node`.
 
 `opening` works like `contextlib.asynccontextmanager`. In addition, if the user writes ``with``,
-``await`` or no keyword at all in place of ``async with``, the error says what to write. Python's
-own errors name an internal class. Type checkers only see an `AbstractAsyncContextManager`, so they
-find these mistakes themselves.
+``await`` or no keyword at all in place of ``async with``, the error says what to write. Without
+`opening`, Python's error would name an internal class of `contextlib`. Type checkers see an
+`AbstractAsyncContextManager`, so they find these mistakes themselves.
 """
 
 from __future__ import annotations
@@ -21,7 +21,11 @@ T = TypeVar("T")
 
 
 def opening(function: Callable[P, AsyncIterator[T]]) -> Callable[P, AbstractAsyncContextManager[T]]:
-    """Turn an async generator that yields a resource once into a function that opens it."""
+    """Make a function that opens a resource for an ``async with`` block.
+
+    Args:
+        function: An async generator function that yields the resource once.
+    """
     manager = asynccontextmanager(function)
 
     @wraps(function)
@@ -66,7 +70,8 @@ class _Opening(AbstractAsyncContextManager[T]):
     def __exit__(self, *_: object) -> None:
         """Do nothing.
 
-        Python calls ``__enter__``, which raises the error, only if ``__exit__`` exists.
+        A ``with`` statement needs ``__exit__``. Without this method, the statement would fail
+        before it calls ``__enter__``, which raises the error that helps the user.
         """
 
     def __await__(self) -> NoReturn:

@@ -253,7 +253,7 @@ def message_of(name: str, value: object, kind: int = _NOT_SET) -> ParameterValue
 
     Args:
         name: The parameter's name, for error messages.
-        value: The value. If ``kind`` is a double, ``value`` may be a whole number.
+        value: The value. If ``kind`` is the number of doubles, an int is also allowed.
         kind: The number of the kind that the value must have. If left out, the value's own kind is
             used.
 
@@ -283,7 +283,7 @@ def message_of(name: str, value: object, kind: int = _NOT_SET) -> ParameterValue
 
 
 def _kind_of(value: object) -> int:
-    """Return the number of a value's kind; 0 if it has none."""
+    """Return a value's parameter type as in ``ParameterType``; 0 if no type fits."""
     for number, types in enumerate((bool, Integral, Real, str, bytes | bytearray), start=1):
         if isinstance(value, types):
             return number
@@ -351,7 +351,7 @@ def _is_same(one: float, other: float) -> bool:
 class ParameterTable:
     """The declared parameters of a node, by name.
 
-    Each parameter keeps the kind of its initial value.
+    The type of a parameter is the type of its initial value, and never changes.
     """
 
     def __init__(self) -> None:
@@ -378,8 +378,8 @@ class ParameterTable:
         Args:
             descriptor: The parameter's name, kind, description and range.
             value: The parameter's initial value.
-            check: A function that takes a value and returns why the parameter cannot have it; "" if
-                it can.
+            check: A function that takes a value and returns the reason to reject the value; "" to
+                accept the value.
 
         Raises:
             InvalidParameter: if the parameter is declared already, or cannot have the value.
@@ -428,7 +428,7 @@ class ParameterTable:
             raise InvalidParameter(name, problem)
 
     def problem(self, parameters: Sequence[Parameter]) -> str:
-        """Return why some parameters cannot be set together, in rclcpp's words; "" if they can."""
+        """Return rclcpp's error text if the parameters cannot be set together; otherwise ""."""
         if not parameters:
             return _NO_PARAMETERS
         for each in parameters:
@@ -440,7 +440,7 @@ class ParameterTable:
         return next(filter(None, problems), "")
 
     def apply(self, parameters: Sequence[Parameter]) -> None:
-        """Set parameters. Before this, the caller must check them with `problem`."""
+        """Set parameters that the caller has already checked with `problem`."""
         self._values.update((each.name, each.value) for each in parameters)
 
     def values(self, names: Sequence[str]) -> list[ParameterValue]:
@@ -461,7 +461,7 @@ class ParameterTable:
         return all(name in self._descriptors for name in names)
 
     def _misfit(self, name: str, value: ParameterValue) -> str:
-        """Return why a declared parameter cannot have a value, in rclcpp's words; "" if it can."""
+        """Return rclcpp's error text if a declared parameter rejects a value; otherwise ""."""
         known = self._descriptors[name]
         if value.type == _NOT_SET:
             return "cannot undeclare a statically typed parameter"

@@ -62,7 +62,7 @@ class Rivals:
         self._node = node
 
     def check(self, action: str, type_name: str, own_types: set[str]) -> None:
-        """Raise an error if another node, or this node with the same type, serves the action.
+        """Raise an error if another node serves the action, or this node serves the same type.
 
         Args:
             action: The action's name.
@@ -99,12 +99,12 @@ class Rivals:
         return self.first()
 
     def has_built_in(self, *, is_local: bool | None = None) -> bool:
-        """Whether a built-in action serves the name. A built-in action withdraws for this server.
+        """Whether a built-in action serves the name.
 
-        ``is_local=True`` asks only about this process, ``is_local=False`` only about other
-        processes. A caller that asks about other processes must ask before this server is open.
-        Once this server is open, this method mistakes a server of the same type in another process
-        for a local server.
+        A built-in action gives up its name when this server opens. ``is_local=True`` asks only
+        about this process, ``is_local=False`` only about other processes. To ask about other
+        processes, call this method before this server opens. After this server has opened, a
+        built-in action of the same type in another process counts as local.
         """
         return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=is_local)
 
@@ -149,7 +149,7 @@ class Rivals:
 
 
 class ServedName:
-    """Decides when an action server serves its name, waits for other nodes, or withdraws.
+    """Decides when an action server joins the graph, waits for other nodes, or withdraws.
 
     Args:
         server: The object that holds and runs the goals.
@@ -181,12 +181,12 @@ class ServedName:
         self._turned = current_tasks().signal()
 
     def take(self, on_conflict: OnConflict, again: Callable[[], object]) -> None:
-        """Serve the name now, or once no other node serves it.
+        """Serve the name now, or when no other node serves the name.
 
         Args:
             on_conflict: What to do if another node serves the name. With "refuse", the caller has
-                already checked that no other node serves the name. At this point, only a
-                predecessor of this node may still serve the name. The server then waits until the
+                already checked that no other node serves the name. Only this node's predecessor,
+                from an earlier process, may still serve the name. The server then waits until the
                 predecessor has left the graph.
             again: Opens a new server with the same arguments. Called when this server has withdrawn
                 and the name is free again.
@@ -264,8 +264,8 @@ class ServedName:
         """Withdraw when another node serves the name, and serve the name again when it is free.
 
         A closed server cannot open again, so ``again`` opens a new server, which may withdraw in
-        turn. Until ``again`` is called, the node keeps track of the old server, so that closing the
-        node also ends this coroutine.
+        turn. The node tracks the old server until ``again`` is called. Closing the node therefore
+        also ends this coroutine.
         """
         name, rivals = self._server.name, self._rivals
         await rivals.wait_until(lambda: rivals.first() is not None)

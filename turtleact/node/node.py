@@ -197,8 +197,8 @@ class Node:
                 (event loop time, 5 by default; see `ActionServer.aclose`). ``journal`` keeps the
                 goals on disk (see `turtleact.open_journal`). ``on_restart`` says what to do with
                 goals in the journal that an earlier process did not end: "abort" or "resume".
-                ``pausable=True`` declares that a coroutine body awaits ``handle.checkpoint()``,
-                where the body can be paused. The coroutine functions ``on_pause(handle)`` and
+                Set ``pausable=True`` if a coroutine body awaits ``handle.checkpoint()``. The body
+                can be paused at these calls. The coroutine functions ``on_pause(handle)`` and
                 ``on_resume(handle)`` stop and restart the robot when a goal is paused and resumed.
                 For ``introspection``, see `Node`.
 
@@ -329,7 +329,7 @@ class Node:
             message_type: The class of the messages.
             topic: The topic's name. A relative name is resolved in the node's namespace.
             qos: Quality of service. If left out, the defaults of `QoS` apply.
-            on_demand: See `Node`. A latched topic is never hidden.
+            on_demand: See `Node`. This argument has no effect on a latched publisher.
             on_matched: Called when the topic gets its first reader and when the last reader has
                 left. The first call may come before this method returns. Do not use this argument
                 with latched topics.
@@ -502,7 +502,7 @@ class Node:
             raise TurtleactError(f"node '{self.fully_qualified_name}' is closed: open another")
 
     def _place(self, options: ServerOptions) -> Slot[SlotRequest] | None:
-        """Return the slot for a server with these options; None if every goal may start at once."""
+        """Return the slot that limits a server's goals; None if every goal may start at once."""
         policy = options.get("policy", "parallel")
         rules = Rules(policy, options.get("max_active"), options.get("queue_limit"))
         return self._slots.find(rules, options.get("slot"))
@@ -523,7 +523,7 @@ class Node:
     def _events(
         self, service: Endpoint, service_type: object, introspection: Introspection | None
     ) -> Iterator[CallObserver | None]:
-        """Yield a service's event publisher. If the ``with`` block raises, close the publisher."""
+        """Open a service's event publisher, and close the publisher if the block raises."""
         find_type, shown = (lambda: service_type), introspection or self.introspection
         events = service_events(self.transport, self._endpoint, service, find_type, shown)
         try:
@@ -593,7 +593,7 @@ class ActionServer(Generic[G, R, F]):
 
     @property
     def is_open(self) -> bool:
-        """Whether the server accepts goals now, or will accept goals once it serves its name."""
+        """Whether the server accepts goals, or waits for its name before it accepts goals."""
         return self._local.is_open
 
     @property
@@ -613,10 +613,11 @@ class ActionServer(Generic[G, R, F]):
     async def aclose(self, reason: str = "shutdown") -> None:
         """Stop accepting goals, end the existing goals, and leave the graph.
 
-        Running goals end ABORTED, or go on after a restart if ``on_restart`` is "resume". Clients
-        that wait for a goal get an answer. If a body ignores its cancellation for ``grace``
-        seconds, its goal ends anyway, and the log says at which line the body waits. asyncio then
-        abandons the body's task. trio cannot do this, so on trio this method waits for the body.
+        Running goals end ABORTED, and waiting clients get the results. With
+        ``on_restart="resume"``, running goals continue after a restart, and waiting clients get
+        `ServerUnavailable`. If a body ignores its cancellation for ``grace`` seconds, its goal ends
+        anyway, and the log names the line at which the body waits. On asyncio, the body's task is
+        then abandoned. trio cannot abandon a task, so on trio this method waits for the body.
 
         Args:
             reason: The reason that clients get for goals that end now.
@@ -629,9 +630,9 @@ class ActionServer(Generic[G, R, F]):
         await self._endpoints.aclose()
 
     async def wait_until_serving(self) -> bool:
-        """Wait until the server serves its name. Return False if it closes or withdraws first.
+        """Wait until the server is on the graph; return False if it closes or withdraws first.
 
-        Cancelling: safe, the server goes on waiting for its name.
+        Cancelling: safe. The server itself continues to wait for its name.
         """
         return await self._served_name.wait()
 
@@ -639,7 +640,7 @@ class ActionServer(Generic[G, R, F]):
         self._local.observers.add(Hook(hook, self._local.execution.make_handle))
 
     def _take_name(self, on_conflict: OnConflict, again: Callable[[], object]) -> None:
-        """Serve the name once it is free.
+        """Serve the action as soon as the server's name is free.
 
         If this server withdraws, ``again`` is called later to open a new server.
         """

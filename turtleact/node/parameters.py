@@ -86,7 +86,7 @@ class NodeParameters:
         node: The node.
         resources: Tracks everything that is open on the node.
         home: The event loop of the node.
-        tasks: The task functions of that event loop.
+        tasks: The functions for tasks on the node's event loop.
     """
 
     def __init__(self, node: Host, resources: Resources, home: Home, tasks: Tasks) -> None:

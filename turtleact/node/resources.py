@@ -44,7 +44,8 @@ class Resources(Owner):
     def add(self, thing: AsyncCloseable, opened: Closeable) -> Closeable:
         """Track ``thing`` until the returned object is closed.
 
-        Closing the returned object also closes ``opened``, to remove ``thing`` from the transport.
+        Closing the returned object also closes ``opened``, which removes ``thing`` from the
+        transport.
         """
         self._count += 1
         self._opened[self._count] = thing
@@ -85,7 +86,7 @@ class Resources(Owner):
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
-        """Cancel the waits in a ``with`` block when the node closes.
+        """Make a context manager that cancels the waits in its block when the node closes.
 
         The block then ends without an exception. Check `is_open` before and after the block.
         """

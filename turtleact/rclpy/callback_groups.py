@@ -10,7 +10,7 @@ __all__ = ["CallbackGroup", "MutuallyExclusiveCallbackGroup", "ReentrantCallback
 
 
 class Member(Protocol):
-    """The part of an entity that a callback group uses."""
+    """The interface that a callback group needs from an entity."""
 
     def describe(self) -> str:
         """Return a description of this entity for a diagnostic message."""
@@ -43,7 +43,7 @@ class CallbackGroup:
         raise NotImplementedError
 
     def ending_execution(self, entity: Member) -> None:
-        """Free the group again, because the callback of the entity has ended."""
+        """Mark the group as free, because the callback of the entity has ended."""
         raise NotImplementedError
 
 
@@ -94,7 +94,7 @@ class MutuallyExclusiveCallbackGroup(CallbackGroup):
             return False
 
     def ending_execution(self, entity: Member) -> None:
-        """Free the group again, because the callback of the entity has ended."""
+        """Mark the group as free, because the callback of the entity has ended."""
         with self._lock:
             assert self._active_entity is entity  # noqa: S101  # as in rclpy
             self._active_entity = None

@@ -1,7 +1,7 @@
 """Implements ``python -m turtleact.rclpy [OPTIONS] FILE.py|-m MODULE [ARGUMENTS]``.
 
-The program runs as under ``python FILE.py``: it gets its arguments, Python finds modules in its
-folder, and tracebacks and exit statuses are the same.
+The program behaves as under ``python FILE.py``. The program gets the same arguments, finds modules
+in its own folder, and has the same tracebacks and exit statuses.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ __all__ = ["Context"]
 
 
 class Tracked(Protocol):
-    """The part of a node that a context uses."""
+    """The interface that a context needs from a node."""
 
     def destroy_node(self) -> None:
         """Destroy the node. A second call does nothing."""

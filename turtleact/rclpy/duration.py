@@ -13,7 +13,7 @@ from turtleact.rclpy.messages.classes import interface_class
 __all__ = ["Duration", "Infinite"]
 
 LARGEST = 2**63
-"""Durations and times are signed numbers of 64 bits."""
+"""Durations and times must be below this limit, to fit into signed 64-bit integers (ns)."""
 
 
 @total_ordering
@@ -104,6 +104,6 @@ class Duration:
 
 
 Infinite = Duration(nanoseconds=LARGEST - 1)
-"""The longest duration: for ever."""
+"""The longest duration. It means that there is no time limit."""
 
 Duration.Infinite = Infinite

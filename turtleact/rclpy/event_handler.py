@@ -112,7 +112,7 @@ class QoSLivelinessLostInfo(_Counted, frozen=True):
 class QoSMessageLostInfo(_Counted, frozen=True):
     """Reports that messages were lost.
 
-    No callback gets this, because turtleact's rclpy never notices lost messages.
+    No callback receives such an object, because turtleact's rclpy never detects lost messages.
     """
 
 
@@ -220,15 +220,15 @@ class _Late(Event):
 Found: TypeAlias = "Counter[Endpoint]"
 """The endpoints at the other end of the topic.
 
-Two endpoints with equal descriptions count as two.
+The counter says how many endpoints share each description.
 """
 
 Tell: TypeAlias = "Callable[[Found, Found, Found], object | None]"
-"""Makes the info object of an event from three groups of endpoints: present now, new, and gone."""
+"""Makes an event's info object from the endpoints that are present, new and gone."""
 
 
 class _Seen(Event):
-    """Notices when a publisher's subscriptions, or a subscription's publishers, come or go.
+    """Detects endpoints at the other end of the topic that appear or disappear.
 
     Args:
         connection: The connection to the graph.
@@ -263,7 +263,7 @@ class _Seen(Event):
         return None if now == before else self._tell(now, now - before, before - now)
 
     def due_in(self) -> None:
-        """Return None, because only changes of the graph cause these events."""
+        """Return None: these events have no time limit, because only graph changes cause them."""
 
     def noted(self, *, is_message: bool) -> None:
         """Do nothing, because messages do not cause these events."""
@@ -312,7 +312,7 @@ class EventHandler(Waitable):
     Args:
         callback_group: Decides when the callback may run.
         callback: Called with the info object of each event.
-        event: Notices the events.
+        event: The source of the events.
         connection: Tells the handler when the graph has changed.
     """
 

@@ -55,7 +55,7 @@ Work: TypeAlias = tuple[Task, object, object]
 """A task to run, with the entity and the node of the task, if any."""
 
 LONGEST_LOCK = 0.1 if sys.platform == "win32" else 1.0
-"""The longest wait for a lock at a time (s).
+"""The maximum duration of a single wait for a lock (s).
 
 On Windows, a signal cannot interrupt a wait for a lock. On other systems, a signal interrupts the
 wait, unless the signal arrives right before the wait. In that case, Python calls the signal handler
@@ -64,7 +64,7 @@ only after the wait.
 
 
 class Spinnable(Protocol):
-    """The part of a node that an executor uses."""
+    """The interface that an executor needs from a node."""
 
     @property
     def executor(self) -> Executor | None:
@@ -79,7 +79,7 @@ class Spinnable(Protocol):
 
     @property
     def entities(self) -> Sequence[Sequence[Entity]]:
-        """The other entities of the node, by kind, in the order in which a round serves them."""
+        """The node's entities except its waitables, by kind, in the order of execution."""
 
 
 class TimeoutException(Exception):
@@ -539,7 +539,7 @@ class _WorkTracker:
 
 
 def _in_order(nodes: Iterable[Spinnable]) -> Iterator[tuple[Spinnable, Entity]]:
-    """Yield each entity of the nodes with its node, in the order in which a round serves them."""
+    """Yield each entity of the nodes with its node, in the order of execution."""
     nodes = list(nodes)
     for node in nodes:
         for waitable in node.waitables:

@@ -20,7 +20,7 @@ Face: TypeAlias = Literal["auto", "turtleact", "ros"]
 FACES: Final = get_args(Face)
 
 PATIENCE = 20.0
-"""How long the attempt to import may take (s)."""
+"""How long the trial import of the genuine rclpy may take (s)."""
 
 ATTEMPT: Final = (
     "import rclpy\n"
@@ -31,16 +31,16 @@ ATTEMPT: Final = (
 
 
 def chosen_face(asked: str) -> tuple[Literal["turtleact", "ros"], str]:
-    """Return which rclpy to use, and the middleware of the genuine rclpy.
+    """Return the name of the rclpy to use, and the name of its middleware.
 
-    If turtleact's rclpy is used, the middleware is an empty string.
+    For turtleact's rclpy, the name of the middleware is an empty string.
 
     Args:
         asked: The rclpy that the user has asked for: one of `FACES`.
 
     Raises:
-        UsageError: if ``asked`` is not one of `FACES`, or if it is "ros" and the genuine rclpy does
-            not work.
+        UsageError: if ``asked`` is not one of `FACES`, or if ``asked`` is "ros" and the genuine
+            rclpy cannot be imported.
     """
     if asked not in FACES:
         raise UsageError(f"--face is one of {', '.join(FACES)}, not '{asked}'")
@@ -55,7 +55,10 @@ def chosen_face(asked: str) -> tuple[Literal["turtleact", "ros"], str]:
 
 
 def _genuine() -> str:
-    """Return the name of the genuine rclpy's middleware; an empty string if that rclpy fails."""
+    """Return the name of the genuine rclpy's middleware.
+
+    Return an empty string if the genuine rclpy cannot be imported.
+    """
     from importlib.machinery import PathFinder
 
     if PathFinder.find_spec("rclpy") is None:  # saves starting a process

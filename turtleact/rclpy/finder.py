@@ -50,7 +50,7 @@ ALIASES: Final = {
     "qos_event": "event_handler",
     "handle": "impl.entity",
 }
-"""Modules of rclpy that are part of another module here."""
+"""Modules of rclpy, each with the module of turtleact's rclpy that contains its names."""
 
 BESIDE: Final = {
     "ament_index_python": "ament_index",
@@ -138,7 +138,7 @@ class _Alias(Loader):
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Restore the spec that the import system has replaced, but run no code again."""
+        """Restore the spec that the import system has replaced. Do not run the code again."""
         module.__spec__ = self._spec
 
 
@@ -230,7 +230,7 @@ def _spec(name: str, loader: Loader, *, is_package: bool) -> ModuleSpec:
 
 
 def _is_users_own(package: str) -> bool:
-    """Whether Python finds a package of this name that has no ``msg``, ``srv`` or ``action``."""
+    """Whether Python finds a package of this name without ``msg``, ``srv`` and ``action``."""
     found = PathFinder.find_spec(package)
     if found is None or found.origin is None:  # none, or a folder without __init__.py
         return False
@@ -250,5 +250,5 @@ def install(places: Sequence[str] = ()) -> None:
 
 
 def uninstall() -> None:
-    """Undo `install`. Modules that were imported before stay imported."""
+    """Undo `install`. Modules that are already imported stay imported."""
     sys.meta_path[:] = [each for each in sys.meta_path if not isinstance(each, Finder | _Missing)]

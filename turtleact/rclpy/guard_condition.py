@@ -51,7 +51,7 @@ class GuardCondition(Entity):
         return None
 
     async def run(self, taken: None) -> None:  # noqa: ARG002  # nothing to take
-        """Call the function."""
+        """Call the callback of the guard condition."""
         if self.callback is not None:
             result = self.callback()
             if inspect.iscoroutine(result):

@@ -269,7 +269,7 @@ class ActionClient(Introspected, Waitable):
         handle: Callable[[Anything], Anything],
         lost: Callable[[], object] = bool,
     ) -> Future:
-        """Send a request, and return the future of what ``handle(response)`` returns.
+        """Send a request. The returned future gets the return value of ``handle(response)``.
 
         If there is no response, ``lost()`` is called and the future never gets a result.
         """
@@ -315,7 +315,7 @@ class ActionClient(Introspected, Waitable):
     # as a waitable
 
     def is_ready(self, wait_set: object) -> bool:  # noqa: ARG002  # there is none
-        """Whether an item waits in the queue."""
+        """Whether a response or message waits to be handled."""
         return bool(self._events)
 
     def get_num_entities(self) -> NumberOfEntities:

@@ -29,7 +29,10 @@ TYPES = {
     "cancel_goal": "CancelGoalService",
     "get_result": "GetResultService",
 }
-"""The services of an action, and the attributes of ``Impl`` that hold their classes."""
+"""For each service of an action, the attribute of ``Impl`` that holds the service's class.
+
+``Impl`` is an attribute of the action's class.
+"""
 
 # Both responses begin with a number, in the byte after the header: it says "unknown goal". A server
 # that does not know a goal may answer before the right one; that answer does not count.
@@ -77,7 +80,7 @@ class ActionKind:
         return self._info(goal_id, self._time(*divmod(now, 1_000_000_000)))
 
     def events(self, service: str) -> SwitchableEvents:
-        """Make the publisher of a service's introspection events, which is off at first."""
+        """Make a service's publisher of introspection events. The publisher is initially off."""
         name = getattr(self.names, service)
         return SwitchableEvents(self._node, name, self.service(service), is_client=False)
 
@@ -90,7 +93,7 @@ class ActionKind:
     def has_built_in(self) -> bool:
         """Whether a built-in action has this name.
 
-        A built-in action withdraws when another server uses the same name.
+        A built-in action gives up its name when another server uses the same name.
         """
         nodes = {
             each.node

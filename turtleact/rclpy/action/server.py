@@ -339,7 +339,7 @@ class ActionServer(Introspected, Waitable):
         self.wake()
 
     def is_ready(self, wait_set: object) -> bool:  # noqa: ARG002  # there is none
-        """Whether a request waits for its answer, or a goal's ``result_timeout`` has passed."""
+        """Whether a request is unanswered, or a goal's ``result_timeout`` has passed."""
         return bool(self._requests) or self._first_expiry() <= time.monotonic_ns()
 
     def due_in(self) -> float | None:

@@ -26,7 +26,7 @@ __all__ = ["StatusTopic"]
 TYPE = "action_msgs/msg/GoalStatusArray"
 
 PER_GOAL = 5e-6
-"""How long to wait between two messages, for each goal in them (s)."""
+"""How long to delay a status message, for each goal in the message (s)."""
 
 
 class StatusTopic(Source):

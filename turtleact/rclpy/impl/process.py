@@ -20,11 +20,11 @@ from turtleact.rclpy.impl.opening import open_chosen
 __all__ = ["PROCESS", "Process"]
 
 PATIENCE = 2.5
-"""How long the end of the process waits while other threads shut contexts down (s)."""
+"""How long to delay the end of the process while other threads shut contexts down (s)."""
 
 
 class Closable(Protocol):
-    """The part of a context that this module uses."""
+    """The interface that this module needs from a context."""
 
     def try_shutdown(self) -> None:
         """Shut down the context if it is initialised and not shut down yet."""
