@@ -15,9 +15,9 @@ The layers, each built on those below it::
     interfaces                  messages, services and actions as classes
     names, geometry, errors
 
-Each name is imported on first use, so that small programs start fast. This module imports nothing
-else, because the command line has not set its signal handlers yet. Ctrl-C during an import would
-therefore print a traceback.
+Each name is imported on first use, so that small programs start fast. Importing the package loads
+no other module, because the command line sets its signal handlers only afterwards. Until the
+handlers are set, Ctrl-C prints a traceback.
 """
 
 from __future__ import annotations

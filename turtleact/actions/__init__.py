@@ -1,6 +1,6 @@
 """The built-in actions.
 
-They reach turtles only through the topics of a node, and import nothing from the simulator.
+The actions reach turtles only through the topics of a node. They import nothing from the simulator.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["Area", "Robot", "Turtles", "serve_built_ins"]
 BUILT_IN = (go_to.serve, patrol.serve)
 """The built-in actions that drive turtles.
 
-The actions drive `Turtles` of any kind of `Robot`, in any `Area`.
+The actions can drive any kind of `Robot`, in any `Area`.
 """
 
 

@@ -15,8 +15,8 @@ What can go wrong on the way:
   time between two poses.
 
 If a robot keeps its commands (see `Robot.keeps_commands`), the drive publishes a command only if it
-differs from the last one, or if the last one would soon expire. While the poses of this robot are
-as expected, they do not wake the task that drives the robot.
+differs from the last one, or if the last one would soon expire. While a command is held (see
+`Helm`), poses that match the prediction do not wake the task that drives the robot.
 
 While a goal is paused, its turtle stands still, the turtle's poses are ignored, and `Drive.time`
 does not advance. A pause therefore delays the goal, but uses up none of the goal's time limits.
@@ -58,10 +58,17 @@ if TYPE_CHECKING:
 __all__ = ["PATIENCE", "Drive", "Turtles"]
 
 PAUSE: Final = 0.5
-"""A drive stops its turtle this long (s) after the last pose, or up to `PAUSE` later."""
+"""The interval (s) at which a drive checks whether a new pose has arrived.
+
+If no new pose has arrived, the drive stops its turtle. The turtle therefore stops between one and
+two `PAUSE` after its last pose.
+"""
 
 SILENCE: Final = 2.0
-"""A drive fails this long (s) after the last pose, or up to `PAUSE` later."""
+"""A drive fails if no pose arrives for this long (s).
+
+A drive checks for poses only every `PAUSE` seconds, so the failure may come up to `PAUSE` later.
+"""
 
 PATIENCE: Final = 2.0
 """A drive gives up a target after `time_bound`, multiplied by this factor."""
@@ -127,17 +134,17 @@ class Drive:
         return self._helm.steering.is_reached(self.seen.pose, (target.x, target.y), theta=theta)
 
     def distance_to(self, targets: Sequence[Point]) -> float:
-        """Return the length (m) of the path from the turtle straight to each target in turn."""
+        """Return the length (m) of straight lines from the turtle through all targets in order."""
         stops = [self.seen.pose[:2], *((target.x, target.y) for target in targets)]
         return sum(distance(*a, *b) for a, b in pairwise(stops))
 
     def time(self) -> float:
         """Return the time of the drive (s): the time of the node's clock without the pauses.
 
-        The length of a pause is the time from the last pose before the pause to the last pose
-        during the pause. A pause that begins or ends between two ticks therefore still counts as a
-        whole number of ticks. The time is rounded to nanoseconds, to remove the rounding errors
-        that arise when the lengths of pauses are added up.
+        A pause counts from the last pose before the pause to the last pose during the pause. Poses
+        come once per tick, so each pause counts as a whole number of ticks. The time is rounded to
+        nanoseconds, to remove the rounding errors that arise when the lengths of pauses are added
+        up.
         """
         return round(self._clock.time() - self._passed_over, 9)
 
@@ -284,7 +291,10 @@ class Drive:
         await self._poses.aclose()
 
     def _take(self, message: TurtlePose) -> bool:
-        """Record a pose and return True, or return False to wake the drive for a new command."""
+        """Return False to wake the drive for a new command, or True to let the drive wait.
+
+        While the last command is held, record the pose. While the goal is paused, ignore the pose.
+        """
         # This is called while a pose is being published, 62 times a second for each turtle. It must
         # be short and must not await. It reads the whole message only if somebody asks for it.
         if self._held is not None:
@@ -300,7 +310,7 @@ class Drive:
         return True
 
     def _pass_over(self) -> None:
-        """Exclude the time since the last pose from `time`, because the goal is paused."""
+        """During a pause, exclude the time since the last pose from `Drive.time`."""
         now = self._clock.time()
         self._passed_over += now - self._heard
         self._heard = now
@@ -380,7 +390,7 @@ class Drive:
         self.release()  # a driver that waits for the release gives up, too
 
     def _is_heard(self, message: Message) -> bool:
-        """Return whether a pose can be used. Otherwise, record the reason for the error message."""
+        """Return whether a pose can be used. If not, record why, for a later error message."""
         try:
             seen = self._robot.read(message)
         except InvalidMessage:  # the driver reads it again and reports the error
@@ -407,7 +417,7 @@ class Turtles:
     Args:
         node: The node that opens the topics of the turtles.
         area: The area in which targets must lie (m).
-        robot: The kind of robot that the turtles are; None for turtles of turtlesim.
+        robot: The kind of robot to drive; None for the turtles of turtlesim.
     """
 
     def __init__(self, node: Node, area: Area, robot: Robot | None = None) -> None:
@@ -493,7 +503,9 @@ class Turtles:
     async def drive(
         self, turtle: str, steering: Steering, goal: ServerGoalHandle[Any, Any, Any] | None = None
     ) -> AsyncIterator[Drive]:
-        """Open a `Drive` of a turtle. However the ``async with`` block ends, the turtle then stops.
+        """Open a `Drive` of a turtle. The turtle stops at the end of the ``async with`` block.
+
+        The turtle also stops if the block raises an error.
 
         Args:
             turtle: The name of the turtle.

@@ -24,7 +24,7 @@ PACE: Final = 1.0
 """Seconds between two numbers, as in the tutorial."""
 
 LARGEST: Final = 46
-"""The largest order with a number that fits an int32."""
+"""The largest order that is accepted, because Fibonacci number 47 does not fit into an int32."""
 
 
 def check(goal: Fibonacci.Goal | ExampleFibonacci.Goal) -> GoalResponse:

@@ -93,8 +93,8 @@ def serve(
 ) -> None:
     """Serve ``/go_to``.
 
-    After a restart, a goal from a journal goes on from wherever its turtle stands. While a goal is
-    paused, its turtle stands still, and the pause does not count towards its time limit.
+    After a restart, a goal from a journal continues from the turtle's current place. While a goal
+    is paused, its turtle stands still, and the pause does not count towards its time limit.
 
     Args:
         node: The node that serves the action.

@@ -30,13 +30,17 @@ PERIOD = 1.0
 """Seconds between two feedback messages on the way to a target."""
 
 WHOLE = 24
-"""The bound includes the turns at up to this many stops, and ignores the turns at later stops.
+"""A patrol's lower bound of the time includes the turns at this many targets at most.
 
-Computing a bound with this many stops takes about 10 ms.
+The bound ignores the turns at later targets. Computing a bound with this many targets takes about
+10 ms.
 """
 
 AT_ONCE = 16
-"""Between two groups of this many stops, a new pose must arrive. Each round begins a new group."""
+"""The most targets that a turtle can reach without a new pose.
+
+Each round of a patrol also waits for a new pose.
+"""
 
 
 class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
@@ -80,7 +84,7 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
                 target that was missed in several rounds appears several times.
             distance: How far the turtle went (m).
             duration: How long the patrol took (s), by the clock of the graph. Pauses do not count.
-            bound: The shortest possible time (s) through all targets, for the goal's style and
+            bound: A lower bound of the time (s) to visit all targets with the goal's style and
                 highest speeds.
         """
 
@@ -91,7 +95,7 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
         bound: float64 = 0.0
 
     class Feedback(Message):
-        """How far the patrol has come, sent at each target and once a second on the way.
+        """The progress of a patrol, sent at each target and once a second between targets.
 
         Attributes:
             index: The index of the target that the turtle is heading for or has reached, counted
@@ -101,8 +105,8 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
                 its way.
             reached: How many targets have been reached so far, over all rounds.
             pose: Where the turtle is.
-            distance_remaining: The straight-line distance (m) from the turtle to its target and on
-                through all later targets.
+            distance_remaining: The length (m) of the straight lines from the turtle to its target
+                and then through all later targets.
         """
 
         index: int32 = 0
@@ -122,7 +126,7 @@ def serve(
 ) -> None:
     """Serve ``/patrol`` and ``/command_turtle``.
 
-    After a restart, a goal from a journal goes on from wherever its turtle stands. The goal
+    After a restart, a goal from a journal continues from the turtle's current place. The goal
     continues with the first target that has not been reached according to the feedback in the
     journal. While a goal is paused, its turtle stands still, and the pause does not count towards
     the time limit for the current target.
@@ -171,12 +175,12 @@ class _Tour:
         return self._sum_from(stop, self._legs)
 
     async def bound(self, drive: Drive, goal: Patrol.Goal) -> float:
-        """Return the shortest possible time (s) of the patrol.
+        """Return a lower bound of the time (s) for the patrol.
 
         The method computes two bounds and returns the higher one. One bound includes the turns of
-        the first round, the other the turns of all rounds, for at most `WHOLE` stops each. The
-        bound for the first round may be the higher one, because the search is finer if there are
-        fewer stops.
+        the first round. The other bound includes the turns of all rounds. Each bound includes the
+        turns at no more than `WHOLE` stops. The bound for the first round may be higher, because
+        `Drive.shortest_time` searches more finely if there are fewer stops.
         """
         straight = [max(0.0, leg - 2.0 * goal.tolerance) for leg in self._legs]
         least = 0.0
@@ -329,7 +333,7 @@ class _Leg:
         self._tell = tell
 
     async def run(self) -> bool:
-        """Drive to the stop. Return False if the turtle does not reach it within the time limit."""
+        """Drive to the leg's target. Return False if the turtle does not arrive in time."""
         drive, target = self._drive, self._target
         after = self._tour.target(self._stop + 1)
         deadline = drive.deadline(target)
@@ -360,4 +364,4 @@ class _Leg:
 
 
 def _nothing(_: Patrol.Result) -> None:
-    """Drop a partial result, because a result of ``/command_turtle`` is only a text."""
+    """Ignore a partial result, because the result of ``/command_turtle`` is a single string."""

@@ -3,7 +3,7 @@
 This is a small library that only calculates. It uses no topics, messages, clocks or simulator.
 
 - `limits`: what a turtle may do, how its speed may change, and where it aims.
-- `law`: the steering law, and the helm, which holds a command as long as the law would repeat it.
+- `law`: the steering law, and `Helm`, which can use one command of the law for several ticks.
 - `bounds`: lower and upper bounds of the time of a tour.
 """
 

@@ -16,8 +16,8 @@ therefore loses at least the time F(e) divided by the turn rate. The time lost o
 the heading errors at the start and at the end of the leg:
 
 - If the two errors are on different sides of the leg's direction, the loss is the sum of F for both
-  errors. If the turtle drives farther along the leg than the length of the leg while it turns, the
-  excess is added to the loss.
+  errors. While the turtle turns, it may drive past the end of the leg. The distance past the end is
+  added to the loss.
 - If the two errors are on the same side, and the heading error falls to zero on the way, the loss
   is also the sum of F for both errors. On a short leg, the smallest heading error on the way may be
   a value m above zero. For such a leg, the loss is the sum minus 2 F(m).
@@ -26,15 +26,15 @@ These formulas project the leg onto only one direction, so the true loss may be 
 projection onto any other direction gives another lower bound of the loss. For a short leg, another
 direction may give a higher bound than the leg's own. `least_loss` therefore projects short legs
 onto several directions. For each pair of headings at the two ends of a leg, it uses the highest of
-these lower bounds. `shortest_time` may leave a leg out of the length of the tour. Even then, the
-leg takes at least the time to turn from the heading at its start to the heading at its end.
+these lower bounds. `shortest_time` may count the length of a leg as zero. Even then, the leg takes
+at least the time to turn from the heading at its start to the heading at its end.
 
 The heading at the end of a leg is the heading at the start of the next leg. The possible headings
 between two legs are divided into ranges, called cells, and `least_loss` tries all cells. The loss
-of a cell is the loss of its best heading, so the result is a lower bound even if the cells are
-wide. In this module, angles are in rad, distances in turning radii, and losses in rad of turning at
-full rate. In each tick, the turtle first turns and then moves. The turn before the move may save
-time, so the lower bounds are reduced by the largest possible saving.
+of a cell is the smallest loss of any heading in the cell. The result is therefore a lower bound,
+even if the cells are wide. In this module, angles are in rad, distances in turning radii, and
+losses in rad of turning at full rate. In each tick, the turtle first turns and then moves. The turn
+before the move may save time, so the lower bounds are reduced by the largest possible saving.
 
 Source: Boyd and Vandenberghe, Convex Optimization, section 5.2 (weak duality); Pontryagin et al.,
 The Mathematical Theory of Optimal Processes, 1962, chapter 1 (the directions are the multipliers of
@@ -148,11 +148,12 @@ def shortest_time(
     The function does not compute the exact length of the shortest line. Instead, the function
     chooses one unit vector for each leg. By duality, every choice of unit vectors proves a lower
     bound of the length. For this lower bound, the function projects each leg onto its unit vector
-    and adds up the projections. Each point between two legs is at the place in its disc where the
-    sum is least. A leg with a zero vector adds nothing to the sum. A leg may be too short for its
-    turns. In a tour of at most six targets with short legs, the function rotates unit vectors, or
-    sets them to zero, as long as the first bound rises. In the same tours, the function also
-    projects the short legs onto several directions.
+    and adds up the projections. The point where two legs meet may be anywhere in its disc. The
+    function chooses the point with the smallest sum. A leg with a zero vector adds nothing to the
+    sum. If a leg is too short for its turns, another unit vector may give a higher bound. In a tour
+    of at most six targets with short legs, the function therefore rotates unit vectors, or sets
+    them to zero, as long as the first bound rises. In the same tours, the function also projects
+    the short legs onto several directions.
 
     Args:
         pose: The pose at which the turtle starts, at rest: x and y (m), and the heading (rad).
@@ -168,7 +169,7 @@ def shortest_time(
 def rising_times(
     pose: Pose, targets: Sequence[Point], steering: Steering, *, theta: float | None = None
 ) -> Iterator[float]:
-    """Yield the lower bounds (s) from which `shortest_time` returns the highest.
+    """Yield lower bounds (s) of the time for a tour; `shortest_time` returns the highest.
 
     Computing one lower bound takes a few milliseconds at most, so that the caller can let other
     tasks run between two bounds. Without targets, the function yields no bound.
@@ -192,7 +193,7 @@ def rising_times(
 
 
 def _turn_time(angle: float, limits: Limits) -> float:
-    """Return the time (s) of the shortest turn that ends within the tolerance of ``angle``."""
+    """Return the least time (s) to turn by ``angle``, give or take the heading tolerance."""
     turn = max(0.0, abs(wrap_angle(angle)) - limits.heading_tolerance)
     return ramp_time(turn, limits.max_angular, limits.max_angular_acceleration)
 
@@ -209,7 +210,7 @@ def _tour(start: complex, centres: Sequence[complex], tolerance: float) -> list[
 
 
 def _touch(before: complex, leg: complex, centre: complex, tolerance: float) -> complex:
-    """Return the point of a disc that is nearest to a leg."""
+    """Return the point of a target's disc that is nearest to the line of a leg."""
     along = ((centre - before) * _unit(leg).conjugate()).real
     foot = before + max(0.0, min(abs(leg), along)) * _unit(leg)
     away = foot - centre
@@ -223,11 +224,12 @@ def _unit(leg: complex) -> complex:
 def _proven_length(
     start: complex, centres: Sequence[complex], units: Sequence[complex], tolerance: float
 ) -> float:
-    """Return a lower bound (m) of the length of a tour, from one unit vector for each leg.
+    """Compute a lower bound (m) of a tour's length from the unit vectors of its legs.
 
-    The docstring of `shortest_time` explains this bound as a sum over legs. The code adds up points
-    instead. It multiplies each point by the difference between the unit vectors before and after
-    the point. The result is negative if the unit vectors point backwards along their legs.
+    The docstring of `shortest_time` explains this bound as a sum over legs. This function
+    rearranges the same sum into one term for each point. Each term multiplies a point by the
+    difference between the unit vectors before and after the point. The result is negative if the
+    unit vectors point backwards along their legs.
     """
     total = -(start * units[0].conjugate()).real
     for centre, unit, leaving in zip(centres, units, [*units[1:], 0j], strict=True):
@@ -237,7 +239,7 @@ def _proven_length(
 
 
 def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[float]:
-    """Yield, for each turn on the spot, the least time (s) to face the disc of the next target."""
+    """For each turn on the spot, yield the least time (s) to face the disc of the next target."""
     heading, off = cmath.rect(1.0, theta), 0.0
     for i, (stop, target) in enumerate(pairwise(stops)):
         leg, ends = target - stop, (2.0 if i else 1.0) * limits.tolerance
@@ -253,7 +255,7 @@ def _turns(stops: Sequence[complex], theta: float, limits: Limits) -> Iterator[f
 class _Tour:
     """Computes lower bounds for a tour of a turtle that turns while it drives.
 
-    Each lower bound follows from a choice of one unit vector for each leg (see `shortest_time`).
+    Any choice of one unit vector for each leg proves a lower bound (see `shortest_time`).
     """
 
     def __init__(
@@ -279,7 +281,7 @@ class _Tour:
         yield self._length(units), time
 
     def _better(self, units: list[complex]) -> Iterator[tuple[float, list[complex], list[float]]]:
-        """Rotate unit vectors, or set them to zero, as long as the time bound rises.
+        """Raise the lower bound of the time by rotating unit vectors or setting them to zero.
 
         After each attempt, yield the best lower bound of the time (s) so far, its unit vectors, and
         its headings (rad) at the targets.
@@ -302,7 +304,7 @@ class _Tour:
         return _proven_length(self._start, self._centres, units, self._limits.tolerance)
 
     def _legs(self, units: Sequence[complex], views: int = 0) -> dict[int, Leg]:
-        """Return a dict of the legs by index, without legs that have a zero vector and no views."""
+        """Return the legs by index. Omit a leg if its unit vector is zero and it has no views."""
         limits, off, legs = self._limits, self._limits.tolerance, dict[int, Leg]()
         stops = pairwise([self._start, *self._centres])
         for i, ((stop, target), unit) in enumerate(zip(stops, units, strict=True)):
@@ -318,7 +320,7 @@ class _Tour:
         return legs
 
     def _view(self, way: complex, unit: complex, off: float, own: complex | None = None) -> View:
-        """Project a leg onto ``unit``; ``off`` (m) is the sum of the tolerances at both ends."""
+        """Project the leg ``way`` onto ``unit``; ``off`` (m) sums the tolerances at both ends."""
         limits = self._limits
         along, ends = (way * unit.conjugate()).real, off + limits.step
         more = unit - (unit if own is None else own)
@@ -338,7 +340,8 @@ class _Tour:
     ) -> tuple[float, list[float]]:
         """Return the time bound (s) for some unit vectors, and the headings at the targets.
 
-        If the headings in ``tried`` give at most ``enough`` (s), the method tries no others.
+        If the headings in ``tried`` give a bound of at most ``enough`` (s), the method tries no
+        other headings.
         """
         limits, driven = self._limits, self._length(units) / self._limits.max_linear
         legs = self._legs(units, views)
@@ -371,8 +374,9 @@ class _Tour:
 class View(msgspec.Struct, frozen=True):
     """The distance that a turtle covers in one ``direction`` (rad) on a leg.
 
-    The distance is between ``least`` and ``most`` (turning radii). It exceeds the distance along
-    the leg's own unit vector by at least ``gain`` (turning radii).
+    The distance is between ``least`` and ``most`` (turning radii). The leg's projection onto
+    ``direction`` is at least ``gain`` (turning radii) longer than its projection onto the leg's
+    unit vector.
     """
 
     direction: float
@@ -385,7 +389,7 @@ class Leg(msgspec.Struct, frozen=True):
     """A leg of a tour: its unit vector, and the distance that the turtle covers along this vector.
 
     The distance is between ``least`` and ``most`` (turning radii). If ``is_left_out`` is true, the
-    leg adds nothing to the tour's length, and is projected only onto its ``views``.
+    leg adds nothing to the tour's length, and the leg is not projected onto ``unit``.
     """
 
     unit: complex
@@ -399,8 +403,8 @@ class Cell(msgspec.Struct, frozen=True):
     """A range of headings (rad) between two legs.
 
     ``heading`` is the middle of the range. ``cost`` is the least loss (rad) from the start of the
-    tour up to this cell. ``before`` is the cell at the previous corner on the way with the least
-    loss.
+    tour up to this cell. ``before`` is the cell at the previous corner from which this cell has the
+    least cost.
     """
 
     heading: float
@@ -410,7 +414,7 @@ class Cell(msgspec.Struct, frozen=True):
 
 
 _Sight: TypeAlias = tuple[float, int, float]
-"""A heading error, its side (1, -1, or 0 for either), and the distance while it falls to zero."""
+"""A heading error, its side (-1, 0 or 1), and the turtle's advance while the error falls to 0."""
 
 
 class Turning(msgspec.Struct, frozen=True, kw_only=True):
@@ -420,7 +424,8 @@ class Turning(msgspec.Struct, frozen=True, kw_only=True):
         half: The largest possible heading error (rad): pi, or pi / 2 if the turtle may also drive
             in reverse.
         tick: The largest turn at the start of a tick, before the turtle moves (rad).
-        parts: The number of cells in each range of ``half / 8`` (rad) at a corner.
+        parts: At a corner, the number of cells into which each range of ``half / 8`` (rad) is
+            divided.
         last: The wanted heading at the end of the tour (rad); None for any heading.
         slack: How far the heading at the end may be from ``last``, to either side (rad).
     """
@@ -441,9 +446,10 @@ def least_loss(
     tried: Sequence[float] | None = None,
     enough: float = -math.inf,
 ) -> tuple[float, list[float]]:
-    """Return the least loss on a tour, and the headings at the corners (rad) that cause this loss.
+    """Return the least time lost by turning on a tour, and the headings (rad) at its corners.
 
-    The loss is the sum over all legs, in rad of turning at full rate.
+    The function adds up the losses on all legs. A loss of 1 rad is the time in which the turtle
+    turns by 1 rad at full rate.
 
     Args:
         heading: The heading at the start, a unit vector.
@@ -484,7 +490,7 @@ def least_loss(
 def _ended(
     cells: Sequence[Cell], leg: Leg, wanted: Cell | None, turning: Turning
 ) -> tuple[float, list[float]]:
-    """Return the least loss on the tour and its headings, from the cells before the last leg."""
+    """Return the least time lost on the whole tour, and the headings at the tour's corners."""
     if wanted is None:
         costs = [cell.cost + _started(cell, leg, turning) for cell in cells]
         cost = min(costs)
@@ -509,7 +515,7 @@ def _nearest(corner: Sequence[Cell], heading: float, half: float) -> Cell:
 
 
 def _corner(leg: Leg, following: Leg, turning: Turning) -> list[Cell]:
-    """Divide all headings at a corner into cells.
+    """Return the cells at a corner: ranges that together cover all possible headings.
 
     Cells end exactly at the directions of the two legs and at the opposite directions. If both legs
     have room for their turns, return a single cell with the best heading. At the best heading, the
@@ -529,17 +535,14 @@ def _corner(leg: Leg, following: Leg, turning: Turning) -> list[Cell]:
 
 
 def _views(leg: Leg) -> Sequence[View]:
-    """Return the views of a leg, beginning with the view along the leg's own unit vector.
-
-    If ``leg.is_left_out`` is true, return only ``leg.views``.
-    """
+    """Return the projection of a leg onto its unit vector, unless left out, and its ``views``."""
     if leg.is_left_out:
         return leg.views
     return [View(phase(leg.unit), leg.least, leg.most), *leg.views]
 
 
 def _sight(cell: Cell, view: View, half: float, tick: float = 0.0) -> _Sight:
-    """Return a cell's least heading error in a view, after a turn by at most ``tick`` (rad)."""
+    """Return a cell's least heading error in a view, after a turn of at most ``tick`` (rad)."""
     angle, off = math.remainder(cell.heading - view.direction, 2.0 * half), cell.width / 2.0
     error = abs(angle)
     if error < off - _ROUNDING or error > half - off + _ROUNDING:
@@ -560,7 +563,7 @@ def _pass(
     limit: float = math.inf,
     following: Leg | None = None,
 ) -> Iterator[Cell]:
-    """Yield the cells at the end of a leg, each with the least loss up to that cell as its cost.
+    """Yield the cells at the end of a leg. A cell's cost is the least time lost up to that cell.
 
     Omit a cell if its cost plus the least loss on the following leg exceeds ``limit``.
     """
@@ -602,7 +605,7 @@ def _pass(
 
 
 def _best(cells: Sequence[Cell], half: float) -> list[Cell]:
-    """Sort cells by cost. Drop a cell if another cell plus a turn on the spot costs no more."""
+    """Sort cells by cost. Drop a cell if turning on the spot from another cell costs no more."""
     best: list[Cell] = []
     for cell in sorted(cells, key=_cost):
         for other in best:
@@ -619,15 +622,15 @@ def _cost(cell: Cell) -> float:
 
 
 def _turned(start: Cell, end: Cell, half: float) -> float:
-    """Return the least turn from one cell to another (rad); negative if the cells overlap."""
+    """Return the smallest angle (rad) between headings of two cells; negative if they overlap."""
     angle = abs(math.remainder(end.heading - start.heading, 2.0 * half))
     return angle - (start.width + end.width) / 2.0
 
 
 def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
-    """Return the least loss on a leg with the heading errors ``start`` and ``end``.
+    """Return the least time lost on a leg with the heading errors ``start`` and ``end``.
 
-    Each true error may be larger by up to ``width`` (rad), because a cell is a range of headings.
+    The true heading errors may be larger than ``start`` and ``end`` by up to ``width`` (rad).
     """
     sides = start[1] * end[1]
     if sides > 0:
@@ -639,7 +642,7 @@ def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) 
 
 
 def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
-    """Return the least loss on a leg that begins and ends with errors on different sides."""
+    """Return the least time lost on a leg whose two heading errors are to different sides."""
     (error, _, made), (wanted, _, made_wanted) = start, end
     least = max(error - made + wanted - made_wanted, error + wanted - view.most)
     # Or the turtle turns the other way round: an error of half a turn is on both sides.
@@ -654,10 +657,9 @@ def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: f
 
 
 def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
-    """Return the least loss on a leg that begins and ends with errors on the same side.
+    """Return the least time lost on a leg whose two heading errors are to the same side.
 
-    Along the leg, the heading error first falls. The heading error rises again when the rest of the
-    leg is just long enough to turn to the error at the end.
+    The heading error first falls, and then rises to its final value as late as possible.
     """
     (low, _, made_low), (high, _, made_high) = (one, other) if one < other else (other, one)
     lost = low - made_low + high - made_high
@@ -676,7 +678,7 @@ def _on_one_side(one: _Sight, other: _Sight, view: View, width: float) -> float:
 
 
 def _started(cell: Cell, leg: Leg, turning: Turning) -> float:
-    """Return the least loss on a leg that begins in a cell and may end with any heading."""
+    """Return the least time lost on a leg from a range of headings to any heading."""
     least = 0.0
     for view in _views(leg):
         if view.least > 0.0:
@@ -687,10 +689,10 @@ def _started(cell: Cell, leg: Leg, turning: Turning) -> float:
 
 
 def _made(error: float) -> float:
-    """Return the distance along a leg (radii) during a turn from a heading error to zero."""
+    """Return how far (turning radii) a turtle advances while its heading error falls to zero."""
     return math.sin(error) if error < _RIGHT else 1.0
 
 
 def _lost(error: float) -> float:
-    """Return the loss during a turn from a heading error to zero: F in the module's docstring."""
+    """Return the time lost while a heading error falls to zero: F in the module's docstring."""
     return error - _made(error)
