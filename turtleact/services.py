@@ -124,9 +124,9 @@ class ServiceServer(Generic[Req, Res]):
     async def aclose(self) -> None:
         """Stop accepting requests, answer every caller, and wait for the handlers to end.
 
-        Callers get `ServerUnavailable` at once, and handlers are cancelled. A handler that has not
-        ended after 5 seconds is left running and logged. A handler of this server must not await
-        this method.
+        Callers get `ServerUnavailable` at once, and handlers are cancelled. If a handler
+        has not ended after 5 seconds, an error is logged, and the handler is left running. A
+        handler of this server must not await this method.
         """
         self._local.is_open = False
         self._membership.close()
@@ -178,7 +178,8 @@ class LocalServiceServer(Generic[Req, Res]):
         """Handle a request and return its response.
 
         ``caller`` is the gid of the client if it is in another process, and empty otherwise.
-        Cancelling: cancels the handler and waits at most `GRACE` seconds for its end.
+        If this call is cancelled, it cancels the handler and waits for the handler to end, for at
+        most `GRACE` seconds.
 
         Raises:
             InvalidMessage: if the request does not fit the service. The handler is not called.
@@ -200,7 +201,7 @@ class LocalServiceServer(Generic[Req, Res]):
         return cast("Res", call.take())
 
     async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a request from another process, as `answer` does."""
+        """Answer a request from another process with the response that `answer` returns."""
         return Reply(await self.answer(request, caller))
 
     def caller_lost(self, caller: bytes) -> None:
@@ -212,8 +213,8 @@ class LocalServiceServer(Generic[Req, Res]):
     async def aclose(self) -> None:
         """Stop accepting requests, answer every caller, and wait for the handlers to end.
 
-        Callers get `ServerUnavailable` at once, and handlers are cancelled. A handler that has not
-        ended after `GRACE` seconds is left running and logged.
+        Callers get `ServerUnavailable` at once, and handlers are cancelled. If a handler
+        has not ended after `GRACE` seconds, an error is logged, and the handler is left running.
         """
         self.is_open = False
         for call in self._calls:
@@ -363,7 +364,10 @@ class ServiceClient(Generic[Req, Res]):
             self._caller.observer.close()
 
     async def _answer(self, request: object) -> object:
-        """Send a request to the server in this process, or to another process if there is none."""
+        """Send a request to the server in this process, or to another process.
+
+        Other processes get the request only if this process has no such server.
+        """
         server = self._found
         if server is None or not server.is_open:
             await find_server(self._transport, self._find)

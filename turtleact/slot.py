@@ -18,8 +18,8 @@ child. Two more rules concern children:
   shares the parent's place. The place becomes free when both goals have ended.
 - If a child would have to wait for the end of its own parent, the child is rejected, because each
   of the two would wait for the other.
-- A child is also rejected if the slot would be blocked while the child waits. A slot is blocked if
-  every place holds an ancestor of a waiting goal, because no place can become free.
+- If the child would have to wait and would thereby block the slot, the child is rejected. A slot is
+  blocked if every place holds an ancestor of a waiting goal, because no place can become free.
 
 A `Slot` only decides what happens to goals. Its caller starts, cancels and rejects the goals.
 
@@ -139,7 +139,7 @@ class Slot(Generic[C]):
         rules: How goals share the slot.
 
     Attributes:
-        rules: The argument ``rules``.
+        rules: How goals share the slot, as passed to the constructor.
     """
 
     def __init__(self, rules: Rules) -> None:
@@ -198,10 +198,11 @@ class Slot(Generic[C]):
         return claim
 
     def overdue(self) -> Entry[C] | None:
-        """Return which running goals must be canceled so that the waiting goal can start, or None.
+        """Return the running goals to cancel so that the waiting goal can start.
 
-        Only the policy ``preempt`` cancels goals. Call this method after each `leave`: if the ended
-        goal has detached a child, the child still runs, so it must be canceled now.
+        Return None if no goal waits, or if the policy is not ``preempt``. Call this method after
+        each `leave`. A goal that has ended may have detached a child. If this child still runs, the
+        child must be canceled now.
         """
         if self.rules.policy != "preempt" or not self._waiting:
             return None
@@ -237,7 +238,8 @@ class Slot(Generic[C]):
     def _is_deadlock(self, claim: C) -> bool:
         """Whether the slot would be blocked if this goal waited.
 
-        A slot is blocked if every place holds an ancestor of a waiting goal.
+        A slot is blocked if every place holds an ancestor of a waiting goal. Then no place can
+        become free.
         """
         waiting = (claim, *self._waiting.values())
         parents = (parent.goal for each in waiting for parent in self._kin(each.goal))
@@ -255,7 +257,10 @@ class Slot(Generic[C]):
 
 
 class Slots(Generic[C]):
-    """The slots that several actions share, by name. A slot exists as long as an action uses it."""
+    """Finds the slot with a given name, so that several actions can share the slot.
+
+    A slot exists as long as an action uses the slot.
+    """
 
     def __init__(self) -> None:
         self._named: WeakValueDictionary[str, Slot[C]] = WeakValueDictionary()

@@ -25,7 +25,10 @@ from turtleact.names import EVENT_SUFFIX
 __all__ = ["REQUESTS", "Part", "Selection", "owner_of", "part_of"]
 
 REQUESTS: Final = frozenset({0, 1})
-"""The kinds of events, sent and received, that have a request. Other events have a response."""
+"""The event types REQUEST_SENT and REQUEST_RECEIVED.
+
+Events of these types contain a request. Events of other types contain a response.
+"""
 
 Owner: TypeAlias = Literal["topic", "service", "action"]
 

@@ -27,7 +27,7 @@ __all__ = ["CAPACITY", "Encode", "Spool"]
 logger = logging.getLogger("turtleact.recording")
 
 CAPACITY: Final = 100 * 1024 * 1024
-"""How many bytes may wait by default, as in rosbag2."""
+"""The default for the number of bytes that may wait to be written, as in rosbag2."""
 
 PAUSE: Final = 0.05
 """How long the thread waits for messages to gather (s)."""
@@ -213,9 +213,9 @@ class Spool:
             self._added.add(number)
 
     def _write(self, entries: list[Entry]) -> None:
-        """Write entries. Each entry is removed from the list before it is written.
+        """Write the entries, and remove each entry from ``entries`` before writing it.
 
-        If an entry cannot be written, only the later entries are still in the list.
+        If an entry cannot be written, ``entries`` still has the later entries.
         """
         entries.reverse()
         write, turn = self._writer.write, 0

@@ -28,7 +28,7 @@ class SqliteFile:
         path: The file.
 
     Raises:
-        BagError: if the file cannot be opened, or is no SQLite file of rosbag2.
+        BagError: if the file cannot be opened, or is not an SQLite file of rosbag2.
     """
 
     def __init__(self, path: Path) -> None:

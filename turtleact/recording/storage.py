@@ -15,7 +15,10 @@ from turtleact.recording.schemas import Schema
 __all__ = ["LONGEST", "BagStorage", "Channel", "Range", "Raw", "in_nanoseconds"]
 
 LONGEST: Final = 1_000_000_000
-"""The largest value of an option (s): about 31 years, which the stamps of every format can hold."""
+"""The longest time that a user may pass as an option (s): about 31 years.
+
+The stamps of every format can hold this time.
+"""
 
 
 class Channel(msgspec.Struct, frozen=True, kw_only=True):

@@ -1,6 +1,6 @@
 """Draws goals, feedback and turtles for a terminal, with the library rich.
 
-The functions get plain values and return renderables of rich. `turtleact.commands` decides what to
+The functions take plain values and return rich renderables. `turtleact.commands` decides what to
 show, and how often. No other package imports rich.
 """
 

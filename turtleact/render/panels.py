@@ -42,7 +42,7 @@ NARROWEST: Final = 40
 """The minimum width (columns) of a window that shows a map."""
 
 NARROWEST_TABLE: Final = 26
-"""At least this many columns are left for the feedback beside a map."""
+"""The minimum width (columns) of the feedback beside a map."""
 
 WIDE: Final = 72
 """In a window narrower than this (columns), the feedback is below the map, not beside it.
@@ -56,7 +56,7 @@ LOWEST, HIGHEST = 5, 24
 LOWEST_ABOVE: Final = 6
 """The minimum height (rows) of a map with the feedback below it.
 
-A lower map has the feedback beside it, even in a narrow window.
+If the map would have fewer rows, the feedback is beside the map, even in a narrow window.
 """
 
 MOST_VALUE_LINES: Final = 4
@@ -205,7 +205,8 @@ def _rows(content: Mapping[str, str], width: int, rows: int) -> list[Picture]:
 def _rows_needed(feedback: Message | None, width: int) -> int:
     """Return how many lines the feedback needs if each float in it is as wide as `LONG_NUMBER`.
 
-    The map would change its size with every feedback if the actual widths were used.
+    With the actual widths, the number of lines would change with every feedback, and so would the
+    size of the map above the feedback.
     """
     if feedback is None:
         return 1
@@ -214,7 +215,7 @@ def _rows_needed(feedback: Message | None, width: int) -> int:
 
 
 def _widened(value: object) -> object:
-    """Replace each float in a plain value by `LONG_NUMBER`."""
+    """Replace each float in ``value``, at any depth, with `LONG_NUMBER`."""
     if isinstance(value, dict):
         return {name: _widened(item) for name, item in value.items()}
     if isinstance(value, list):
@@ -232,7 +233,7 @@ def _folded(text: str, width: int, rows: int) -> list[str]:
 
 
 LONG_NUMBER: Final = "-0.000"
-"""A text with as many characters as the longest coordinate in the world."""
+"""A number with as many characters as the longest coordinate that a turtle can have."""
 
 
 def _motion(motion: str) -> tuple[str, str]:
@@ -250,17 +251,19 @@ def _feedback(goal: GoalView, *, width: int, rows: int) -> Group:
 
 
 NARROWEST_BOARD: Final = 30
-"""At least this many columns are left for the goals beside a map."""
+"""The minimum width (columns) of the table of goals beside a map."""
 
 SHORTEST: Final = 20
-"""The minimum width of the column of names in a wide table."""
+"""The minimum width (characters) of the names in a table that is at least `WIDE`."""
 
 LONGEST_STATUS: Final = 9
+"""The width (characters) of a goal's status in a table of goals."""
+
 LONGEST_DURATION: Final = 8
-"""The widths of a table's columns for the status and the age of a goal."""
+"""The width (characters) of a goal's age in a table of goals."""
 
 LEAST_LOG: Final = 3
-"""At least this many lines are left for the log below a map."""
+"""The minimum number of lines of the log below a map."""
 
 INDENT: Final = "  "
 """The indent of the second and later lines of a wrapped log line."""
@@ -356,8 +359,8 @@ def _heading(lines: Sequence[str], width: int, height: int) -> list[Picture]:
 def _log(lines: Sequence[str], width: int, rows: int) -> list[Picture]:
     """Show the newest entries of the log, wrapped between words, in at most ``rows`` lines.
 
-    If an entry does not fit, its beginning is shown: an error message says first what is wrong and
-    where.
+    If an entry does not fit, only its beginning is shown, because an error message begins with the
+    problem and its location.
     """
     shown: list[str] = []
     for line in reversed(lines):

@@ -78,7 +78,7 @@ class MapView(NamedTuple):
 
 
 def world_map(view: MapView, rows: int) -> Text:
-    """Draw the world with ``rows`` rows and twice as many columns, and its walls around them.
+    """Draw the world in ``rows`` rows and twice as many columns, surrounded by the world's walls.
 
     A target that has been reached has a check mark beside its number. A turtle hides a target in
     the same cell. A turtle's name is drawn near the turtle. The name never covers a turtle, a
@@ -204,7 +204,7 @@ class Braille:
 
 
 class Ink(Protocol):
-    """The drawings of the turtles in the world."""
+    """The lines that turtles have drawn in the world."""
 
     def canvas(self, columns: int, rows: int) -> Braille:
         """Return a canvas of this size (characters) with everything that was drawn.

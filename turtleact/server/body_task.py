@@ -83,9 +83,9 @@ class BodyTask(Coroutine[object, object, None]):
     def start(self, name: str, context: Context | None) -> None:
         """Start the task in ``context``, or in a copy of the current context.
 
-        The task is eager, so its first step runs inside this call. That step may end the body. If
-        the step cancels the goal, `_task` is not set yet, so this method cancels the task
-        afterwards.
+        The task is eager, so its first step runs inside this call. The first step may end the body.
+        The first step may also cancel the goal, but cannot cancel the task, because `_task` is not
+        set yet. In this case, `start` cancels the task after the step.
         """
         task = self._tasks.spawn(self, name, context, is_eager=True)
         if not self._has_ended:

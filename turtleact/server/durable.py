@@ -161,7 +161,7 @@ class DurableGoals:
         self._journal.end(self._id(goal), change, announce)
 
     async def stop(self, goals: list[Goal]) -> None:
-        """Record that these goals are unfinished because the server shuts down without a crash."""
+        """Record that an orderly shutdown of the server, not a crash, interrupts these goals."""
         for goal in goals:
             self._journal.progress(self._id(goal), GoalChange(is_stopped=True))
         with anyio.CancelScope(shield=True):
@@ -200,7 +200,7 @@ class DurableGoals:
         return goal
 
     def unfinished(self, record: GoalRecord) -> Goal:
-        """Return an unfinished goal, restored from its record, with its last feedback."""
+        """Restore an unfinished goal, its last feedback and its partial result from ``record``."""
         goal = self._goal(record)
         feedback = self._decode(self._feedback, record, record.feedback)
         partial_result = self._decode(self._results, record, record.partial_result)

@@ -65,7 +65,10 @@ NAMELESS = "a goal id must not be all zeros"
 """The reason for rejecting a goal with the id zero."""
 
 OURS = GoalNote().write()
-"""A note without content, for responses. Any note shows that the server belongs to turtleact."""
+"""An empty note to attach to a response.
+
+A response with a note shows that a turtleact server has sent the response.
+"""
 
 LATE_REQUEST = 0.5
 """How long a closing server waits for clients in other processes to request results (s)."""
@@ -78,8 +81,8 @@ class ActionEndpoints:
         server: The server.
         names: The names of the endpoints.
         transport: The transport to open the endpoints on.
-        endpoint: A function that describes each endpoint.
-        tasks: The functions for tasks on the event loop, asyncio or trio.
+        endpoint: A function that returns the `Endpoint` for a kind, a name and a type.
+        tasks: The functions that start and manage tasks on asyncio or trio.
         introspection: Whether the three services publish events, with or without the contents of
             requests and responses.
     """
@@ -110,7 +113,7 @@ class ActionEndpoints:
 
     @property
     def is_asked(self) -> bool:
-        """Whether a request waits for an answer."""
+        """Whether the server has received a request that is not answered yet."""
         return any(each.waiting for each in (self._send_goal, self._cancel_goal, self._get_result))
 
     def open(self) -> None:
@@ -170,7 +173,7 @@ class ActionEndpoints:
         await self._pausing.aclose()
 
     def _is_expected(self) -> bool:
-        """Whether a client in another process will probably request the result of a goal soon."""
+        """Whether a client in another process is likely to request the result of a goal soon."""
         reasons = (self._server.closing_reason, STOPPED, CUT_OFF)
         return any(_may_be_asked_for(goal, reasons) for goal in self._server.held())
 
@@ -178,15 +181,15 @@ class ActionEndpoints:
 class _ActionService:
     """One of the action's three services. Its message classes are made when they are first needed.
 
-    Requests from other processes are not checked again, because decoding has checked them.
+    A request from another process needs no check, because decoding the request has checked it.
 
     Attributes:
         server: The action server that the service belongs to.
         name: The name of the service.
         is_open: Whether the service accepts requests.
         answered: A signal that fires whenever a request has been answered.
-        observer: The observer that is told of each call of the service; None if there is none.
-        waiting: How many requests wait for their answer.
+        observer: The observer of the service's calls; None if there is none.
+        waiting: The number of requests that are not answered yet.
     """
 
     def __init__(self, server: LocalActionServer, name: str, tasks: Tasks) -> None:
@@ -227,9 +230,9 @@ class _ActionService:
             return await self.handle(request, caller)
 
     def reply_nowait(self, request: Any, caller: bytes, respond: Respond) -> bool:  # noqa: ANN401, ARG002
-        """Answer a request from another process without a task.
+        """Answer a request from another process immediately, without starting a task.
 
-        Return False if the answer needs a task.
+        Return False, without an answer, if the answer needs a task.
         """
         return False
 
@@ -261,10 +264,10 @@ class _SendGoal(_ActionService):
 
     Attributes:
         goal_server: The server that clients in the same process call directly; see
-            `turtleact.goal_server`. If introspection is on, this attribute is missing, and these
-            clients send requests like all others.
-        expect_readers: Called when the first goal from another process arrives, because the client
-            that sent the goal reads feedback.
+            `turtleact.goal_server`. If introspection is on, `goal_server` is missing. Clients in
+            the same process then send requests, as clients in other processes do.
+        expect_readers: Called when the first goal from another process arrives. A client that sends
+            a goal also reads feedback.
         on_rejection: Called when a goal is rejected, with the goal's id and the reason.
     """
 
@@ -329,7 +332,8 @@ class _SendGoal(_ActionService):
 class _CancelGoal(_ActionService):
     """Cancels goals.
 
-    Servers in one process with the same action name share this service, even if their types differ.
+    A request applies to every server in this process with the same action name, even if the
+    servers' action types differ.
     """
 
     def __init__(
@@ -389,10 +393,10 @@ class _GetResult(_ActionService):
         caller: bytes,  # noqa: ARG002
         respond: Respond,
     ) -> bool:
-        """Answer when the goal has ended.
+        """Answer as soon as the goal has ended.
 
-        Return False if the goal is unknown. `handle` then answers the request in a task, because
-        the goal may still arrive.
+        If the goal is unknown, return False. The caller must then call `handle` in a task, because
+        the request that sends the goal may still arrive.
         """
         goal = self.server.find(request.goal_id.uuid)
         if goal is None:
@@ -454,9 +458,10 @@ def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
 
 
 def _may_be_asked_for(goal: Goal, reasons: tuple[str, ...]) -> bool:
-    """Whether a client in another process will probably request this goal's result soon.
+    """Whether a client in another process is likely to request this goal's result soon.
 
     True for a goal from another process that the shutdown has ended, until its result is requested.
+    ``reasons`` are the reasons of goals that the shutdown ends.
     """
     is_sent_from_elsewhere = isinstance(goal.sender, bytes) and bool(goal.sender)
     is_ended_late = goal.reason in reasons

@@ -1,9 +1,10 @@
 """Runs goals: starts the body, publishes its feedback, and ends the goal when the body ends.
 
 A generator body is not iterated with ``async for``. With ``async for``, a body canceled at a
-``yield`` would only see GeneratorExit there. A timeout or task group around the ``yield`` would
-break. Instead, one task steps the generator. If a cancellation or error occurs between two steps,
-the task raises the exception at the ``yield``. In every case, the task closes the generator.
+``yield`` would get GeneratorExit instead of the cancellation. A timeout or task group around the
+``yield`` would not work. Instead, one task steps the generator. If a cancellation or error occurs
+between two steps, the task raises the exception at the ``yield``. In every case, the task closes
+the generator.
 
 Source: PEP 525; PEP 789 for the hazards of generators.
 """
@@ -90,22 +91,22 @@ class Execution:
     Args:
         served: The action, its name and its body.
         table: The goals that the server holds.
-        tasks: The functions for tasks on the event loop, asyncio or trio.
+        tasks: The functions that start and manage tasks on asyncio or trio.
         now: A function that returns the current time (ns since the epoch).
         release: A function called with each goal that ends. It may return a function that starts
             the next goal. ``release`` is None if goals never wait for one another.
         options: The server's options. This class uses only the options for pausing.
 
     Attributes:
-        served: The argument ``served``.
+        served: The action, its name and its body, as passed to the constructor.
         check_result: A function that validates a result and returns a copy of it.
         observers: The objects that are told of each change of a goal; some also get feedback.
         outlet: The feedback topic; None while nobody reads it.
         bodies: The tasks of the running bodies, each with its goal.
         durable: The goals in the server's journal; None if it has none.
         pauses: The object that pauses and resumes the goals.
-        is_suspended: Whether bodies are being stopped while their goals stay unfinished in the
-            journal.
+        is_suspended: Whether the server is stopping bodies without ending their goals. The journal
+            keeps these goals, which continue after a restart.
     """
 
     def __init__(
@@ -232,7 +233,7 @@ class Execution:
         return result
 
     def _publish_or_emit(self, goal: Goal, feedback: object) -> bool:
-        """Publish feedback. Return whether a callback or observer has canceled the goal.
+        """Publish feedback, and return whether a callback or observer has canceled the goal.
 
         Without a journal, this method repeats the code of `publish`, because another function call
         for each message would be too slow.
@@ -527,14 +528,20 @@ class Execution:
             self.end(goal, GoalEvent.ABORT, None, summary(error))
 
     def _end_canceled(self, goal: Goal) -> None:
-        """End a canceled goal: CANCELED if a client has canceled the goal, otherwise ABORTED."""
+        """End a goal whose body was cancelled or has not started.
+
+        The goal ends CANCELED if a client has canceled the goal, otherwise ABORTED.
+        """
         if goal.status is _CANCELING:
             self.end(goal, _CANCELED, None)
         else:
             self.end(goal, GoalEvent.ABORT, None, goal.reason or CUT_OFF)
 
     def _end_with(self, goal: Goal, event: GoalEvent, result: object, reason: str) -> None:
-        """End a goal with the result from its body's exception, unless the result is invalid."""
+        """End a goal with the result that its body's exception carries.
+
+        If the result is invalid, end the goal without it, and add the problem to ``reason``.
+        """
         if result is not None:
             try:
                 result = self.check_result(result)

@@ -23,7 +23,7 @@ F = TypeVar("F", bound=Message)
 class GoalHandle(Generic[G, R, F]):
     """Gives a body access to its goal.
 
-    The subclass `turtleact.ServerGoalHandle` also has the node.
+    The subclass `turtleact.ServerGoalHandle` also gives access to the node.
     """
 
     __slots__ = ("_execution", "_goal")
@@ -54,7 +54,7 @@ class GoalHandle(Generic[G, R, F]):
 
     @property
     def reason(self) -> str:
-        """Why the goal was aborted or will be aborted; otherwise empty."""
+        """The reason for aborting the goal, known before or at its end; empty if there is none."""
         return self._goal.reason
 
     @property

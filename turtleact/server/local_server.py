@@ -96,7 +96,7 @@ class SlotRequest:
             execution.start(self.goal, self.context)
 
     def cancel(self) -> None:
-        """End the waiting goal."""
+        """End the goal, which has not yet got a place in the slot."""
         self._server.execution.drop(self.goal)
 
     def evict(self, reason: str) -> None:
@@ -110,17 +110,17 @@ class LocalActionServer:
     Args:
         served: The action, its name and its body.
         options: The user's options.
-        tasks: The functions for tasks on the event loop, asyncio or trio.
+        tasks: The functions that start and manage tasks on asyncio or trio.
         now: Returns the current time (ns since the epoch).
         slot: The slot in which goals run; None if goals never wait for one another.
 
     Attributes:
-        served: The argument ``served``.
+        served: The action, its name and its body, as passed to the constructor.
         name: The fully qualified name of the action.
         is_open: Whether the server accepts goals.
         execution: Runs the bodies.
         observers: The objects that are told of each change of a goal.
-        slot: The argument ``slot``; None after the server has closed.
+        slot: The slot, as passed to the constructor; None after the server has closed.
         grace: How long a canceled body may clean up (s, event loop time).
         durable: The goals in the server's journal; None if the server has no journal.
         pauses: Pauses and resumes the goals.
@@ -223,7 +223,7 @@ class LocalActionServer:
         return goal
 
     def _take_in_turn(self, order: GoalOrder, *, is_streamed: bool = False) -> Goal | None:
-        """Call `take_nowait`. But if other tasks need a turn first, return None instead."""
+        """Call `take_nowait`, or return None if other tasks need a turn first."""
         self._until_turn -= 1
         return self.take_nowait(order, is_streamed=is_streamed) if self._until_turn > 0 else None
 
@@ -317,7 +317,7 @@ class LocalActionServer:
 
         Raises:
             InvalidGoal: if the request does not fit the action.
-            GoalRejected: if the goal is rejected, or its client has gone meanwhile.
+            GoalRejected: if the goal is rejected, or its client has disconnected in the meantime.
         """
         request, sender = order.request, order.sender
         self._preparing[sender] += 1
@@ -343,7 +343,7 @@ class LocalActionServer:
         return f"the server of '{self.name}' is shutting down"
 
     def _new_goal(self, order: GoalOrder, request: object, *, is_streamed: bool = False) -> Goal:
-        """Make a goal in the state EXECUTING. `_enter` changes the state if there is a slot.
+        """Make an EXECUTING goal. If there is a slot, `_enter` later makes the goal ACCEPTED.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
@@ -440,7 +440,7 @@ class LocalActionServer:
         return self._table.find(goal_id, self._now())
 
     async def attach(self, goal_id: bytes) -> Goal | None:
-        """Do the same as `find`, and from now on keep the goal's feedback for readers."""
+        """Return the goal as `find` does, and keep the goal's feedback for readers from now on."""
         if self.durable is not None:
             await self.durable.restored.wait()
         goal = self.find(goal_id)
@@ -452,7 +452,7 @@ class LocalActionServer:
         return goal
 
     def held_ids(self) -> Collection[bytes]:
-        """The ids of all goals that the server holds. Goals without an id are left out."""
+        """The ids of the goals that the server holds, except for goals that have no id yet."""
         return self._table.ids(self._now())
 
     def held(self) -> list[Goal]:
@@ -460,7 +460,7 @@ class LocalActionServer:
         return self._table.held(self._now())
 
     async def wait_for_end(self, goal: Goal) -> None:
-        """Wait until a goal has ended. Cancelling: safe, the goal continues."""
+        """Wait until a goal has ended. If this call is cancelled, the goal continues."""
         signal = self.signal(goal)
         goal.waiters += 1
         try:
@@ -558,7 +558,7 @@ class LocalActionServer:
         return True
 
     def evict(self, goal: Goal, reason: str) -> None:
-        """Cancel a goal for a reason of the server, unless the goal is already being canceled."""
+        """Cancel a goal on the server's initiative, unless the goal is already being canceled."""
         is_wanted = goal.status.is_active and goal.status is not _CANCELING
         if is_wanted and not goal.reason and not goal.is_decided:
             if not self.execution.is_suspended:  # a paused goal is still paused after a restart

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["PauseEndpoints"]
 
 PATIENCE = 5.0
-"""The timeout for pausing each goal when all goals are paused (s, event loop time)."""
+"""The timeout for pausing a goal when a client pauses all goals at once (s, event loop time)."""
 
 _PAUSABLE = (GoalStatus.ACCEPTED, GoalStatus.EXECUTING)
 
@@ -40,8 +40,8 @@ class PauseEndpoints(Source, GoalObserver):
     Args:
         server: The server of the goals.
         transport: The transport to open the services and the topic on.
-        endpoint: A function that makes the description of an endpoint.
-        tasks: The functions for tasks on the event loop, asyncio or trio.
+        endpoint: A function that returns the `Endpoint` for a kind, a name and a type.
+        tasks: The functions that start and manage tasks on asyncio or trio.
     """
 
     def __init__(
@@ -79,7 +79,10 @@ class PauseEndpoints(Source, GoalObserver):
             self._publication.refresh()
 
     def readers_changed(self, *, has_readers: bool) -> None:
-        """Observe pauses only while the topic has readers, because observers cost time."""
+        """Start observing pauses when the topic gets readers; stop when it has none.
+
+        Observing costs time for each goal.
+        """
         self._server.observers.remove(self)
         if has_readers:
             self._server.observers.add(self)
@@ -90,7 +93,7 @@ class PauseEndpoints(Source, GoalObserver):
         return (PausedGoals(goal_ids=ids),)
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
-        """Build the same message as bytes."""
+        """Build the message with all goals that are paused, as bytes."""
         return [encode(message) for message in self.current()]
 
     def _serve(self, service: Any, name: str, handle: Callable[[Any], Any]) -> None:  # noqa: ANN401

@@ -2,7 +2,7 @@
 
 The body of a paused goal waits at one of these points:
 
-- a generator: at a ``yield``, where the server does not resume the generator
+- a generator: at a ``yield``; the server does not resume the generator until the goal is resumed
 - a coroutine declared with ``pausable=True``: at ``await handle.checkpoint()``
 
 When the body has reached this point, the server calls ``on_pause``, if there is one, to bring the
@@ -10,8 +10,8 @@ robot to rest. A coroutine without ``pausable=True`` continues during a pause, a
 stops the robot.
 
 ROS 2 has no state for paused goals, so a pause does not change the state of a goal. A paused goal
-keeps its place in its slot. Cancellation, preemption and the server's shutdown take effect on a
-paused goal at once.
+keeps its place in the slot, so no waiting goal starts instead. Cancellation, preemption and the
+server's shutdown take effect on a paused goal at once.
 
 Source: VDA 5050 ``startPause`` and ``stopPause``, for what users expect of a pause.
 """
@@ -77,8 +77,9 @@ class Pauses:
     Args:
         body: The body that the server runs for each goal.
         options: The server's options, with ``pausable``, ``on_pause`` and ``on_resume``.
-        keeper: The execution, which makes handles and has the journal and the observers.
-        tasks: The functions for tasks on the event loop, asyncio or trio.
+        keeper: The server's `Execution`, which makes goal handles and has the journal and the
+            observers.
+        tasks: The functions that start and manage tasks on asyncio or trio.
         now: A function that returns the current time (ns since the epoch).
 
     Attributes:
@@ -257,7 +258,7 @@ class Pauses:
             self._orphans.append(Background(freeing, f"children of goal {goal.hex}", self._tasks))
 
     async def aclose(self, grace: float) -> None:
-        """Stop the tasks that resume the children of ended goals.
+        """Stop the tasks that resume child goals because their paused parent has ended.
 
         Wait at most ``grace`` seconds (event loop time) for each task.
         """
@@ -290,10 +291,10 @@ class Pauses:
         return True
 
     async def _bring_to_rest(self, goal: Goal) -> None:
-        """Call ``on_pause``.
+        """Call ``on_pause`` to bring the robot to rest.
 
-        If ``on_pause`` is cancelled, call ``on_resume``, because the robot may have stopped
-        already.
+        If ``on_pause`` is cancelled and the goal continues, call ``on_resume``, because the robot
+        may have stopped already.
         """
         try:
             await self._call(self._on_pause, goal, "on_pause")
@@ -365,7 +366,10 @@ def _is_ending(goal: Goal) -> bool:
 
 
 class _Switch:
-    """Acquires the lock of one goal, and deletes the lock as soon as nobody uses it."""
+    """Lets only one task at a time pause or resume a goal.
+
+    The goal's lock is deleted as soon as no task holds the lock or waits for it.
+    """
 
     def __init__(self, locks: dict[Goal, anyio.Lock], goal: Goal) -> None:
         self._locks = locks

@@ -1,8 +1,9 @@
 """The picture that turtles draw on: 500×500 pixels, and straight lines without antialiasing.
 
-A line is a rectangle that is as wide as the pen and reaches half that width beyond both ends of the
-line. A pixel is coloured if its centre lies inside the rectangle, or on its left or upper edge. x
-counts from the left, y from the top. This module does not depend on turtles, ROS or a clock.
+A line is drawn as a rectangle that is as wide as the pen. The rectangle extends half the pen's
+width beyond both ends of the line. A pixel is coloured if its centre lies inside the rectangle, or
+on its left or upper edge. x counts from the left, y from the top. This module does not depend on
+turtles, ROS or a clock.
 
 Source: turtlesim 1.8.2, ``path_image_`` in ``turtle_frame.cpp``; Qt 5, ``QPen`` (square caps) and
 "Coordinate System" (fill rule).
@@ -46,14 +47,14 @@ _OPAQUE: Final = 255 << 24
 FLAT: Final = 1e-9
 """A component of a line's direction (a unit vector) counts as 0 if it is smaller than this.
 
-No pixel shows the difference.
+The difference is too small to change a pixel.
 """
 
 _NOTHING: Final = array("I", [0]) * (SIZE * SIZE)
 
 
 class Canvas:
-    """A picture as pixels, on which nothing is drawn at first.
+    """A picture made of pixels. A new canvas is empty.
 
     Attributes:
         pixels: One number per pixel, row by row from the top:
@@ -126,11 +127,11 @@ def _strip(dx: float, dy: float, low: float, high: float) -> tuple[float, float,
     """Solve ``low <= dx * x + dy * y < high`` for x.
 
     If ``dx`` is nearly 0, the condition depends only on y, and the bounds of x are infinite. The
-    caller tests only rows that meet the condition.
+    caller must then skip each row with a y that does not meet the condition.
 
     Returns:
-        Three numbers: how much both bounds of x grow when y grows by 1, the lower bound for y = 0,
-        and the upper bound for y = 0.
+        The increase of both bounds of x from one row to the next, the lower bound in row 0, and the
+        upper bound in row 0.
     """
     if abs(dx) < FLAT:
         return 0.0, -inf, inf

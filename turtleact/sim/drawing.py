@@ -45,10 +45,13 @@ if TYPE_CHECKING:
 __all__ = ["MOST_POINTS", "TOLERANCE", "Drawing", "Pens", "Polyline"]
 
 TOLERANCE: Final = 0.05
-"""The maximum distance of an omitted point from its polyline (pixels)."""
+"""A polyline omits a point only if the polyline passes at most this far from it (pixels)."""
 
 MOST_POINTS: Final = 20_000
-"""The maximum number of points in all polylines, which take about a megabyte."""
+"""The maximum number of points in all polylines together.
+
+This many points take about a megabyte.
+"""
 
 LONGEST: Final = 500
 """The maximum number of points in one polyline."""
@@ -147,7 +150,7 @@ class Drawing:
         return _rgba(self._pixels().pixels)
 
     def base(self) -> bytes | None:
-        """Return the pixels of everything that is kept only as pixels; None if there is nothing."""
+        """Return the pixels of the lines that `polylines` no longer has; None if there are none."""
         self._read()
         return self._base
 
@@ -190,7 +193,7 @@ class Drawing:
             self._draw_runs()
 
     def _end_fleet(self) -> None:
-        """Finish the lines of the fleet that later steps could extend, and store these lines."""
+        """Store the fleet's unfinished lines, although later steps could have extended them."""
         if self._fleet is not None:
             self._note(self._fleet.pen, self._fleet.take_all())
 
@@ -209,7 +212,10 @@ class Drawing:
             self._read_fleet()
 
     def _read_fleet(self) -> None:
-        """Convert all stored lines, as `_read` does, but faster if all lines have the same pen."""
+        """Convert all stored lines, as `_read` does.
+
+        If all lines have the same pen, this method is faster than `_read`.
+        """
         import numpy as np
 
         from turtleact.sim.rasterising import draw_lines
@@ -369,8 +375,8 @@ class Pens:
     def _follow_fleet(self, before: Sequence[complex], now: Sequence[complex]) -> bool:
         """Draw the lines of all turtles at once. Return False if they must be drawn one by one.
 
-        Lines can be drawn at once if there are many turtles, and all of them have the same pen,
-        switched on.
+        Lines can be drawn at once if there are many turtles, their pens are equal, and no pen is
+        off.
         """
         if isinstance(now, list):  # a few turtles: see `World.places`
             return False
@@ -411,7 +417,7 @@ class _Fleet(NamedTuple):
 
     Attributes:
         numbers: The numbers of the turtles (see `_Holder`), by index.
-        pen: The pen that all turtles have; None if the pens differ or one is off.
+        pen: The pen that all turtles share; None if their pens differ or a pen is off.
     """
 
     numbers: Numbers
@@ -437,7 +443,10 @@ class _Run:
         self.end = end
 
     def takes(self, pen: Pen, start: complex, end: complex) -> bool:
-        """Append a line if it continues straight on with the same pen; return whether it does."""
+        """Append a line if it has the same pen and direction, and begins at the end of this line.
+
+        Return whether the line was appended.
+        """
         if start != self.end or pen != self.pen:
             return False
         way, step = self.end - self.start, end - start
@@ -455,10 +464,12 @@ class _Stroke:
     """A polyline that may continue.
 
     The tip is the newest point. A straight line from the last corner to a new point replaces the
-    points since that corner if it passes within `TOLERANCE` of all of them. For this, the line's
-    direction must be between `_low` and `_high` (rad, relative to `_axis`), and the line must be at
-    least as long as `_reach`, the largest distance of these points from the corner. Otherwise, the
-    old tip becomes a corner.
+    points since that corner if the line passes within `TOLERANCE` of all these points. Otherwise,
+    the old tip becomes a corner.
+
+    The line passes close enough if two conditions are met. The line's direction is between `_low`
+    and `_high` (rad, relative to `_axis`). The line is at least as long as `_reach`, the largest
+    distance of the replaced points from the corner.
     """
 
     __slots__ = ("_axis", "_high", "_low", "_reach", "corners", "pen", "tip")

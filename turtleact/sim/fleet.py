@@ -6,10 +6,10 @@ or a new place. After that, each tick adds the vector to the place and then rota
 ``theta += turn; place += step; step *= spin``. A vector is rotated at most ``COMMAND_TICKS`` times,
 so rounding errors stay small.
 
-Angles, straight lines, turns on the spot, stops at walls and the end of a command match `Handful`
-to the last bit. Along a curve, a rotated vector has other rounding errors than the vectors that
-`Handful` computes. After 20,000 steps of random driving, places differed by 6e-14 m between `Fleet`
-and `Handful`.
+`Fleet` and `Handful` compute angles, straight lines, turns on the spot, stops at walls and the ends
+of commands identically, to the last bit. Along a curve, the rounding errors of a rotated vector
+differ from those of the vectors that `Handful` computes. After 20,000 steps of random driving,
+places differed by 6e-14 m between `Fleet` and `Handful`.
 
 For collisions, each turtle is a disc. If a step would make two discs overlap and bring them closer
 than before, neither turtle moves. A turtle that does not move may block a third turtle, so that the
@@ -17,7 +17,7 @@ third turtle does not move either, and so on. Therefore, two separate discs neve
 and two overlapping discs can only move apart. The result does not depend on the order of the
 turtles.
 
-This module knows no names, no ROS and no clock.
+This module depends on no turtle names, no ROS and no clock.
 
 Source: for collisions the cell lists of molecular dynamics (Allen and Tildesley, Computer
 Simulation of Liquids, section 5.3.2).
@@ -56,16 +56,17 @@ _Complexes: TypeAlias = npt.NDArray[np.complex128]
 _Indices: TypeAlias = npt.NDArray[np.intp]
 
 _Caught: TypeAlias = tuple[int, _Indices, _Complexes]
-"""The index of a block's first turtle, and the block's turtles that are outside the walls.
+"""The turtles of a block that are outside the walls, as three values.
 
-The two arrays are the indices of these turtles in the block, and their places.
+The values are the index of the block's first turtle, an array with the indices of the outside
+turtles in the block, and an array with the places of these turtles.
 """
 
 BLOCK = 8192
 """How many turtles are stepped together, so that a step's data fits the second-level cache."""
 
 _FEW = 6
-"""Up to this many angles are wrapped faster one by one than as arrays."""
+"""At most this many angles are wrapped one by one, because arrays are slower for so few."""
 
 # Arrays, because numpy handles them faster than plain numbers.
 _ZERO = np.array(0.0)
@@ -77,14 +78,17 @@ BODY: Final = 0.3
 """The radius of a turtle (m), measured on its picture without head and tail."""
 
 _COLUMNS: Final = 1 << 20
-"""A cell's number is its row times this factor, plus its column, which is always smaller."""
+"""A cell's number is its row times this factor, plus its column.
+
+Every column is smaller than this factor.
+"""
 
 _AROUND: Final = [row * _COLUMNS + column for row in (-1, 0, 1) for column in (-1, 0, 1)]
-"""The offsets from a cell's number to the numbers of its eight neighbours, and 0 for the cell."""
+"""The offsets from a cell's number to those of its eight neighbours and of the cell itself (0)."""
 
 
 class Fleet:
-    """Moves many turtles as arrays. It does the same as `Handful`, but faster for many turtles.
+    """Moves turtles with arrays. A fleet is faster than a `Handful` if there are many turtles.
 
     Args:
         places: Where the turtles stand, by index.
@@ -113,7 +117,10 @@ class Fleet:
         return len(self._theta)
 
     def drive(self, commands: Mapping[int, Command], tick: int) -> None:
-        """Command turtles by index. A command lasts ``COMMAND_TICKS`` ticks from ``tick`` on."""
+        """Give commands to turtles; the keys are the indices of the turtles.
+
+        A command lasts ``COMMAND_TICKS`` ticks from ``tick`` on.
+        """
         at = np.fromiter(commands, np.intp, len(commands))
         self._take_up(at, np.array(list(commands.values())).T, tick)
 
@@ -123,7 +130,11 @@ class Fleet:
             self._take_up(block.where, speeds[:, block.where], tick)
 
     def place(self, index: int, place: Place) -> None:
-        """Place a turtle. The next step wraps the angle and moves the turtle inside the walls."""
+        """Place a turtle.
+
+        The next step wraps the turtle's angle. If the turtle is outside the walls, the step moves
+        the turtle back inside.
+        """
         self._place[index] = complex(place.x, place.depth)
         self._theta[index] = place.theta
         at = np.array([index])
@@ -133,7 +144,8 @@ class Fleet:
     def insert(self, index: int, place: Place) -> None:
         """Insert a turtle at rest at this index.
 
-        As after `place`, the next step wraps the angle and moves the turtle inside the walls.
+        The next step wraps the turtle's angle. If the turtle is outside the walls, the step moves
+        the turtle back inside.
         """
         # This copies turtle 0, only to make room.
         self._rearrange(np.insert(np.arange(len(self)), index, 0))
@@ -153,7 +165,7 @@ class Fleet:
         return self._place.real, self._place.imag, self._theta, *self._speeds
 
     def places(self) -> Sequence[complex]:
-        """A copy of the places of all turtles: an array of ``x + 1j * depth`` (m)."""
+        """A copy of all turtles' positions: an array of complex numbers ``x + 1j * depth`` (m)."""
         return cast("Sequence[complex]", self._place.copy())
 
     def orders(self) -> list[tuple[State, int]]:
@@ -168,7 +180,7 @@ class Fleet:
         """Move all turtles by one step, which completes tick number ``tick``.
 
         Returns:
-            The turtles that hit a wall. The list is built only when you look at it.
+            The turtles that hit a wall. The list is built when it is first accessed.
         """
         if tick >= self._next_expiry:
             self._halt(tick)
@@ -212,10 +224,10 @@ class Fleet:
         self._expires[at] = NEVER
 
     def _rearrange(self, order: _Indices) -> None:
-        """Keep the turtles with these indices, in this order, and compute all steps anew.
+        """Keep the turtles with these indices, in this order, and recompute all steps.
 
-        Fleets with the same turtles are therefore equal to the last bit, whatever turtles were
-        inserted or removed before.
+        Two fleets with the same turtles therefore move identically to the last bit, even if other
+        turtles were inserted or removed earlier.
         """
         self._place, self._theta = self._place[order], self._theta[order]
         self._speeds, self._turn = self._speeds.take(order, axis=1), self._turn[order]
@@ -241,7 +253,10 @@ class Fleet:
                 self._unwind_one(index)
 
     def _unwind(self, at: _Indices) -> None:
-        """Bring these angles into range by one turn, or with `_wrap` if one turn is not enough."""
+        """Add or subtract a full turn, to bring the angles of these turtles into range.
+
+        If one turn is not enough for an angle, `_wrap` wraps the angles instead.
+        """
         theta = self._theta[at]
         unwound = theta - np.copysign(2.0 * self._half, theta)
         if np.absolute(unwound).max() >= self._half:
@@ -251,7 +266,10 @@ class Fleet:
         self._step[at] *= 1.0 - 1j * np.copysign(self._slip, theta)
 
     def _unwind_one(self, index: int) -> None:
-        """Do the same as `_unwind` for a single turtle, ten times as fast."""
+        """Do the same as `_unwind` for one turtle.
+
+        For a single turtle, this method is ten times as fast as `_unwind`.
+        """
         theta = float(self._theta[index])
         unwound = theta - math.copysign(2.0 * self._half, theta)
         if abs(unwound) >= self._half:
@@ -261,7 +279,7 @@ class Fleet:
         self._step[index] *= complex(1.0, -math.copysign(self._slip, theta))
 
     def _wrap(self, at: _Indices) -> None:
-        """Wrap the angles of these turtles like `kinematics.wrap`, and compute their steps anew."""
+        """Wrap the angles of these turtles as `kinematics.wrap` does, and recompute their steps."""
         half, turn = self._half, 2.0 * self._half
         theta = self._theta[at]
         wrapped = theta - turn * np.floor((theta + half) / turn)
@@ -270,7 +288,10 @@ class Fleet:
         self._aim(at, theta)
 
     def _aim(self, at: slice | _Indices, theta: _Floats) -> None:
-        """Compute the steps that end in the headings ``theta``; see `kinematics.displacement`."""
+        """Compute the step vectors of turtles that have the headings ``theta`` after the step.
+
+        `kinematics.displacement` does the same for one turtle.
+        """
         vx, vy = self._speeds[0, at], self._speeds[1, at]
         length: float | _Floats = DT
         if self._rule is StepRule.ARC:
@@ -362,7 +383,7 @@ class _Block:
 
 
 class _Hits(Sequence[Hit]):
-    """The hits of a step, collected only when somebody looks at them."""
+    """The turtles that hit a wall in a step. The list is built when it is first accessed."""
 
     def __init__(self, caught: list[_Caught]) -> None:
         self._caught = caught

@@ -63,10 +63,10 @@ class StepRule(enum.Enum):
     """How a step turns speeds into motion."""
 
     EULER = "euler"
-    """turtlesim's own: turn first, then move straight along the new heading."""
+    """turtlesim's rule: first turn, then move straight along the new heading."""
 
     ARC = "arc"
-    """The exact motion of a constant twist: along an arc."""
+    """The exact motion at constant speeds: the turtle moves along an arc."""
 
 
 class Command(NamedTuple):
@@ -117,23 +117,34 @@ Hits: TypeAlias = "Sequence[Hit]"
 
 
 class Turtles(Protocol):
-    """The interface of `Handful` and ``Fleet``: turtles by index, and one step for all of them."""
+    """The interface of `Handful` and ``Fleet``.
+
+    The methods access turtles by index. `step` moves all turtles by one time step.
+    """
 
     def __len__(self) -> int: ...
 
     def drive(self, commands: Mapping[int, Command], tick: int) -> None:
-        """Command turtles by index. A command lasts ``COMMAND_TICKS`` ticks from ``tick`` on."""
+        """Give commands to turtles; the keys are the indices of the turtles.
+
+        A command lasts ``COMMAND_TICKS`` ticks from ``tick`` on.
+        """
 
     def drive_all(self, speeds: npt.NDArray[np.float64], tick: int) -> None:
         """Give every turtle a command. ``speeds`` has shape (3, N), with rows as in `Command`."""
 
     def place(self, index: int, place: Place) -> None:
-        """Place a turtle. The next step wraps the angle and moves the turtle inside the walls."""
+        """Place a turtle.
+
+        The next step wraps the turtle's angle. If the turtle is outside the walls, the step moves
+        the turtle back inside.
+        """
 
     def insert(self, index: int, place: Place) -> None:
         """Insert a turtle at rest at this index.
 
-        As after `place`, the next step wraps the angle and moves the turtle inside the walls.
+        The next step wraps the turtle's angle. If the turtle is outside the walls, the step moves
+        the turtle back inside.
         """
 
     def remove(self, index: int) -> None:
@@ -146,7 +157,7 @@ class Turtles(Protocol):
         """The states of all turtles: N numbers for each field of `State`."""
 
     def places(self) -> Sequence[complex]:
-        """A copy of the places of all turtles, as ``x + 1j * depth``."""
+        """A copy of all turtles' positions, as complex numbers ``x + 1j * depth`` (m)."""
 
     def orders(self) -> list[tuple[State, int]]:
         """The state of each turtle, and the tick in which its command expires.
@@ -186,8 +197,8 @@ def chord(rule: StepRule, turn: float) -> tuple[float, float]:
         turn: How far the turtle turns in the step (rad).
 
     Returns:
-        Two numbers: the heading at the end of the step minus the direction of the line (rad), and
-        the time in which the turtle would move along the line at its speed (s).
+        The heading at the end of the step minus the direction of the line (rad), and the length of
+        the line divided by the turtle's speed (s).
     """
     if rule is StepRule.EULER or not turn:
         return 0.0, DT
@@ -196,7 +207,10 @@ def chord(rule: StepRule, turn: float) -> tuple[float, float]:
 
 
 def half_turn(rule: StepRule) -> float:
-    """Half a turn (rad) under a step rule: pi for ARC, 3.14159265 for EULER, as in turtlesim."""
+    """The angle that a step rule uses for half a turn (rad).
+
+    The angle is pi for ARC. For EULER, the angle is 3.14159265, as in turtlesim.
+    """
     return _HALF_TURN[rule]
 
 
@@ -232,7 +246,10 @@ class Handful:
         return len(self._turtles)
 
     def drive(self, commands: Mapping[int, Command], tick: int) -> None:
-        """Command turtles by index. A command lasts ``COMMAND_TICKS`` ticks from ``tick`` on."""
+        """Give commands to turtles; the keys are the indices of the turtles.
+
+        A command lasts ``COMMAND_TICKS`` ticks from ``tick`` on.
+        """
         for index, command in commands.items():
             self._turtles[index].take_up(command, self._rule, tick + COMMAND_TICKS)
 
@@ -241,14 +258,19 @@ class Handful:
         self.drive(dict(enumerate(map(Command, *speeds.tolist()))), tick)
 
     def place(self, index: int, place: Place) -> None:
-        """Place a turtle. The next step wraps the angle and moves the turtle inside the walls."""
+        """Place a turtle.
+
+        The next step wraps the turtle's angle. If the turtle is outside the walls, the step moves
+        the turtle back inside.
+        """
         turtle = self._turtles[index]
         turtle.x, turtle.depth, turtle.theta = place
 
     def insert(self, index: int, place: Place) -> None:
         """Insert a turtle at rest at this index.
 
-        As after `place`, the next step wraps the angle and moves the turtle inside the walls.
+        The next step wraps the turtle's angle. If the turtle is outside the walls, the step moves
+        the turtle back inside.
         """
         self._turtles.insert(index, _Turtle(place))
 
@@ -267,7 +289,7 @@ class Handful:
         return columns or [()] * len(State._fields)
 
     def places(self) -> Sequence[complex]:
-        """A copy of the places of all turtles, as ``x + 1j * depth``."""
+        """A copy of all turtles' positions, as complex numbers ``x + 1j * depth`` (m)."""
         return [complex(turtle.x, turtle.depth) for turtle in self._turtles]
 
     def orders(self) -> list[tuple[State, int]]:
@@ -308,8 +330,8 @@ class _Turtle:
 
     Attributes:
         turn: How far the turtle turns in a step (rad).
-        lag: The first number that `chord` returns for the command (rad).
-        length: The second number that `chord` returns for the command (s).
+        lag: The heading at the end of a step minus the direction of the step's `chord` (rad).
+        length: The length of the step's `chord` divided by the turtle's speed (s).
         expires: The tick in which the command expires; `NEVER` if there is no command.
     """
 

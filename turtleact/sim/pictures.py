@@ -43,13 +43,13 @@ __all__ = [
 ]
 
 BACKGROUND: Final = Colour(69, 86, 255)
-"""The background of turtlesim, unless its parameters change it."""
+"""The default background colour of turtlesim. turtlesim's parameters can change the colour."""
 
 HUES: Final = (145, 38, 340, 175, 15, 80, 295, 55)
 """The hues of turtles (degrees); none is the blue of the background."""
 
 FINE: Final = 4
-"""The number of samples per pixel, in each direction, that smooth a turtle's edges."""
+"""The number of samples per pixel, in x and again in y, for smoothing the edges of turtles."""
 
 
 class Shades(NamedTuple):
@@ -73,7 +73,7 @@ def hue_of(name: str) -> int:
 
 
 def shades_of(name: str) -> Shades:
-    """The colours of a turtle, in its hue."""
+    """Return the colours of a turtle. Skin, shell and mark have the hue that `hue_of` returns."""
     hue = hue_of(name) / 360
     return Shades(_colour(hue, 0.64, 0.65), _colour(hue, 0.3, 0.6), _colour(hue, 0.5, 0.65))
 
@@ -92,9 +92,9 @@ class Snapshot(NamedTuple):
     Attributes:
         background: The colour where nothing was drawn.
         pixels: The whole drawing, as `Drawing.pixels` gives it.
-        base: The lines that are not in ``polylines``, in the same form as ``pixels``; None if there
-            are none.
-        polylines: All lines of the drawing that are not in ``base``.
+        base: An image of the lines that were drawn before those in ``polylines``, in the same form
+            as ``pixels``; None if there are no earlier lines.
+        polylines: The lines that were drawn after those in ``base``.
         turtles: The turtles, in the order in which they are painted.
     """
 
@@ -135,7 +135,7 @@ def to_svg(snapshot: Snapshot) -> str:
 
 
 def to_png(snapshot: Snapshot) -> bytes:
-    """Draw a picture whose lines equal those in turtlesim's window, pixel by pixel."""
+    """Draw a PNG picture. Its lines match the lines in turtlesim's window, pixel for pixel."""
     import numpy as np
 
     layers = np.frombuffer(snapshot.pixels, np.uint8).reshape(SIZE, SIZE, 4)
@@ -179,7 +179,7 @@ def svg_shades(name: str) -> str:
 
 
 class _Part(NamedTuple):
-    """A part of a turtle at 0 with theta 0: the shade and the outline (pixels) of the part."""
+    """A part of a turtle at the origin that faces right: its shade and its outline (pixels)."""
 
     shade: str
     outline: tuple[complex, ...]
@@ -229,7 +229,10 @@ def _short(number: float) -> str:
 SVG_TURTLE: Final = "\n".join(
     f'<polygon{_SVG_FILLS[part.shade]} points="{_svg_points(part.outline)}"/>' for part in _PARTS
 )
-"""The shape of a turtle at 0 with theta 0. The element around the shape needs `svg_shades`."""
+"""The SVG shape of a turtle at the origin that faces right (theta 0).
+
+Put the shape into an element that has the attributes from `svg_shades`.
+"""
 
 
 def _paint(

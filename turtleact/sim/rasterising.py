@@ -1,4 +1,4 @@
-"""Draws the lines of many turtles as arrays: joins straight lines, then sets their pixels.
+"""Draws the lines of many turtles with arrays: joins straight steps, then sets the pixels.
 
 While a turtle moves straight, `Runs` joins its steps into one line, so that a fleet does not draw
 one line per turtle and tick. `draw_lines` colours the pixels of many lines. It colours exactly the
@@ -48,8 +48,8 @@ class Runs:
     def take(self, who: Numbers, start: Places, end: Places) -> Lines:
         """Add a straight segment to the lines of some turtles. Return the lines that have ended.
 
-        If a segment does not continue its turtle's line straight on, the line ends and the segment
-        begins a new line.
+        A segment extends its turtle's line if the segment begins at the line's end and has the same
+        direction. Otherwise, the line ends, and the segment begins a new line.
 
         Args:
             who: Array of shape (N,): the numbers of the turtles, without duplicates.

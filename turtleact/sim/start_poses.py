@@ -9,7 +9,8 @@ The first turtles of a world are placed in one of the ways in `PLACINGS`:
   along the circle.
 
 All these places are at least a metre away from the walls. Numbers from messages are rounded to
-float32, as in turtlesim. This module knows no ROS and no clock; all randomness comes from a seed.
+float32, as in turtlesim. This module uses neither ROS nor a clock. All randomness comes from a
+seed.
 
 Source: turtlesim 1.8.2, ``TurtleFrame::spawnTurtle`` and ``Turtle::update``.
 """
@@ -105,7 +106,7 @@ class Spawn(NamedTuple):
 
     @property
     def place(self) -> Place:
-        """The turtle's place, with a depth that is rounded to float32."""
+        """The turtle's place. Its depth below the upper edge is rounded to float32."""
         (depth,) = array("f", (SIDE - self.y,))
         return Place(self.x, depth, self.theta)
 

@@ -305,8 +305,8 @@ class Rotation:
         theta: The turtle's heading before the turn (rad).
 
     Attributes:
-        remaining: The angle left to turn before the latest tick (rad, float32); positive to the
-            left.
+        remaining: The angle that the turtle still had to turn when the latest tick began (rad,
+            float32); positive to the left.
         delta: The heading before the turn minus the heading before the latest tick (rad, float32).
     """
 

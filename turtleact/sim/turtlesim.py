@@ -49,7 +49,8 @@ logger = logging.getLogger("turtleact.turtlesim")
 MOST_SHOWN: Final = 100
 """This many turtles are always visible to other processes. Others become visible on demand.
 
-The limit applies to the turtles with which the world begins and, separately, to spawned turtles.
+The limit applies to the turtles that exist at the start. A second limit of the same size applies to
+spawned turtles.
 """
 
 
@@ -122,7 +123,9 @@ class Turtlesim:
         self._ticking.resume()
 
     async def step(self, ticks: int = 1) -> None:
-        """Make ``ticks`` ticks in a paused world, at the pace of the clock, and wait for the last.
+        """Advance a paused world by ``ticks`` ticks, at the pace of the clock.
+
+        Returns after the last tick.
 
         Cancelling: the remaining ticks are skipped.
 
@@ -146,12 +149,12 @@ class Turtlesim:
         )
 
     def turtles(self, most: int) -> Iterator[tuple[str, Pose, Colour]]:
-        """Yield the name, pose and pen colour of each turtle, for at most ``most`` turtles."""
+        """Yield the name, pose and pen colour of the first ``most`` turtles."""
         for name in islice(self._turtles, most):
             yield name, self._world.pose(name), self._pens.colour(name)
 
     def thumbnail(self, width: int, height: int) -> list[list[Colour | None]]:
-        """Return the drawing in ``width`` times ``height`` pixels.
+        """Return the drawing, scaled to ``width`` by ``height`` pixels.
 
         See `turtleact.sim.pictures.thumbnail`.
         """

@@ -69,8 +69,9 @@ class World:
     turtles start in a grid or on a ring.
 
     Up to 16 turtles are computed in plain floats, and their poses equal turtlesim's to the last
-    bit. If there are more than 16 turtles, they are computed with arrays. On a curve, arrays may
-    move a turtle to a place about 1e-13 m away from turtlesim's (see `turtleact.sim.fleet`).
+    bit. If there are more than 16 turtles, they are computed with arrays. On a curve, a
+    position computed with arrays may differ from turtlesim's by about 1e-13 m (see
+    `turtleact.sim.fleet`).
 
     Args:
         turtles: How many turtles there are, at least one: ``turtle1``, ``turtle2``, …
@@ -82,8 +83,8 @@ class World:
         collide: Whether turtles that meet stop each other (`turtleact.sim.fleet`).
 
     Attributes:
-        holonomic: The argument ``holonomic``. You may change it at any time; the change applies to
-            later commands.
+        holonomic: Whether turtles can move sideways. You may change this attribute at any time; the
+            change applies to later commands.
         on_jump: Called for each teleport when it is made, with the turtle's name, its old place and
             its new place. A place is ``x + 1j * depth`` (m), where ``depth`` is the distance from
             the upper edge.
@@ -145,9 +146,10 @@ class World:
     def set_velocity(
         self, turtle: str | int, vx: float, vy: float = 0.0, omega: float = 0.0
     ) -> None:
-        """Command a turtle from the next step on. The command replaces an earlier one.
+        """Give a turtle a velocity command, which takes effect in the next step.
 
-        The command lasts for 63 steps, unless another command replaces it.
+        The command replaces the turtle's earlier command. It lasts for 63 steps, unless another
+        command replaces it.
 
         Args:
             turtle: The turtle's name or index.
@@ -292,10 +294,10 @@ class World:
             self._take_up()
 
     def step(self) -> Hits:
-        """Make one tick.
+        """Make one tick, and return the turtles that a wall stopped in this tick.
 
         Returns:
-            A `turtleact.sim.kinematics.Hit` for each turtle that a wall stopped in this tick.
+            The turtles, each as a `turtleact.sim.kinematics.Hit`.
         """
         if self._is_asked:
             self._take_up()
@@ -405,8 +407,8 @@ class Names:
     """The names of the turtles that exist.
 
     Args:
-        names: The names of the turtles that exist at the start, in any order. If there are N of
-            these names, `free_name` numbers its own names from N + 1.
+        names: The names of the turtles that exist at the start, in any order. After N names,
+            `free_name` counts from N + 1.
 
     Attributes:
         names: The names, sorted as strings. A turtle's index is its position in this order.
