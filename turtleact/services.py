@@ -124,9 +124,9 @@ class ServiceServer(Generic[Req, Res]):
     async def aclose(self) -> None:
         """Stop accepting requests, answer every caller, and wait for the handlers to end.
 
-        Callers get `ServerUnavailable` at once, and handlers are cancelled. If a handler
-        has not ended after 5 seconds, an error is logged, and the handler is left running. A
-        handler of this server must not await this method.
+        Callers get `ServerUnavailable` at once, and handlers are cancelled. If a handler has
+        not ended after 5 seconds, an error is logged, and the handler is left running. A handler of
+        this server must not await this method.
         """
         self._local.is_open = False
         self._membership.close()
@@ -213,8 +213,8 @@ class LocalServiceServer(Generic[Req, Res]):
     async def aclose(self) -> None:
         """Stop accepting requests, answer every caller, and wait for the handlers to end.
 
-        Callers get `ServerUnavailable` at once, and handlers are cancelled. If a handler
-        has not ended after `GRACE` seconds, an error is logged, and the handler is left running.
+        Callers get `ServerUnavailable` at once, and handlers are cancelled. If a handler has
+        not ended after `GRACE` seconds, an error is logged, and the handler is left running.
         """
         self.is_open = False
         for call in self._calls:
@@ -366,7 +366,7 @@ class ServiceClient(Generic[Req, Res]):
     async def _answer(self, request: object) -> object:
         """Send a request to the server in this process, or to another process.
 
-        Other processes get the request only if this process has no such server.
+        The request goes to another process only if this process has no server of the service.
         """
         server = self._found
         if server is None or not server.is_open:

@@ -175,7 +175,7 @@ class StatusTopic(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """Whether to publish that a goal is ACCEPTED. True if a reader is in this process.
+        """Whether to publish that a goal is ACCEPTED. True if this process has a reader.
 
         Only readers in this process get every state of a goal. Readers in other processes get the
         newest states at the next turn of the event loop.

@@ -130,8 +130,8 @@ def _strip(dx: float, dy: float, low: float, high: float) -> tuple[float, float,
     caller must then skip each row with a y that does not meet the condition.
 
     Returns:
-        The increase of both bounds of x from one row to the next, the lower bound in row 0, and the
-        upper bound in row 0.
+        The growth of both bounds of x when y grows by 1, the lower bound at y = 0, and the upper
+        bound at y = 0.
     """
     if abs(dx) < FLAT:
         return 0.0, -inf, inf

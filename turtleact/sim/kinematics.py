@@ -168,7 +168,8 @@ class Turtles(Protocol):
     def step(self, tick: int) -> Hits:
         """Move all turtles by one step, which completes tick number ``tick``.
 
-        Returns: The turtles that hit a wall, in the order of their indices; usually none.
+        Returns:
+            The turtles that hit a wall, in the order of their indices; usually none.
         """
 
 

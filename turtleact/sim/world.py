@@ -69,9 +69,8 @@ class World:
     turtles start in a grid or on a ring.
 
     Up to 16 turtles are computed in plain floats, and their poses equal turtlesim's to the last
-    bit. If there are more than 16 turtles, they are computed with arrays. On a curve, a
-    position computed with arrays may differ from turtlesim's by about 1e-13 m (see
-    `turtleact.sim.fleet`).
+    bit. If there are more than 16 turtles, they are computed with arrays. On a curve, a position
+    computed with arrays may differ from turtlesim's by about 1e-13 m (see `turtleact.sim.fleet`).
 
     Args:
         turtles: How many turtles there are, at least one: ``turtle1``, ``turtle2``, …
@@ -407,8 +406,8 @@ class Names:
     """The names of the turtles that exist.
 
     Args:
-        names: The names of the turtles that exist at the start, in any order. After N names,
-            `free_name` counts from N + 1.
+        names: The names of the turtles that exist at the start, in any order. If N names are
+            given, the first number that `free_name` uses is N + 1.
 
     Attributes:
         names: The names, sorted as strings. A turtle's index is its position in this order.

@@ -6,13 +6,13 @@
 - `Simulation` opens the services by which other simulators control time:
   ``~/get_simulator_features``, ``~/get_simulation_state``, ``~/set_simulation_state``,
   ``~/step_simulation`` and ``~/reset_simulation``. It also opens the action ``~/simulate_steps``.
-- `Poses` is one message with the poses of all turtles, in arrays. One message per
-  turtle would be too slow, because sending the messages of one tick would take longer than a tick.
+- `Poses` is one message with the poses of all turtles, in arrays. One message per turtle would be
+  too slow, because sending the messages of one tick would take longer than a tick.
   ``geometry_msgs/msg/PoseArray`` has no field for names.
 - `Pictures` opens the service ``~/snapshot``. The module `pictures` makes the picture, in a thread.
 
-Source: simulation_interfaces 2.1.0; Gazebo, for beginning the names of the services with
-the name of the node.
+Source: simulation_interfaces 2.1.0; Gazebo, for service names that begin with the node's
+name.
 """
 
 from __future__ import annotations
