@@ -49,8 +49,9 @@ class WorldNode(Node):
     async def aclose(self) -> None:
         """Close the node as `Node.aclose` does. `open_world` then closes the world.
 
-        A built-in action that this node replaces stays withdrawn. Otherwise, the built-in action
-        would be served again for a moment, and the log would report its return.
+        If this node has replaced a built-in action, closing the node does not bring the built-in
+        action back. Otherwise, the built-in action would be served again for a moment, and the log
+        would report its return.
         """
         if self._built_ins is not None:
             await close_withdrawn(self._built_ins)
@@ -116,8 +117,8 @@ async def open_world(
         paused: Whether the world starts paused.
         turtlesim_only: Whether the world is limited to what the real turtlesim offers, on the node
             ``/turtlesim``. If False, the node ``/turtle_actions`` also serves the built-in actions
-            (``/patrol``, ``/go_to``, ``/command_turtle``, ``/fibonacci``). Another node,
-            ``/world``, then has services for time and pictures, and a topic with all poses in one
+            (``/patrol``, ``/go_to``, ``/command_turtle``, ``/fibonacci``). If False, another node,
+            ``/world``, also has services for time and pictures, and a topic with all poses in one
             message.
         graph: A function that opens the graph for the world; None for a graph within this process.
         on_transition: Called with each state change of the goals that the world serves; see

@@ -95,7 +95,7 @@ MYPY = False
 if MYPY:
 
     class ActionType(Protocol[G_co, R_co, F_co]):
-        """A subclass of `turtleact.Action` for mypy, with methods that make messages."""
+        """How mypy sees a subclass of `turtleact.Action`: with methods that make messages."""
 
         @property
         def type_name(self) -> str:
@@ -113,7 +113,7 @@ if MYPY:
 else:
 
     class ActionType(Protocol[G, R, F]):
-        """A subclass of `turtleact.Action` for pyright, with message classes as attributes."""
+        """How pyright sees a subclass of `turtleact.Action`: with message classes as attributes."""
 
         type_name: str
         Goal: type[G]
@@ -181,7 +181,7 @@ def check_options(options: ServerOptions) -> None:
 
 
 class ActionDeclaration(Generic[P, T]):
-    """A body with its action and name. The decorator `turtleact.action` makes one.
+    """The result of the decorator `turtleact.action`: a body with its action type and its name.
 
     The action is not served until a node serves this declaration. You can still call the
     declaration like the function itself.
@@ -244,8 +244,9 @@ class Declare(Protocol[G, R, F]):
 def _checked(check: Callable[..., None]) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Make a decorator that calls ``check`` with a function's arguments before the function.
 
-    Python's own error for a missing argument does not say what to write. With defaults in the
-    function, type checkers would not report a missing argument, so only ``check`` has defaults.
+    Python's own error for a missing argument does not say what to write. Only ``check`` has default
+    values for its arguments. If the decorated function had them, type checkers would not report a
+    missing argument.
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:

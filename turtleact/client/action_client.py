@@ -49,7 +49,7 @@ logger = logging.getLogger("turtleact.client")
 _SUCCEEDED: Final = GoalStatus.SUCCEEDED  # Python 3.11 looks up an enum's members slowly
 
 SILENCE: Final = 5.0
-"""After waiting this long for a server, the client logs once that it waits (s, event loop time)."""
+"""How long a client waits for a server before it logs one warning (s, event loop time)."""
 
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
@@ -99,8 +99,8 @@ class ActionClient(Generic[G, R, F]):
     ) -> SendGoal[G, R, F]:
         """Send a goal: ``await`` it for the result, or use ``async with`` for a handle.
 
-        If the Zenoh session was opened a moment ago, sending first waits until servers in other
-        processes have been discovered; see `turtleact.transports.open_zenoh`.
+        If the Zenoh session has only just been opened, the client waits for the discovery of
+        servers in other processes before it sends the goal; see `turtleact.transports.open_zenoh`.
 
         Args:
             goal: The goal message.
@@ -352,7 +352,7 @@ if TYPE_CHECKING:
 else:
 
     class _Calling(msgspec.Struct, Generic[R], eq=False):
-        """The runtime base class of `SendGoal`; a struct cannot have an abstract base class."""
+        """The base class of `SendGoal` at runtime: a struct cannot inherit from ``Coroutine``."""
 
 
 class SendGoal(_Calling[R], Generic[G, R, F]):
@@ -455,7 +455,7 @@ Coroutine.register(SendGoal)
 
 
 class _InOwnContext(Coroutine[object, object, T]):
-    """Runs a coroutine of the caller's task in a copy of the task's context.
+    """Runs a coroutine in the caller's task, but in a copy of that task's context.
 
     The coroutine therefore never changes the caller's context. Resetting context variables with
     their tokens would not be enough, because a coroutine may be closed in another context.
@@ -511,10 +511,9 @@ class _ClientObservers(Observers):
     """The observers of one client.
 
     If the server is in another process, the client reports the changes of its goals to these
-    observers. If the server is in the same process, the server reports the changes to the server's
-    own observers. Therefore, if an observer of the client wants reports about goals, the client
-    adds a relay to the server's observers. The relay passes the reports about this client's goals
-    on to the client's observers.
+    observers. If the server is in the same process, the server reports the changes only to its own
+    observers. The client then adds a relay to the server's observers, if any observer of the client
+    wants reports about goals. The relay passes on the reports about this client's goals.
     """
 
     __slots__ = ("_relay", "_relayed", "_theirs")

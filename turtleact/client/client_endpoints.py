@@ -69,7 +69,11 @@ OFFERED_WITHIN: Final = 2.0
 """How long to wait for a server to declare its service for pausing (s, by the graph's clock)."""
 
 AT_ONCE: Final = 8
-"""The most unanswered requests of a client. Two of a queue's ten places stay free for others."""
+"""The most unanswered requests that a client sends to a service.
+
+A ROS 2 service keeps at most ten waiting requests by default, so there is room for two requests of
+other clients.
+"""
 
 # Both responses begin with a number, in the byte after the CDR header.
 _UNKNOWN: Final = bytes([GoalStatus.UNKNOWN])
@@ -86,9 +90,9 @@ class RequestLimiter:
     async def call(self, caller: Caller, request: object, note: str = "") -> Reply:
         """Send a request when its turn comes, and wait for the reply.
 
-        Errors of ``caller`` are raised.
+        If ``caller`` raises an error, this method raises the same error.
 
-        Cancelling: safe. A request that still waits for its turn is not sent.
+        Cancelling: safe. If the request is still waiting for its turn, it is not sent.
         """
         await self._wait_for_turn()
         try:
@@ -99,7 +103,7 @@ class RequestLimiter:
                 self._admit_next()
 
     def admit_all(self) -> None:
-        """Send all waiting requests now, because the server drops no requests."""
+        """Send all waiting requests now. Call this only if the server drops no requests."""
         while self._waiting:
             self._admit_next()
 
@@ -143,11 +147,12 @@ class ClientEndpoints:
             events without messages, or "contents" for events with messages.
 
     Attributes:
-        transport: The argument ``transport``.
+        transport: The transport on which the endpoints are opened.
         name: The fully qualified name of the action.
         action_type: The type of the action.
         is_open: Whether `open` was called.
-        send_goal: The service client that sends goals, each to one server.
+        send_goal: The service client that sends goals. If the action has several servers, each goal
+            goes to only one server.
         get_result: The service client that asks for results. It exists only after `open`.
         is_ours: Whether the server ran turtleact when it last answered; see `knows_ours`.
         takes_both: Whether the client may send a goal and ask for its result at the same time. The
@@ -192,7 +197,7 @@ class ClientEndpoints:
 
     @cached_property
     def implied(self) -> Implied:
-        """The services and the feedback message that are generated from the action."""
+        """The types of the action's services and of its feedback message."""
         return implied(cast("type[Action]", self.action_type))
 
     def find_local(self) -> object | None:
@@ -213,8 +218,8 @@ class ClientEndpoints:
     def knows_ours(self) -> bool:
         """Return whether the server is known to run turtleact.
 
-        A server is known to run turtleact if its last reply had a note, and the action still has
-        the same servers. The client sends requests to such a server at once.
+        A server is known to run turtleact if its last reply had a ``note`` attached, and the action
+        still has the same servers. The client sends requests to a turtleact server at once.
         """
         if self.is_ours and self._seen != self.transport.changes:
             self._seen = self.transport.changes
@@ -222,7 +227,10 @@ class ClientEndpoints:
         return self.is_ours
 
     def learn(self, reply: Reply) -> None:
-        """Learn from a reply whether the server runs turtleact. Only turtleact adds a note."""
+        """Learn from a reply whether the server runs turtleact.
+
+        Only a turtleact server attaches a ``note`` to its replies.
+        """
         if not reply.note:
             self.is_ours = False
         elif not self.is_ours:
@@ -291,12 +299,12 @@ class ClientEndpoints:
     # opening and closing
 
     def open(self, goals: Mapping[bytes, T], take_feedback: Callable[[T, Any], None]) -> None:
-        """Open the other two service clients, and subscribe to feedback.
+        """Open the clients for ``cancel_goal`` and ``get_result``, and subscribe to feedback.
 
         A second call does nothing.
 
         Args:
-            goals: Maps the id of each goal whose feedback is wanted to an object of any kind.
+            goals: Maps goal ids to objects of any kind. The feedback of other goals is ignored.
             take_feedback: Called with the goal's object from ``goals``, and the feedback message.
         """
         if self.is_open:
@@ -370,7 +378,8 @@ class ClientEndpoints:
     def close(self) -> None:
         """Close the endpoints.
 
-        Requests to cancel that were already sent continue, and their events are still published.
+        If a cancel request has already been sent, the client still waits for the reply and
+        publishes the events of the request.
         """
         for opened in reversed(self._opened):
             opened.close()
@@ -430,7 +439,10 @@ class _FeedbackOfGoals(FeedbackFormat, Generic[T]):
         self._goals = goals
 
     def decode(self, data: bytes) -> Any:  # noqa: ANN401  # not the message of the topic
-        """Return the goal's object from ``goals``, and the feedback; None for an unknown goal."""
+        """Return a pair: the object of a goal in ``goals``, and the feedback message.
+
+        For an unknown goal, return None.
+        """
         known = self._goals.get(data[GOAL_ID])
         return None if known is None else (known, self.read(data))
 

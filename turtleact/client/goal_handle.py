@@ -308,7 +308,7 @@ class GoalReader:
         return self.goal.id or self._server.name_goal(self.goal)
 
     def check_home(self) -> None:
-        """Raise an error unless this is called in the client's event loop."""
+        """Raise an error if the caller is not in the client's event loop."""
         self._home.check()
 
     # feedback
@@ -351,7 +351,7 @@ class GoalReader:
             self._stop_reading()
 
     def _stop_reading(self) -> None:
-        """Let the goal's body publish without waiting until the sender has read its feedback."""
+        """From now on, the goal's body does not wait for the sender to read the feedback."""
         log = self.goal.feedback
         if log is not None and self._is_sender:
             log.read = None
@@ -362,7 +362,7 @@ class GoalReader:
     async def wait_for_end(self) -> Goal:
         """Wait for the goal's end.
 
-        Meanwhile, the goal's body publishes without waiting until the sender has read its feedback.
+        Until then, the goal's body does not wait for the goal's sender to read the feedback.
         """
         self._home.check()
         goal = self.goal
@@ -381,8 +381,7 @@ class GoalReader:
     def _hurry(self, change: int) -> None:
         """Add ``change`` to the number of callers that wait for the goal's end.
 
-        If any caller waits, the goal's body publishes without waiting until the sender has read its
-        feedback.
+        If any caller waits, the goal's body does not wait for the sender to read the feedback.
         """
         self._hurried += change
         log = self.goal.feedback  # before there is feedback or a reader, there is no log
@@ -425,7 +424,7 @@ class GoalReader:
 class _Reading:
     """Reads the feedback of a goal.
 
-    Iterators use `read` as their ``__anext__``, which saves one call for each message.
+    Iterators use `read` itself as their ``__anext__``, to save a function call for each message.
     """
 
     __slots__ = ("_reader",)

@@ -7,8 +7,8 @@ client sends these requests in one of two ways:
 - The client sends a turtleact server the goal request and the result request at once, which saves a
   round trip. The server answers the result request when the goal ends. No task waits for the
   replies: the client handles each reply when it arrives. If the result request arrives before the
-  server knows the goal, the server replies that the goal is unknown. The client then sends that
-  server each later result request only after the reply to the goal request.
+  server knows the goal, the server replies that the goal is unknown. From then on, the client sends
+  a result request to that server only after the reply to the goal request.
 - The client sends any other ROS 2 server the result request only after the server has accepted the
   goal, because ROS 2 services may handle requests in any order.
 
@@ -59,15 +59,18 @@ LATE_FEEDBACK: Final = 1.0
 """How long to wait for feedback that arrives after the goal's result (s, event loop time)."""
 
 BACK_WITHIN: Final = 0.5
-"""If a server returns within this time, it was only unreachable (s, event loop time)."""
+"""How long a client without ``reattach`` waits for a server's return (s, event loop time).
+
+A server that returns within this time was only unreachable for a moment.
+"""
 
 ATTEMPTS: Final = 3
 """Without ``reattach``, the client gives up a goal after this many failed result requests."""
 
 SETTLED: Final = 1.0
-"""A request that stays open for this long shows that its server has returned.
+"""A server counts as returned if a request stays pending for longer than this time.
 
-In seconds of event loop time.
+The time is in seconds of event loop time.
 """
 
 PAUSE: Final = 0.1
@@ -181,8 +184,8 @@ class RemoteGoals:
                 time).
 
         Raises:
-            InvalidMessage: if a value of the goal message does not fit its type. Nothing is then
-                sent.
+            InvalidMessage: if a value of the goal message does not fit its type. In this case,
+                nothing is sent.
         """
         if not self._endpoints.is_open:
             self.open()
@@ -617,8 +620,8 @@ class RemoteGoals:
 def goal_lost(action: str, error: ServerUnavailable) -> ServerUnavailable:
     """Turn the error of a result request into the error for an accepted goal.
 
-    The server had answered the goal request. If the result request fails because no server answers,
-    the server has therefore gone away since it accepted the goal.
+    The server has accepted the goal. If no server answers the result request, the server must have
+    gone away after it accepted the goal.
     """
     problem = error.problem.removesuffix(error.when).rstrip()
     has_gone = problem == "no server answers"
@@ -634,9 +637,9 @@ class _Patience:
     after `ATTEMPTS` failed requests.
 
     With ``reattach``, the client waits at most ``reattach`` seconds each time that the server goes
-    away. The server has returned when feedback arrives, or when a request has been open for
-    `SETTLED` seconds. The time limit of ``reattach`` starts again only after the server has
-    returned.
+    away. The server counts as returned when feedback arrives, or when a request has been pending
+    for `SETTLED` seconds without an error. The time limit of ``reattach`` starts again only after
+    the server has returned.
 
     Args:
         endpoints: The client's endpoints.
@@ -659,8 +662,8 @@ class _Patience:
         """Wait until the client can send the request again.
 
         Raises:
-            ServerUnavailable: if the server does not return in time. The raised error is the first
-                one since the server went away.
+            ServerUnavailable: if the server does not return in time. The method raises the error of
+                the first request that failed after the server went away.
         """
         now, lost, reattach = anyio.current_time(), self._lost, self._remote.reattach
         if reattach and self._was_back(now):

@@ -84,7 +84,7 @@ class RemoteActionServer:
         at most ``order.cancel_timeout`` seconds for the goal's end.
 
         Raises:
-            InvalidGoal: if the request does not fit the action. Nothing is then sent.
+            InvalidGoal: if the request does not fit the action. In this case, nothing is sent.
             GoalRejected: if the server rejects the goal.
             ServerUnavailable: if nobody serves the action, or the server goes away.
         """
@@ -106,7 +106,7 @@ class RemoteActionServer:
         return goal
 
     async def run_goal(self, order: GoalOrder) -> Goal:
-        """Send a goal, and return it once it has ended. Otherwise this works like `send_goal`."""
+        """Send a goal as `send_goal` does, but return the goal only after its end."""
         remote = self._send(order)
         goal = remote.goal
         try:
@@ -180,13 +180,13 @@ class RemoteActionServer:
         return None if isinstance(goal.error, UnknownGoal) else goal
 
     async def wait_for_end(self, goal: Goal) -> None:
-        """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
+        """Wait until a goal has ended. Cancelling: safe, the goal continues."""
         signal = self.signal(goal)
         while not goal.ended:
             await signal.wait()
 
     def name_goal(self, goal: Goal) -> bytes:
-        """Return the id of a goal. A goal in another process always has an id."""
+        """Return the id of a goal. Goals in other processes always have an id."""
         return cast("bytes", goal.id)
 
     def _take_states(self, told: dict[bytes, State]) -> None:

@@ -13,9 +13,9 @@ follows these rules:
   reversing.
 - **Never circle round a target.** At full speed, a turtle would circle for ever round a target
   inside its turning circle. The shortest path to a target inside the turning circle begins with an
-  arc in the other gear, forwards or reverse. On the whole path, the turtle turns to the same side
-  (Souères, Fourquet and Laumond 1994). With ``fastest``, the turtle drives the arc in the other
-  gear. With the other styles, the turtle turns on the spot instead.
+  arc in the other gear, forwards or reverse. Along the whole path, the turtle turns only to the
+  left or only to the right (Souères, Fourquet and Laumond 1994). With ``fastest``, the turtle
+  drives the arc in the other gear. With the other styles, the turtle turns on the spot instead.
 - **Look one target ahead.** A turn by an angle phi after a target costs the time (phi - sin(phi)) /
   omega, where omega is the turn rate. If the turtle makes half of the turn before the target, the
   turn costs only about a quarter of that time. The turtle therefore swings wide, so that it makes
@@ -32,38 +32,39 @@ follows these rules:
   heading at the target, on the spot.
 - **Brake early.** If the accelerations are limited, the turtle brakes early enough to finish its
   turn without swinging wide, to stop at the last target, and to stop before the edge of the area.
-  The turtle drives through earlier targets without stopping, unless a tick at full speed is longer
-  than the tolerance. A turtle that moves away from its aim first brakes to a halt, and only then
-  turns. If a turtle drives fast into a corner of the area, it may leave the area by a few
-  centimetres.
+  The turtle drives through earlier targets without stopping, unless it drives farther than the
+  tolerance in one tick at full speed. A turtle that moves away from its aim first brakes to a halt,
+  and only then turns. If a turtle drives fast into a corner of the area, it may leave the area by a
+  few centimetres.
 
 `Helm` holds a command, which means that the turtle follows the command for several ticks without
 asking the law again. In most ticks, the turtle drives straight on or turns at full rate, as in the
 tick before. `Helm` therefore asks the law for two commands: one for the present pose, and one for
-the pose of the turtle some ticks later. If the two commands are the same, `Helm` assumes the same
-command for all ticks in between, and holds it. After these ticks, `Helm` looks ahead again, each
-time twice as far, up to eight ticks. If the two commands differ, `Helm` no longer holds the first
-command. The law has already computed the command for the pose at the end of the held ticks, so
-`Helm` uses that command.
+the pose of the turtle some ticks later. If the two commands differ, the turtle follows the first
+command for only one tick. If the two commands are the same, `Helm` holds the command for all ticks
+up to the later pose. After the held ticks, `Helm` looks ahead again, each time twice as far, up to
+eight ticks. If `Helm` then needs a new command, it uses the command that the law has already
+computed for the later pose.
 
 `Helm` compares each pose with the expected pose. If the two poses differ, for example because a
 command took effect late, `Helm` holds no command. With limited accelerations, `Helm` also holds no
 command, because the speeds change with every tick. `Helm` stops holding a command before the turtle
 reaches the target. A held command never leads out of the area.
 
-Why the turtle always arrives: let e be the angle between its heading and the target, d the distance
-of the target, v the full speed, omega the full turn rate, and R = v/omega the radius of the turning
-circle. The turtle drives on without a change of gear only if tan(e) <= d / R. Let T = e/omega + d/v
-be the time to turn on the spot and then drive straight. While the turtle drives on in the same
-gear, T falls by at least one second per second, even below full speed. While the turtle drives an
-arc in the other gear, T falls by at least half a second per second. On such an arc, e falls by more
-than omega per second, so the arc ends within the time e/omega. The turtle therefore reaches a
-target within 1.5 e/omega + d/v. `time_bound` adds time for the detour when the turtle swings wide.
-With limited accelerations, the turtle drives no faster than omega d / (2 tan(e)) while e is below a
-quarter turn. If e is larger, the turtle stands still and turns.
+The turtle always arrives, for the following reason. Let e be the angle between the turtle's heading
+and the direction to the target, and d the distance to the target. Let v be the full speed, omega
+the full turn rate, and R = v/omega the radius of the turning circle. The turtle drives on without a
+change of gear only if tan(e) <= d / R. Let T = e/omega + d/v be the time to turn on the spot and
+then drive straight. While the turtle drives on in the same gear, T falls by at least one second per
+second, even below full speed. While the turtle drives an arc in the other gear, T falls by at least
+half a second per second. On such an arc, e falls by more than omega per second, so the arc ends
+within the time e/omega. The turtle therefore reaches a target within 1.5 e/omega + d/v.
+`time_bound` adds time for the detour when the turtle swings wide. With limited accelerations, the
+turtle drives no faster than omega d / (2 tan(e)) while e is below a quarter turn. If e is larger,
+the turtle stands still and turns.
 
-The law assumes that a command takes effect in the tick after the pose, and that in each tick the
-turtle first turns and then moves.
+The law assumes that a command for a pose takes effect in the next tick. The law also assumes that
+the turtle first turns and then moves in each tick.
 
 Source: Dubins, "On curves of minimal length with a constraint on average curvature", 1957; Reeds
 and Shepp, "Optimal paths for a car that goes both forwards and backwards", 1990; Souères, Fourquet
@@ -126,13 +127,17 @@ STILL: Final = (0.0, 0.0)
 """The speeds of a turtle that stands still."""
 
 _SAME = 3e-3
-"""How far a held turn rate may lead off the law's course, as a share of the tolerance.
+"""The allowed gap between a held command's path and the law's path, as a share of the tolerance.
 
-The computation assumes the final difference between the two turn rates for the whole time.
+The computation assumes that the turn rates of the two paths differ all the time as much as they
+differ at the end.
 """
 
 _FOR_GOOD = 32 * LONGEST
-"""Because poses are rounded, a turn without clear effect in this many ticks counts as zero."""
+"""A turn that has no clear effect within this many ticks is replaced by driving straight on.
+
+Poses are rounded, so a turn rate of the law may be a rounding error.
+"""
 
 _ROUNDING = 1e-5
 """How far (m, rad) a pose may be from the expected pose, because poses are float32."""
@@ -184,9 +189,8 @@ class Steering(msgspec.Struct, frozen=True):
     ) -> Speeds:
         """Return the speeds for the next tick.
 
-        At the target, the turtle stops, or turns to the heading ``theta``. To make the turtle drive
-        on without a stop, pass the next target as ``target`` as soon as the turtle has reached the
-        first target.
+        At the target, the turtle stops, or turns to the heading ``theta``. The turtle does not stop
+        at a target if, as soon as the target is reached, you pass the next target as ``target``.
 
         Args:
             pose: The place of the turtle (m) and its heading (rad).
@@ -239,7 +243,7 @@ class Steering(msgspec.Struct, frozen=True):
 
     @property
     def _turns_round(self) -> bool:
-        """Whether the turtle drives while it turns round to a next target behind it."""
+        """Whether the turtle keeps driving while it turns towards a next target behind it."""
         return self.style in ("natural", "forward")
 
     def _gear(self, seen: complex, turning: float) -> float:
@@ -256,8 +260,9 @@ class Steering(msgspec.Struct, frozen=True):
         """Return whether turning round and driving forwards takes far longer than reversing.
 
         Each of the two ways consists of a turn on the spot and a straight drive to the target's
-        disc. The choice does not change on the way. If the turtle turns round, the rest of this
-        turn shrinks. If the turtle reverses, the distance to the target's disc shrinks.
+        disc. The choice does not change on the way, because the chosen way gets shorter as the
+        turtle follows it. While the turtle turns round, the angle that is left to turn shrinks.
+        While the turtle reverses, the distance to the target's disc shrinks.
         """
         limits, away = self.limits, abs(seen)
         half_width = math.asin(
@@ -268,7 +273,10 @@ class Steering(msgspec.Struct, frozen=True):
         return max(0.0, error - half_width) + length >= _WORTH * reversing
 
     def _push(self, error: float, *, clear: bool) -> float:
-        """Return 1 to drive on in this gear, -1 to change gear, or 0 to turn on the spot."""
+        """Return 1 to keep the driving direction, -1 to reverse it, or 0 to turn on the spot.
+
+        ``clear`` tells whether `is_clear` is true for the target.
+        """
         if not clear:
             return -1.0 if self.style == "fastest" else 0.0
         return float(self.style != "rotate_then_drive" or abs(error) <= late(self.limits))
@@ -276,7 +284,7 @@ class Steering(msgspec.Struct, frozen=True):
     def _at_once(
         self, frame: Frame, goal: complex, after: complex | None, turning: float
     ) -> Speeds:
-        """Return the speeds for unlimited accelerations.
+        """Return the speeds for a turtle whose accelerations are unlimited.
 
         The linear speed is the speed along ``frame.heading``.
         """
@@ -305,7 +313,7 @@ class Steering(msgspec.Struct, frozen=True):
         return share * limits.max_linear, angular
 
     def _eased(self, frame: Frame, goal: complex, speeds: Speeds, *, is_last: bool) -> Speeds:
-        """Return the speeds for limited accelerations.
+        """Return the speeds for a turtle whose accelerations are limited.
 
         The linear speed is the speed along ``frame.heading``.
         """
@@ -351,7 +359,7 @@ class Course(NamedTuple):
 
 
 class Helm:
-    """Asks the law for commands, and holds each command as long as the law would repeat it.
+    """Gets commands from the steering law, and uses a command for several ticks if possible.
 
     Args:
         steering: The steering law. Its ``limits.dt`` is the length of the turtle's ticks.
@@ -359,8 +367,7 @@ class Helm:
 
     Attributes:
         speeds: The last command: linear (m/s) and angular (rad/s).
-        at: The pose for which the last command was computed, or the newest pose at which the helm
-            still held that command.
+        at: The newest pose for which the last command was computed or held.
         left: The number of ticks for which the last command is still held. If ``left`` is 0, the
             next tick needs a new command.
     """
@@ -433,7 +440,7 @@ class Helm:
         return self.left > 0
 
     def foresees(self, pose: Pose) -> bool:
-        """Return whether a pose is the same as ``at``, or the one expected a tick after ``at``."""
+        """Return whether a pose equals ``at`` or the pose expected one tick after ``at``."""
         (x, y, theta), (new_x, new_y, new_theta) = self.at, pose
         along, step_x, step_y = self._stride
         if along != new_theta:  # else it goes straight on
@@ -478,7 +485,10 @@ class Helm:
         return ticks
 
     def _before(self, target: Point) -> int:
-        """Return a number of ticks in which the turtle surely cannot reach the target."""
+        """Return a lower bound of the number of ticks until the turtle reaches the target.
+
+        The bound is 0 if an acceleration is limited, and at most `LONGEST`.
+        """
         limits = self._steering.limits
         if limits.is_eased:
             return 0
@@ -501,7 +511,7 @@ class Helm:
         )
 
     def _bulge(self, ticks: int) -> float:
-        """Return the largest distance (m) between a path of ``ticks`` ticks and a straight line."""
+        """Return the largest distance (m) between an arc of ``ticks`` ticks and its chord."""
         return abs(self._step * self._turn) * ticks * ticks / 8.0
 
     def _is_same(self, command: Speeds, ticks: int) -> bool:

@@ -62,7 +62,7 @@ Speeds: TypeAlias = tuple[float, float]
 Style: TypeAlias = Literal["natural", "fastest", "forward", "rotate_then_drive"]
 
 MISS = 0.9
-"""The largest allowed miss of a turning circle, as a share of the target's tolerance."""
+"""How far a turning circle may miss a target, as a fraction of the target's tolerance."""
 
 _CUT = 0.75  # Share of the tolerance by which an aim is moved to the inner side of a corner.
 _FACING = 0.5  # Approaches are shaped up to the angle to the target that has this cosine,
@@ -218,9 +218,10 @@ class Frame(msgspec.Struct, frozen=True):
 
 
 def turn_to(seen: complex, turning: float, limits: Limits) -> float:
-    """Return the angle to a point (rad, positive to the left), the short way round.
+    """Return the smaller angle by which a turtle can turn to a point (rad, positive to the left).
 
-    If both ways round are about equally long (see `late`), the sign of ``turning`` decides.
+    If turning left and turning right are about equally long (see `late`), the sign of ``turning``
+    decides.
     """
     error = wrap_angle(phase(seen))
     if error * turning < 0.0 and abs(error) > math.pi - late(limits):
@@ -231,18 +232,18 @@ def turn_to(seen: complex, turning: float, limits: Limits) -> float:
 def late(limits: Limits) -> float:
     """Return how far the turtle can turn (rad) before a late command arrives.
 
-    If a point lies within this angle of straight behind, turning left and turning right to the
-    point count as equally long.
+    If a point is within this angle of the direction straight behind the turtle, turning left and
+    turning right to the point count as equally long.
     """
     return min(_LATE * limits.turn, math.pi / 8)
 
 
 def sway(aside: float, limits: Limits) -> float:
-    """Return how far a point can shift ahead or back (m) before a late command arrives.
+    """Return how far (m) a turtle's own motion can shift a point before a late command arrives.
 
-    The point shifts relative to the turtle, because the turtle turns and drives. If the point is
-    ahead or behind by less than this distance, driving forwards and reversing count as equally
-    good.
+    The shift is forwards or backwards in the turtle's frame. If the point is ahead or behind by
+    less than the shift, it may change to the other side before a late command arrives. Driving
+    forwards and reversing then count as equally good.
 
     Args:
         aside: How far the point is to the side (m).
@@ -252,7 +253,7 @@ def sway(aside: float, limits: Limits) -> float:
 
 
 def leads_back(frame: Frame, target: complex, after: complex, limits: Limits) -> bool:
-    """Return whether the turtle must turn by more than a quarter turn for the next target.
+    """Return whether the turtle must turn by more than 90° from the target to the next target.
 
     If the turtle can drive farther than the tolerance before a late command arrives, it could miss
     both ``target`` and ``after``. In this case, the function returns False.
@@ -262,7 +263,7 @@ def leads_back(frame: Frame, target: complex, after: complex, limits: Limits) ->
 
 
 def nearest(area: Area, point: complex, limits: Limits) -> complex:
-    """Return the point nearest to ``point`` that lies in the area, with a margin to its edge."""
+    """Return the nearest point to ``point`` that is in the area, with a margin to the edge."""
     margin = min(_MARGIN, limits.tolerance / 10)
     x = max(area.left + margin, min(area.right - margin, point.real))
     y = max(area.bottom + margin, min(area.top - margin, point.imag))
@@ -282,7 +283,7 @@ def inside(target: complex, limits: Limits) -> tuple[Area, complex]:
 def room(area: Area, at: complex, step: complex, limits: Limits) -> float:
     """Return the share of a step, 0 to 1, that the turtle can drive without leaving the area.
 
-    If a turtle outside the area heads back towards the area, the share is 1.
+    The share is 1 for a turtle that is outside the area and moves towards the area.
     """
     # Half the margin of the aims, so that rounding on the way to an aim does not end at the edge.
     margin = min(_MARGIN, limits.tolerance / 10) / 2
@@ -304,12 +305,12 @@ def reach(area: Area, at: complex, heading: complex, limits: Limits) -> float:
 
 
 def is_clear(seen: complex, limits: Limits, *, slack: float = 0.0) -> bool:
-    """Return whether the shortest path to a point begins in the gear that the turtle drives in.
+    """Return whether the shortest path to a point begins without a change of gear.
 
-    The turtle keeps its gear if it can face the point after an arc of at most a quarter turn. Such
-    a point lies ahead of the turtle and outside its turning circle. A point farther to the side
-    than the centre of the turning circle also lies at least one radius ahead. A point inside the
-    turning circle by up to ``slack`` (m) counts as outside.
+    The turtle keeps its gear if it can face the point after an arc of at most a quarter turn. For
+    this, the point must lie ahead of the turtle and outside its turning circle. If the point is
+    farther to the side than the centre of the turning circle, it must lie at least one radius
+    ahead. A point inside the turning circle by up to ``slack`` (m) counts as outside.
     """
     if seen.real >= limits.radius:
         return True
@@ -327,9 +328,9 @@ def approach(
     If the turtle must aim directly at ``target``, return None.
 
     The path consists of a line to a corner, a line from the corner through the inner side of the
-    target's disc, and an arc that joins the two lines. The turtle aims at the corner while the
-    target's disc would still be outside the turning circle one tick later. After that, the turtle
-    aims at a point in the target's disc.
+    target's disc, and an arc that joins the two lines. The turtle aims at the corner as long as the
+    point on the inner side of the disc will still be outside the turning circle one tick later.
+    After that, the turtle aims at the point on the inner side of the disc.
     """
     way, leg = target - frame.at, after - target
     if abs(leg) <= limits.tolerance or frame.see(target).real < _FACING * abs(way):
@@ -350,7 +351,7 @@ def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area
 
     The turn begins if its arc leads through the disc of the current target. The arc ends after a
     quarter turn, or as soon as the turtle heads in the direction from the current target to the
-    next target. The turn waits if it would take the turtle out of the area in the next tick.
+    next target. The turn does not begin if the turtle would leave the area in the next tick.
     """
     turn = wrap_angle(phase((after - target) * frame.heading.conjugate()))
     side = math.copysign(1.0, turn)
@@ -367,11 +368,11 @@ def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area
 
 
 def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
-    """Return the vector from the corner to the aim in the target's disc; see `approach`.
+    """Return the vector from a path's corner to the point in the target's disc; see `approach`.
 
     The direction of the vector is midway between the direction to the target and the direction from
-    the target to the next target. The vector is as long as the arc requires, but at most as long as
-    `_SWING` times the way to the aim.
+    the target to the next target. The arc determines the length of the vector, which is at most
+    `_SWING` times the distance from the turtle to the point.
     """
     turn = phase(leg / way)
     if abs(turn) > sharpest:
@@ -381,6 +382,6 @@ def _arm(way: complex, leg: complex, radius: float, sharpest: float) -> complex:
 
 
 def landing(seen: complex, limits: Limits) -> float:
-    """Return the share of a full step to drive, below 1 if a full step would pass the target."""
+    """Return the fraction of a full step that the turtle may drive without passing its target."""
     lands = 0.0 < seen.real < limits.step and abs(seen.imag) <= limits.tolerance
     return seen.real / limits.step if lands else 1.0
