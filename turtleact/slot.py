@@ -238,8 +238,9 @@ class Slot(Generic[C]):
     def _is_deadlock(self, claim: C) -> bool:
         """Whether the slot would be blocked if this goal waited.
 
-        A slot is blocked if every place holds an ancestor of a waiting goal. Then no place can
-        become free.
+        In a blocked slot, each place is taken by a parent (or grandparent, and so on) of a waiting
+        goal. No place can become free, because the waiting goals and their parents wait for each
+        other.
         """
         waiting = (claim, *self._waiting.values())
         parents = (parent.goal for each in waiting for parent in self._kin(each.goal))
