@@ -67,7 +67,7 @@ LONGEST = 255
 """The maximum number of characters in a node's name."""
 
 NOT_A_FAULT = "/"
-"""The root namespace, which ends in a slash."""
+"""The root namespace, the only namespace that may end in a slash."""
 
 
 def validate_topic_name(name: str, *, is_service: bool = False) -> bool:

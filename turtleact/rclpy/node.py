@@ -285,7 +285,7 @@ class Node(NodeParameters, NodeGraph, Block):
 
     @property
     def handle(self) -> Handle:
-        """The handle, which shows whether the node may still be used."""
+        """The node's handle, which shows whether the node has been destroyed."""
         return self._handle
 
     def get_name(self) -> str:

@@ -34,7 +34,7 @@ FIELDS = (
     "double_array_value",
     "string_array_value",
 )
-"""The fields of ``rcl_interfaces.msg.ParameterValue``, by the number of the type."""
+"""The value fields of ``rcl_interfaces.msg.ParameterValue``, indexed by parameter type."""
 
 
 class Parameter(Subscriptable):
@@ -204,7 +204,7 @@ def parameter_dict_from_yaml_file(
     target_nodes: Sequence[str] | None = None,
     namespace: str = "",
 ) -> dict[str, Anything]:
-    """Return the parameters in a YAML file as messages, by name.
+    """Read the parameters in a YAML file. Return a dict from names to parameter messages.
 
     Args:
         parameter_file: The path of the file.

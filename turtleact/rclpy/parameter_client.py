@@ -122,9 +122,9 @@ class AsyncParameterClient:
     def delete_parameters(
         self, names: Sequence[str], callback: Callable[[Future], object] | None = None
     ) -> Future:
-        """Delete parameters.
+        """Ask the node to delete parameters.
 
-        A parameter that was declared can be deleted only if its type is dynamic.
+        The node deletes a declared parameter only if the parameter has a dynamic type.
         """
         return self.set_parameters([Parameter(name) for name in names], callback)
 

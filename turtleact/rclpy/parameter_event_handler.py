@@ -102,7 +102,7 @@ class ParameterEventHandler:
     def get_parameter_from_event(
         event: Anything, parameter_name: str, node_name: str
     ) -> Anything | None:
-        """Return a node's parameter if an event says that it is new or changed; otherwise None."""
+        """Return a node's new or changed parameter from an event; None if not in the event."""
         if event.node != node_name:
             return None
         found = ParameterEventHandler.get_parameters_from_event(event)

@@ -26,17 +26,17 @@ from turtleact.workspace import find_interfaces
 __all__ = ["Options", "end_threads", "leave", "offer_neighbours", "prepare"]
 
 PARENTS = 5
-"""How many folders above the program are searched for a ``src``."""
+"""How many parents of the program's folder are searched for a folder ``src``."""
 
 ENDING = 1.5
-"""How long the program's threads may run on after its end (s)."""
+"""How long the program's threads may continue to run after the program's end (s)."""
 
 
 class Options(msgspec.Struct, frozen=True):
     """How a program is run.
 
     Attributes:
-        face: Which rclpy the program gets; see `turtleact.rclpy.face`.
+        face: The rclpy that the program imports; see `turtleact.rclpy.face`.
         place: The graph that the program joins.
         interfaces: A folder with additional interface files, or None.
     """
@@ -58,8 +58,8 @@ def prepare(options: Options, *folders: Path) -> None:
             interfaces.
 
     Raises:
-        UsageError: if ``options.face`` is unknown, or if it asks for the genuine rclpy and that
-            does not work.
+        UsageError: if ``options.face`` is unknown, or if ``options.face`` is "ros" and the
+            genuine rclpy cannot be imported.
         InvalidInterface: if the folder ``options.interfaces`` does not exist, or a file in it has
             an invalid name.
     """
@@ -95,11 +95,12 @@ def offer_neighbours(*folders: Path) -> None:
 
 
 def end_threads() -> list[str]:
-    """Leave the graph after the program's end, and wait a while for its threads to end.
+    """Leave the graph, and wait at most `ENDING` seconds until the program's threads have ended.
 
-    Return the names of the threads that still run, for example because a callback sleeps for ever.
-    Python would wait for them before it ends the process. If there are such threads, the
-    caller must therefore end the process itself, for example with `leave`.
+    Call this function after the program has ended. The function returns the names of the threads
+    that still run, for example because a callback sleeps for ever. Python would wait for these
+    threads before it ends the process. If there are such threads, the caller must therefore end the
+    process itself, for example with `leave`.
     """
     process = sys.modules.get("turtleact.rclpy.impl.process")
     if process is None:
@@ -132,7 +133,10 @@ def leave(error: BaseException | None) -> NoReturn:
 
 
 def _places(folders: Sequence[Path]) -> Iterator[Path]:
-    """Yield each folder, then each near parent that is named ``src`` or has a subfolder ``src``."""
+    """Yield each folder and the nearest parents that belong to a workspace.
+
+    Such a parent is named ``src`` or contains a folder ``src``.
+    """
     for folder in folders:
         yield folder
         for above in list(folder.absolute().parents)[:PARENTS]:
@@ -141,7 +145,7 @@ def _places(folders: Sequence[Path]) -> Iterator[Path]:
 
 
 def _searched(options: Options, folders: Sequence[Path]) -> list[str]:
-    """Return the places that are searched for interfaces, as texts for an error message."""
+    """Describe the places that are searched for interfaces, for an error message."""
     given = [] if options.interfaces is None else [f"{options.interfaces} (--interfaces)"]
     sourced = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     near = [str(place.absolute()) for place in (Path(), *_places(folders))]

@@ -145,7 +145,9 @@ QoSLivelinessPolicy = LivelinessPolicy
 
 
 class _Policy(Generic[T]):
-    """An attribute of a profile. Setting it turns a number into a policy, and checks the type.
+    """An attribute of a QoS profile.
+
+    Setting the attribute converts a number to a policy, and checks the type.
 
     Args:
         kind: The type of the attribute.

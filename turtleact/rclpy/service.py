@@ -72,7 +72,7 @@ class Service(Introspected, Subscriptable, Entity):
             return self._full_name
 
     def opened(self, opened: Closeable) -> None:
-        """Store the transport's object for this service, which `destroy` closes."""
+        """Store the transport's service object, so that `destroy` can close that object."""
         self._opened = opened
 
     def _receive(self, request: bytes, respond: Respond) -> None:

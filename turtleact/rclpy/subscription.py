@@ -108,7 +108,7 @@ class Subscription(Subscriptable, Entity):
         self.wake()
 
     def opened(self, opened: Closeable) -> None:
-        """Store the transport's object for this subscription, which `destroy` closes."""
+        """Store the transport's subscription object, so that `destroy` can close that object."""
         self._opened = opened
 
     def is_ready_now(self) -> bool:

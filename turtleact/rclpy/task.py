@@ -141,7 +141,7 @@ class Future(Subscriptable):
             return True
 
     def park(self, task: Task) -> bool:
-        """Resume a task when the future is done or cancelled.
+        """Register a task to be resumed when the future is done or cancelled, and return True.
 
         If the future is done or cancelled already, do nothing and return False.
         """

@@ -36,7 +36,7 @@ class Timed(Protocol):
         """Return a parameter."""
 
     def add_on_set_parameters_callback(self, callback: Anything) -> None:
-        """Call ``callback(parameters)`` before parameters are set. Its result may reject them."""
+        """Call ``callback(parameters)`` before parameters are set. The callback may reject them."""
 
     def get_logger(self) -> RcutilsLogger:
         """Return the node's logger."""
@@ -116,7 +116,7 @@ class TimeSource:
         self._clock_sub, self._node = None, None
 
     def destroy(self) -> None:
-        """Forget the node and the subscription of ``/clock``.
+        """Drop the references to the node and to the subscription of ``/clock``.
 
         The subscription stays open, because the node itself destroys it.
         """

@@ -42,8 +42,8 @@ def get_default_context(*, shutting_down: bool = False) -> Context:
     """Return the default context, which is used if no context is given.
 
     Args:
-        shutting_down: Whether the context is about to be shut down. The next call then returns a
-            new context.
+        shutting_down: Whether the context is about to be shut down. If true, the next call returns
+            a new context.
     """
     with DEFAULT.lock:
         context = DEFAULT.context

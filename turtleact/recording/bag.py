@@ -266,7 +266,10 @@ class Reading:
 
 
 def reader_of(channel: Channel) -> Callable[[bytes], Message | None]:
-    """Return a function that decodes messages of a topic. It returns None if decoding fails."""
+    """Return a function that decodes messages of a topic.
+
+    The returned function returns None for data that cannot be decoded.
+    """
     from turtleact.interfaces.cdr import decode  # slow to import
 
     cls = class_of(channel.schema, channel.type_hash) if channel.format == "cdr" else None

@@ -50,7 +50,10 @@ STEP: Final = 32 * 1024
 """The reserved disk space grows in steps of this many bytes."""
 
 TOPIC_SIZE: Final = 500
-"""The maximum size of a topic's entry in ``metadata.yaml``, without names and offers (bytes)."""
+"""An upper bound for the size of a topic's entry in ``metadata.yaml`` (bytes).
+
+The bound does not count the names and the QoS profiles in the entry.
+"""
 
 FILE_SIZE: Final = 300
 """The maximum size of a file's entry in ``metadata.yaml``, without the file's name (bytes)."""
@@ -381,7 +384,11 @@ class _Room:
             self._size = size
 
     def become(self, path: Path, content: bytes) -> None:
-        """Write ``content`` over the zeros and rename the file. Raise OSError if this fails."""
+        """Replace the zeros in the file by ``content``, and rename the file to ``path``.
+
+        Raises:
+            OSError: if the file cannot be written or renamed.
+        """
         self._file.seek(0)
         _write(self._file, content)
         self._file.truncate()

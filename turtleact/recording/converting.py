@@ -23,7 +23,7 @@ from turtleact.recording.storage import Channel, Range, Raw
 __all__ = ["Output", "convert"]
 
 CHECK = 1000
-"""The number of messages between two calls of ``goes_on``."""
+"""After each group of this many messages, `convert` asks ``goes_on`` whether to continue."""
 
 
 class Output(msgspec.Struct, frozen=True, kw_only=True):

@@ -71,14 +71,15 @@ class _Piece(NamedTuple):
 
 
 class _Summary(NamedTuple):
-    """What `McapFile` uses of the index at the end of a file.
+    """The parts of a file's index that `McapFile` uses.
 
     Attributes:
         statistics: How many messages each channel has, and the times of the earliest and latest
             message.
         declared: The records of schemas and channels, each with its opcode.
-        chunks: The records that say where the chunks are. These records are not decoded yet,
-            because only `McapFile.messages` needs them, and a file of 1 GB has about a thousand.
+        chunks: The records that give the positions of the chunks. A file of 1 GB has about a
+            thousand of these records. They stay encoded, because only `McapFile.messages` needs
+            them.
         about: Where the last metadata record about the bag begins, in bytes from the start of the
             file; 0 if there is none.
     """

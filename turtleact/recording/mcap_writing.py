@@ -5,9 +5,9 @@ process is killed, only the last chunk in the file may be incomplete. If a write
 cut back to the end of its last complete record, and can still be closed.
 
 The classes of records come from the ``mcap`` package. The package's ``Writer`` takes 25 us per
-message, so in the process of an action server, recording would take more time than the goals. This
-module therefore packs each message and the message's index entry itself, which takes 2 us. Also, a
-``Writer`` cannot be closed after a failed write.
+message. With this ``Writer``, an action server would spend more time on recording than on its
+goals. This module therefore packs each message and the message's index entry itself, which takes
+2 us. Also, a ``Writer`` cannot be closed after a failed write.
 
 Source: the MCAP specification; rosbag2 ``mcap_storage.cpp`` for the profile and the metadata.
 """
@@ -59,7 +59,7 @@ This constant also exists in ``mcap.writer``, which imports slowly.
 """
 
 HELD_BACK: Final = 64
-"""How many of the last chunks can be given up to make room for the index."""
+"""How many of the last chunks can be removed to make room for the index."""
 
 MESSAGE: Final = struct.Struct("<BQHIQQ")
 """The header of a message record, which precedes the data.
@@ -68,7 +68,7 @@ The fields are opcode, length, channel, sequence, log time and publish time.
 """
 
 INDEX_SIZE: Final = 1000
-"""The bytes of an index without channels and chunks, with some to spare."""
+"""An upper bound for the size of an index without channels and chunks (bytes)."""
 
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
 
@@ -236,7 +236,7 @@ class McapWriter:
         """Write a last metadata record and the index, and close the file.
 
         Call `flush` first. If the disk has no room for the index, the last chunks are removed until
-        it has. `counts` then counts the messages of the remaining chunks.
+        the index fits. Afterwards, `counts` includes only the messages of the remaining chunks.
 
         Args:
             name: The name of the metadata record; empty for no record.
@@ -273,7 +273,7 @@ class McapWriter:
     def _declare(self, record: McapRecord) -> None:
         """Add the record of a schema or channel to the current chunk.
 
-        The index repeats the record.
+        The index at the end of the file contains a copy of the record.
         """
         data = _bytes_of(record)
         self._parts.append(data)

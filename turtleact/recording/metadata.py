@@ -1,8 +1,8 @@
 """Reads and writes the text of ``metadata.yaml``, which describes a bag.
 
-A bag's MCAP files have the type hash of each channel, but its ``metadata.yaml`` has no type hashes.
-The package rosbags would compare type hashes in ``metadata.yaml`` with its own hashes, which differ
-for the types of actions.
+A bag's MCAP files contain the type hash of each channel. ``metadata.yaml`` contains no type hashes,
+because the package rosbags would compare them with its own hashes. For the types of actions, the
+hashes of rosbags differ.
 
 Source: rosbag2 ``metadata_io.cpp``, ``yaml.hpp`` and ``qos.cpp``. This module writes version 9 of
 ``metadata.yaml``, and also reads older versions.
@@ -45,7 +45,10 @@ VERSION: Final = 9
 METADATA: Final = "metadata.yaml"
 
 NOT_CLOSED: Final = "not_closed"
-"""The key of the custom text that names a file whose index is missing because the disk was full."""
+"""The key in a bag's custom metadata for the name of a file without an index.
+
+The index of that file is missing because the disk was full.
+"""
 
 ROOT: Final = "rosbag2_bagfile_information"
 
@@ -181,7 +184,7 @@ def write_info(info: BagInfo) -> str:
 
 
 def embedded(info: BagInfo) -> str:
-    """Return the description of a bag, as each of the bag's MCAP files contains it."""
+    """Return the description of a bag in the form that the bag's MCAP files contain."""
     return _dump(_described(info))
 
 
@@ -208,13 +211,15 @@ def read_info(text: str, path: Path) -> BagInfo:
 
 
 def offers_text(offers: Iterable[Offer]) -> str:
-    """Return the offers of a channel's publishers as text for the channel's metadata."""
+    """Return the QoS profiles of a channel's publishers as text for the channel's metadata."""
     said = [_offer(each) for each in offers]
     return _dump(said).strip() if said else ""
 
 
 def read_offers(given: object) -> tuple[Offer, ...]:
-    """Read offers from YAML text, or from values parsed from YAML. Invalid input gives no offers.
+    """Read the QoS profiles of publishers from YAML text, or from values parsed from YAML.
+
+    If the input is invalid, return an empty tuple.
 
     >>> read_offers("- {depth: 1, reliability: 2, durability: transient_local}")[0].qos
     QoS(depth=1, durability='transient_local', reliability='best_effort')
@@ -269,7 +274,10 @@ _POLICIES: Final[dict[str, tuple[str, ...]]] = {
     "liveliness_lease_duration": (),
     "avoid_ros_namespace_conventions": (),
 }
-"""The policies that a file with overrides may set. An empty tuple allows any value."""
+"""The QoS policies that a file of QoS overrides may set, each with the allowed values.
+
+An empty tuple allows any value.
+"""
 
 _LOADER: Final[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 

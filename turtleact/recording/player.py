@@ -8,9 +8,10 @@ a server may still hold the recorded goals and would then reject their ids.
 In virtual time, many messages have the same stamp, and their order matters to a simulation. The
 player assumes that the simulation itself publishes all messages that are not played from the bag.
 Among messages with the same stamp, the player therefore finds the first message that the simulation
-itself publishes. The player publishes messages recorded before this first message `NUDGE` earlier
-than their stamp, and all other messages `NUDGE` later than their stamp. The simulation then gets
-all messages in the recorded order, and reaches exactly the recorded poses.
+itself publishes. If a message from the bag was recorded before this first message, the player
+publishes the message `NUDGE` before its stamp. All other messages are published `NUDGE` after their
+stamp. The simulation then gets all messages in the recorded order, and reaches exactly the recorded
+poses.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from turtleact.transports.base import Endpoint, Publication, QoS, RawFormat
 __all__ = ["PlayOptions", "Played", "play"]
 
 NUDGE: Final = 1000
-"""How much earlier or later than its stamp a message is played in virtual time (ns)."""
+"""In virtual time, a message is played this long before or after its stamp (ns)."""
 
 PATIENCE: Final = 2.0
 """How long to wait until known readers can be reached (s)."""
@@ -88,11 +89,11 @@ class Played(msgspec.Struct):
     Attributes:
         messages: How many messages were published.
         goals: How many goals ended in each way. A key is a pair: the name of the action, and the
-            goal's last state. If the goal is counted in ``failed``, the pair has a reason in place
-            of the state.
+            goal's last state. For a goal that counts as failed, the second item is the
+            reason.
         skipped: Why messages or goals could not be played, by the name of their topic or action.
-        failed: How many goals could not be sent, were rejected, or have no known end. The counts in
-            ``goals`` include failed goals, except goals of the actions in ``skipped``.
+        failed: How many goals could not be sent, were rejected, or have no known end. A failed
+            goal is also counted in ``goals``, unless the goal's action is in ``skipped``.
     """
 
     messages: int = 0
@@ -389,7 +390,7 @@ class _GoalSender:
         node: A node on the graph.
         tasks: The task group in which the goals are awaited.
         remap: New names of actions, by their recorded names.
-        played: The outcome of `play`, in which the sender counts how its goals end.
+        played: The outcome of `play`. The sender updates its counts when a goal ends.
         start: The time in the bag at which playing begins (ns since 1970).
 
     Attributes:

@@ -129,7 +129,7 @@ class Gathering:
         return list(self._goals.values())
 
     def take(self, message: Recorded) -> None:
-        """Add what a message says about goals.
+        """Update the goals with the information in a message.
 
         A message has an effect only if it is on a topic of an action.
         """

@@ -302,12 +302,11 @@ async def record(
     Raises:
         BagError: if the folder or file exists already, or cannot be created. If the disk was full
             or the files were deleted, the error is raised at the end of the block, unless the block
-            raises another error. Messages that were written before can be read, unless their files
+            raises another error. Messages written before the error can be read, unless their files
             were deleted.
         InvalidName: if a name breaks ROS 2's rules.
         InvalidOption: if ``max_duration`` is negative or above 1,000,000,000.
-        TurtleactError: if the node is closed, or the caller runs in another event loop than the
-            node.
+        TurtleactError: if the node is closed, or belongs to another event loop.
         TypeError: if an option does not exist.
     """
     for unknown in options.keys() - RecordOptions.__annotations__.keys():
@@ -383,7 +382,8 @@ def _message_class(type_name: str) -> type[Message] | None:
 def _request(publishers: list[Endpoint]) -> QoS:
     """Return the quality of service for a subscription that receives from all these publishers.
 
-    If a publisher keeps messages for late subscriptions, the recorder requests these messages, too.
+    If a publisher keeps messages for late subscriptions, the recorder also requests the kept
+    messages.
     """
     is_latched = any(each.qos.durability == "transient_local" for each in publishers)
     is_lossy = any(each.qos.reliability == "best_effort" for each in publishers)

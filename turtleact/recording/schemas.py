@@ -31,13 +31,16 @@ __all__ = ["Schema", "class_of", "schema_of"]
 SEPARATOR: Final = "=" * 80
 
 SAME: Final = {"byte": "uint8", "char": "uint8"}
-"""Types that other writers replace with the given type, which has the same encoding."""
+"""For each of these types, the type that other writers write instead.
+
+Both types have the same encoding.
+"""
 
 FILLER: Final = "structure_needs_at_least_one_member"
 """The field that ROS 2 gives to a message without fields."""
 
 UNDERSCORE: Final = "0x5f"
-"""Replaces ``_`` in names of types during parsing, because the parser refuses such names."""
+"""Replaces ``_`` in type names during parsing, because the parser refuses names with ``_``."""
 
 _PART = re.compile(r"^\s*(?:\w+/)*[A-Z][A-Za-z0-9]*_\w+", re.MULTILINE)
 _HEADING = re.compile(rf"^{SEPARATOR}\r?\nMSG: *(\S+)[^\n]*\n?", re.MULTILINE)
@@ -79,10 +82,10 @@ def class_of(schema: Schema, known_hash: str = "") -> type[Message] | None:
 
     Args:
         schema: The schema.
-        known_hash: The type hash in the file, or empty. If the schema has no text in the format
-            ``"ros2msg"``, this function can only return the program's own class with the schema's
-            name. The type hash of this class must then equal ``known_hash``, unless ``known_hash``
-            is empty.
+        known_hash: The type hash in the file, or empty. This argument matters only if the schema
+            has no text in the format ``"ros2msg"``. The function then returns the program's own
+            class with the schema's name, if there is one. The type hash of this class must equal
+            ``known_hash``, unless ``known_hash`` is empty.
     """
     known = _known(schema.name)
     if schema.encoding == "ros2msg" and schema.text:
@@ -162,8 +165,8 @@ class _Making:
 
     Args:
         root: The full name of the topic's own type, ``pkg/kind/Name``. In the schema, names of
-            other types lack the kind. Other types of the same action or service, such as
-            ``Name_Goal``, have the kind of the root. All remaining types have the kind ``msg``.
+            other types lack the kind. The kind of ``root`` also applies to other types of the same
+            action or service, such as ``Name_Goal``. All remaining types have the kind ``msg``.
         texts: The definitions of the other types, by their names ``pkg/Name``.
     """
 

@@ -244,7 +244,7 @@ def read_parameters(path: Path) -> list[ParameterRule]:
 
 
 def _trees(text: str, path: str) -> list[object]:
-    """Parse a file of parameters as a whole, or block by block if a key appears twice.
+    """Parse a parameter file as a whole. If a key appears twice, parse each block separately.
 
     A block begins with a key at the start of a line. The parser refuses repeated keys in one block,
     but ROS 2 allows them in a file.
@@ -323,7 +323,7 @@ def _rules(tree: Mapping[str, object], path: str) -> Iterator[ParameterRule]:
 
 
 def _plain(value: object) -> object:
-    """Replace `Spelled` words in a parsed tree: ``null`` by None, and other words by their text."""
+    """Replace each `Spelled` value of a parsed file by its text, or ``null`` by None."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):

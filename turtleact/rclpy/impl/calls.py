@@ -38,7 +38,7 @@ class CallEnd:
         target: Which servers get the requests.
 
     Attributes:
-        events: The argument ``events``, which publishes the events of the calls.
+        events: The publisher of the calls' introspection events.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class CallEnd:
             self._connection.loop.start(call)
 
     def close(self) -> None:
-        """Leave the graph when all pending calls have ended. Publish no more events.
+        """Publish no more events, and leave the graph when all pending calls have ended.
 
         In rcl, a client publishes a response event only when the client takes the response. A
         destroyed client takes no more responses, so no more response events are published.
@@ -122,7 +122,7 @@ class CallEnd:
     def _watched(self, handler: RequestHandler, request: bytes, respond: Respond) -> Respond:
         """Report a request to the observers, and return a function that reports the response.
 
-        No transport reports calls inside this process.
+        The transport does not report calls inside this process, so this method does.
         """
         both = (self.events, handler.observer)
         observers = [each for each in both if each is not None and each.is_on]

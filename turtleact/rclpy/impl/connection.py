@@ -43,9 +43,9 @@ OpenTransport: TypeAlias = Callable[[int], AbstractAsyncContextManager[Transport
 """A function that opens the graph of a ROS domain."""
 
 Respond: TypeAlias = Callable[[bytes | TurtleactError, str], object]
-"""A function that answers a request with a response, or with an error, and a note.
+"""A function that answers a request. Its arguments are the response or an error, and a note.
 
-Any thread may call it.
+Any thread may call the function.
 """
 
 CLOSING = 2.0
@@ -69,7 +69,7 @@ class Encoded(msgspec.Struct, frozen=True):
         return cast("bytes", message)
 
     def decode(self, data: bytes) -> object:
-        """Return the data, which stays encoded."""
+        """Return the data unchanged, because the receiving entity decodes the message."""
         return data
 
 
@@ -93,8 +93,8 @@ class Sender:
     def publish(self, data: bytes) -> None:
         """Send an encoded message to every subscription. Messages arrive in the order of the calls.
 
-        The messages of a latched topic pass through the event loop, because subscriptions are
-        opened there. A new subscription therefore gets each message exactly once.
+        Messages of a latched topic are sent from the event loop, where subscriptions are also
+        opened. A new subscription therefore gets each message exactly once.
         """
         if self._is_latched:
             self._connection.loop.post(partial(self._publication.publish, data))
@@ -112,7 +112,7 @@ class Sender:
         self._connection.loop.call(self._publication.expect_readers)
 
     def refresh_soon(self, delay: float, begin: Callable[[], object]) -> None:
-        """Publish the current state of the topic's source after ``delay`` seconds.
+        """Publish the current state of the topic's `Source` after ``delay`` seconds.
 
         Args:
             delay: How many seconds to wait.
@@ -167,7 +167,7 @@ class RequestHandler:
         caller: bytes,  # noqa: ARG002  # a request outlives its client
         respond: Callable[[Reply | TurtleactError], object],
     ) -> bool:
-        """Pass a request from another process to ``take``, and return True."""
+        """Pass a request from another process to the function ``take``. Always return True."""
         self.has_far_callers = True
 
         def answer(response: bytes | TurtleactError, note: str) -> None:
@@ -289,7 +289,7 @@ class Connection:
     def advertise(self, endpoint: Endpoint, type_hash: str, source: Source | None = None) -> Sender:
         """Open a publisher of a topic.
 
-        A subscription that this process has already discovered also gets the first message.
+        A subscription that this process has already discovered gets all messages, from the first.
         """
         transport = self._transport
 

@@ -49,8 +49,8 @@ def warn_if_blocked(entity: Entity, what: str, *, is_answered: bool) -> None:
     Args:
         entity: The entity that has the callback.
         what: The name of the waiting function.
-        is_answered: Whether the response for the callback has arrived. If the response has not
-            arrived, no warning is logged.
+        is_answered: Whether the response that the callback handles has arrived. If the response has
+            not arrived, no warning is logged.
     """
     if not is_answered:
         return

@@ -1,4 +1,4 @@
-"""The base class of entities, which have the callbacks that an executor runs."""
+"""The base class of entities: timers, subscriptions and other objects with callbacks."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class Entity(Destroyable):
         wake: Called in any thread when the entity may have become ready.
 
     Attributes:
-        callback_group: The argument ``callback_group``.
+        callback_group: The callback group of the entity.
         blocked_since: When the entity began to wait for its callback group (s, `time.monotonic`); 0
             if it does not wait, and -1 after a warning about the wait.
     """
@@ -144,7 +144,7 @@ class Entity(Destroyable):
 
     @property
     def handle(self) -> Handle:
-        """The handle, which shows whether the entity may still be used."""
+        """The entity's handle, which shows whether the entity has been destroyed."""
         return self._handle
 
     def wake(self) -> None:

@@ -1,4 +1,4 @@
-"""The parts of rclpy's extension module that some programs use."""
+"""Provides the names that some programs import from rclpy's C extension module."""
 
 from __future__ import annotations
 

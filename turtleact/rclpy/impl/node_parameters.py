@@ -510,7 +510,7 @@ def _is_below(name: str, prefix: str, depth: int) -> bool:
 
 
 def _misfit(parameter: Parameter, descriptor: Anything) -> str:
-    """Return why a descriptor forbids a value; an empty string if the descriptor allows it."""
+    """Return rclpy's error text if a descriptor forbids a value; otherwise an empty string."""
     if not descriptor.dynamic_typing and descriptor.type != parameter.type_.value:
         if parameter.type_ is Parameter.Type.NOT_SET:
             return "Static parameter cannot be undeclared"

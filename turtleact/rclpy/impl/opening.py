@@ -21,10 +21,13 @@ from turtleact.transports import MemoryTransport, Transport, open_zenoh
 __all__ = ["open_chosen"]
 
 ATTEMPTS = 20
-"""How many attempts to make. An attempt fails if another program becomes the router meanwhile."""
+"""How many times to try to open the graph.
+
+An attempt fails if another program becomes the router at the same time.
+"""
 
 PAUSE = 0.05
-"""How long to wait between two attempts (s)."""
+"""How long to wait between two attempts to open the graph (s)."""
 
 LISTEN = ("tcp/127.0.0.1:7447",)
 """Where the nodes of a machine look for a router."""
@@ -34,8 +37,8 @@ LISTEN = ("tcp/127.0.0.1:7447",)
 async def open_chosen(domain: int) -> AsyncIterator[Transport]:
     """Open the graph that was chosen for this process.
 
-    An embedded world has its own connection to the graph, as in ``turtleact serve``, so that other
-    programs and commands also see the world.
+    An embedded world opens its own connection to the graph, like ``turtleact serve``. Other
+    programs and commands can therefore also see the world.
 
     Raises:
         TurtleactError: if the graph cannot be opened.

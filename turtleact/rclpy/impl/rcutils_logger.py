@@ -222,7 +222,7 @@ class _Site:
 
 
 class RcutilsLogger:
-    """A logger. Dots in the names of loggers form a tree: ``a`` is above ``a.b``.
+    """A logger. The names of loggers are hierarchical: ``a`` is the parent of ``a.b``.
 
     Args:
         name: The name of the logger; empty for the root logger.
@@ -272,7 +272,8 @@ class RcutilsLogger:
                 (s), and ``throttle_time_source_type`` (a clock).
 
         Returns:
-            Whether the message was logged.
+            True if the message was logged; False if its severity was too low, or if a filter
+            dropped the message.
 
         Raises:
             RuntimeError: if ``severity`` is not in `LoggingSeverity`.
@@ -309,27 +310,27 @@ class RcutilsLogger:
         return True
 
     def debug(self, message: object, **kwargs: Anything) -> bool:
-        """Log a message that helps to find errors."""
+        """Log a message with severity DEBUG."""
         return self.log(message, LoggingSeverity.DEBUG, **kwargs)
 
     def info(self, message: object, **kwargs: Anything) -> bool:
-        """Log what the program does."""
+        """Log a message with severity INFO."""
         return self.log(message, LoggingSeverity.INFO, **kwargs)
 
     def warning(self, message: object, **kwargs: Anything) -> bool:
-        """Log that something is not as it should be."""
+        """Log a message with severity WARN."""
         return self.log(message, LoggingSeverity.WARN, **kwargs)
 
     def warn(self, message: object, **kwargs: Anything) -> bool:
-        """Log that something is not as it should be. This is the same as `warning`."""
+        """Log a message with severity WARN. This method does the same as `warning`."""
         return self.log(message, LoggingSeverity.WARN, **kwargs)
 
     def error(self, message: object, **kwargs: Anything) -> bool:
-        """Log that something has failed."""
+        """Log a message with severity ERROR."""
         return self.log(message, LoggingSeverity.ERROR, **kwargs)
 
     def fatal(self, message: object, **kwargs: Anything) -> bool:
-        """Log that the program cannot go on."""
+        """Log a message with severity FATAL."""
         return self.log(message, LoggingSeverity.FATAL, **kwargs)
 
 

@@ -159,8 +159,8 @@ def maker(message_class: Anything) -> Callable[..., object]:
     """Return a function that makes a message from decoded values in the order of the fields.
 
     turtleact's decoder calls this function in place of a message class. The function therefore has
-    an attribute ``_shape``, as a message class has. In ``_shape``, functions like this one
-    replace the classes of nested messages.
+    an attribute ``_shape``, as a message class has. In ``_shape``, such functions replace
+    the classes of nested messages.
     """
     shape = shape_of(message_class)
     names: dict[str, object] = {"new": message_class.__new__, "cls": message_class}

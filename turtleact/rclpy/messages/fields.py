@@ -35,7 +35,7 @@ TYPECODES = {
     "float32": "f",
     "float64": "d",
 }
-"""The codes of `array.array` for numbers. Sequences of other elements are lists."""
+"""The type code of `array.array` for each number type. Other sequences are lists."""
 
 NAMES = {
     "bool": "boolean",
