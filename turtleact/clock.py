@@ -198,7 +198,7 @@ class ScaledClock:
                 return
 
     async def run(self) -> None:
-        """Sleep until cancelled. Wall time advances by itself."""
+        """Sleep until cancelled. Nothing else is needed, because wall time advances by itself."""
         await anyio.sleep_forever()
 
 
@@ -359,7 +359,7 @@ class Heap(Generic[T]):
 
 
 def _leaping_time() -> Callable[[], float] | None:
-    """Return the function that reads the running event loop's time, if that time is virtual."""
+    """Return the function that reads the event loop's virtual time; None if there is none."""
     if "trio" in sys.modules:
         import trio
 
@@ -385,7 +385,7 @@ def check_timeout(seconds: object, option: str = "timeout", *, may_be_none: bool
         may_be_none: Whether None is allowed and means no limit.
 
     Raises:
-        InvalidOption: if the timeout is neither a number nor an allowed None.
+        InvalidOption: if the timeout is not a number, or is None without ``may_be_none``.
     """
     if may_be_none and seconds is None:
         return

@@ -138,7 +138,7 @@ class UnknownInterface(TurtleactError):
         type_name: The name that was looked up.
         suggestion: The nearest known name, or an empty string.
         is_elsewhere: Whether the suggestion is from another package than the one in ``type_name``.
-            False if the names of the two packages differ only by a typo.
+            False if the package name in ``type_name`` is only misspelled.
     """
 
     def __init__(self, type_name: str, suggestion: str = "", *, is_elsewhere: bool = False) -> None:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 __all__ = ["ADVICE", "TOPIC", "FaultReports", "LostFeedback", "disk_fault", "watching_disk"]
 
 TOPIC: Final = "/_turtleact/faults"
-"""The name of the topic."""
+"""The name of the topic on which processes report faults."""
 
 ADVICE: Final = "advice"
 """The key of the value that says what to do."""
@@ -50,7 +50,7 @@ LASTS: Final = 600.0
 """How long lost feedback counts as a fault after each report (s, wall clock)."""
 
 AGAIN: Final = 60.0
-"""If more feedback is lost after this time (s, wall clock), a new report prolongs the fault."""
+"""If more feedback is lost, a report older than this is renewed (s, wall clock)."""
 
 ROOM: Final = 1_000_000_000
 """A disk with fewer free bytes than this is nearly full. For small disks, see `SMALL`."""
@@ -80,7 +80,7 @@ class FaultReports:
         self._publication: Publication | None = None
 
     def report(self, name: str, problem: str, advice: str, until: float | None = None) -> None:
-        """Report a fault. It replaces an earlier fault with the same name.
+        """Report a fault, and replace any earlier fault with the same name.
 
         Args:
             name: The kind of fault, a space and what is at fault, such as "disk /data/goals.db".

@@ -18,7 +18,7 @@ __all__ = ["FeedbackLog", "Listener"]
 
 
 class Listener(Protocol):
-    """An object that is told about changes."""
+    """An object whose method `fire` is called after each change."""
 
     def fire(self) -> None:
         """Called after each change. It must not raise an exception."""
@@ -35,7 +35,7 @@ class FeedbackLog:
             ``dropped + i``.
         read: The number of the message that the goal's sender reads next; None while the sender
             does not read feedback.
-        drained: The listener to fire as soon as a waiting body may go on; None if no body waits.
+        drained: The listener to call when a waiting body may continue; None if no body waits.
         hurried: How many callers wait for the goal's end. While any caller waits for the end, the
             goal's body does not wait for readers.
     """
@@ -71,7 +71,7 @@ class FeedbackLog:
         return unread >= self.KEPT or unread * self._weight >= self.BUDGET
 
     def relieve(self) -> None:
-        """Let a waiting body go on, unless the log is full."""
+        """Let a waiting body continue, unless the log is full."""
         if self.drained is not None and not self.is_full:
             self.drained.fire()
 
@@ -95,7 +95,7 @@ class FeedbackLog:
             self._weight = max(len(_ENCODER.encode(message)), self._weight * 15 // 16)
 
     def trim(self) -> None:
-        """Drop messages that need not be kept, unless they are too few to be worth the time."""
+        """Drop messages that need not be kept. If there are few (see `_NEEDLESS`), drop none."""
         needless = len(self.items) - self.KEPT
         if self.read is not None:
             needless = min(needless, self.read - self.dropped)
@@ -107,7 +107,7 @@ class FeedbackLog:
 _ENCODER = msgspec.msgpack.Encoder()
 
 _NEWEST: Final = 16
-"""Each call of `weigh` measures one of this many newest messages, in turn."""
+"""Successive calls of `weigh` measure different messages among this many newest messages."""
 
 _NEEDLESS: Final = 64
-"""`trim` drops messages only when it can drop at least one in 64."""
+"""`trim` drops messages only if it can drop at least 1/64 of the kept messages."""

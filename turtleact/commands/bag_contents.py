@@ -114,7 +114,7 @@ def messages_told(info: BagInfo) -> str:
 
 
 def missing_goals(bag: Bag) -> list[str]:
-    """Explain which actions have no goals and results in a bag, and why.
+    """List the actions whose goals and results are missing from a bag, and explain why.
 
     The list has one sentence for each reason.
     """

@@ -33,16 +33,17 @@ MOST_NAMED = 5
 """A note about lost messages names at most this many topics."""
 
 PATIENCE = 10.0
-"""After a signal, `record_graph` gives up if no message was written for this long (s).
+"""How long a command may continue without progress after a signal (s).
 
-After a signal, `play_bag` may take this long to cancel its goals.
+`record_graph` gives up if no message was written for this long. `play_bag` may take this long to
+cancel its goals.
 """
 
 LOOK = 0.5
-"""After a signal, `record_graph` checks at this interval whether messages were written (s)."""
+"""How often `record_graph` checks, after a signal, whether messages were written (s)."""
 
 TELL = 4
-"""The number of checks between two notes about unwritten messages."""
+"""After a signal, this many checks separate two notes on the number of unwritten messages."""
 
 TOGETHER = 1.0
 """Signals of different kinds within this time count as one (s)."""
@@ -76,8 +77,8 @@ class RecordOrder(NamedTuple):
 def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> int:
     """Record until a signal comes, and return the exit status.
 
-    The exit status is 0 even after a signal, as for ``ros2 bag record``. It is 1 if a topic could
-    not be recorded.
+    The exit status is 0 if a signal ends the recording, as for ``ros2 bag record``. The exit status
+    is 1 if a topic could not be recorded.
 
     Raises:
         BagError: if the bag cannot be created, or the disk is full.
@@ -228,7 +229,7 @@ def view_bag(path: Path, port: int, interrupts: Interrupts, *, is_opened: bool) 
 def has_display() -> bool:
     """Return whether a web browser would open in a window.
 
-    Without a display, a web browser might run in the terminal.
+    Without a display, the default browser may be a text browser that takes over the terminal.
     """
     if sys.platform in ("win32", "darwin"):
         return True

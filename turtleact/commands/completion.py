@@ -305,7 +305,7 @@ def _types_by_name(ctx: typer.Context, kind: Kind) -> dict[str, tuple[str, ...]]
 
 
 def _as_begun(names: Iterable[str], begun: str) -> list[str]:
-    """Return the names, without the first slash if the user has begun a word without a slash."""
+    """Return the names. If the user has begun a relative name, remove the leading slash of each."""
     is_relative = begun != "" and not begun.startswith("/")
     return [name.removeprefix("/") if is_relative else name for name in names]
 

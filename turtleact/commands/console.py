@@ -2,7 +2,7 @@
 
 `termios` and job control exist only on POSIX, and `msvcrt` exists only on Windows. These modules
 are imported only when a terminal is used, so every module of turtleact can be imported everywhere.
-The rest of turtleact uses a `Console`, and does not depend on the system.
+The rest of turtleact uses a `Console`, which hides the differences between the systems.
 
 Source: the documentation of Python's ``termios`` and ``msvcrt``; Microsoft's "Console Virtual
 Terminal Sequences". The part for Windows has been tested only with a stand-in for ``msvcrt``.
@@ -28,23 +28,27 @@ if TYPE_CHECKING:
 __all__ = ["Console", "PosixConsole", "WindowsConsole", "console"]
 
 LOCAL_MODES: Final = 3
+"""The index of the local modes, such as ECHO, in the list that ``tcgetattr`` returns."""
+
 CONTROL_CHARACTERS: Final = 6
-"""Indices in the list of ``tcgetattr``: the local modes (such as ECHO), and VMIN and VTIME."""
+"""The index of the control characters, such as VMIN, in the list that ``tcgetattr`` returns."""
 
 KEY_PERIOD: Final = 0.02
-"""How often to ask Windows for pressed keys (s), because keys cannot wake an event loop there."""
+"""How often to poll for pressed keys on Windows (s), where keys cannot wake an event loop."""
 
 SPECIAL: Final = "\x00\xe0"
 """The characters that Windows sends before the code of a special key, such as an arrow key."""
 
 ARROWS: Final = {"H": b"\x1b[A", "P": b"\x1b[B", "M": b"\x1b[C", "K": b"\x1b[D"}
-"""The codes of the arrow keys, with the control sequences that other terminals send for them."""
+"""Maps the Windows codes of arrow keys to the control sequences that other terminals send."""
 
 CTRL_C: Final = "\x03"
 
 STDOUT: Final = -11
+"""The number of the standard output in the Windows API."""
+
 VIRTUAL_TERMINAL: Final = 0x0004
-"""Constants of the Windows API: standard output, and the mode that allows control sequences."""
+"""The flag in the Windows API that makes a console interpret control sequences."""
 
 
 class Console(Protocol):
@@ -79,11 +83,12 @@ class Console(Protocol):
             by_key: Whether input is read key by key instead of line by line.
 
         Returns:
-            The terminal's earlier modes, for `give_back`; None if there is nothing to restore.
+            The terminal's earlier modes, which `give_back` restores; None if there is nothing
+            to restore.
         """
 
     def give_back(self, stream: TextIO, modes: object) -> None:
-        """Undo `silence`. If the terminal is gone, do nothing."""
+        """Restore the modes that `silence` returned. If the terminal is gone, do nothing."""
 
     async def wait_for_key(self, stream: TextIO) -> None:
         """Wait until something was typed. Cancelling: safe."""
@@ -126,7 +131,7 @@ class PosixConsole:
         return bool(select.select([], [stream], [], 0)[1])
 
     def silence(self, stream: TextIO, *, by_key: bool) -> object | None:
-        """Turn off echo. With ``by_key``, also turn off reading line by line."""
+        """Turn off the terminal's echo. With ``by_key``, also make each key readable at once."""
         import termios
 
         try:
@@ -238,5 +243,5 @@ class WindowsConsole:
 
 @cache
 def console() -> Console:
-    """Return the console of this system."""
+    """Return the `Console` for the operating system."""
     return PosixConsole() if find_spec("termios") is not None else WindowsConsole()

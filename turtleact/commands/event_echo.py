@@ -44,10 +44,10 @@ PARTS: Final = (
 """The names that ``ros2 action echo`` prints for the parts of an action."""
 
 READ_QOS: Final = QoS(depth=1000)
-"""How many messages are kept while the output is stuck."""
+"""The QoS for reading. Up to 1000 messages are kept while the output is blocked."""
 
 UNHEARD: Final = 1.0
-"""If nobody publishes events for this long, a note says so (s, by the clock of the graph)."""
+"""How long to wait for a publisher of events before a note is printed (s, graph clock)."""
 
 EVENTS: Final = {
     ServiceEventInfo.REQUEST_SENT: "REQUEST_SENT",
@@ -155,7 +155,7 @@ async def _print_all(node: Node, sources: Sequence[Source], style: Style) -> int
 async def _close_with(subscription: Subscription[Any], stream: Closeable) -> None:
     """Close ``stream`` when ``subscription`` is closed.
 
-    The loop receives no messages, because the subscription passes all messages to its ``taker``.
+    The subscription yields no messages here, because it passes all messages to its ``taker``.
     """
     async for _ in subscription:
         pass

@@ -73,7 +73,7 @@ ROUTER = "tcp/localhost:7447"
 """The endpoint of the router to which commands connect without ``--connect``."""
 
 PATIENCE = 2.0
-"""After a signal, a verb has this long to end unless it sets `Interrupts.patience` itself (s)."""
+"""How long a verb may take to end after a signal (s), by default; see `Interrupts.patience`."""
 
 MOST_SHOWN = 10
 """How many names an error lists if none of them resembles the unknown name."""
@@ -140,12 +140,12 @@ async def enter_if_there(
 def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
     """Run a verb on a graph until it ends or a signal cancels it, and return the exit status.
 
-    If the domain has no nodes, a note says so first, because then most verbs print nothing. If the
-    verb does not end after a signal, for example because its output is stuck, the process ends
-    after `PATIENCE`.
+    Most verbs print nothing if the domain has no nodes, so a note is printed first in that case. If
+    the verb does not end after a signal, for example because its output is blocked, the process
+    ends after `PATIENCE`.
 
     Raises:
-        TurtleactError: if no graph can be reached. Errors of the verb are raised, too.
+        TurtleactError: if no graph can be reached. The verb's exceptions are also raised.
     """
 
     async def tell_and_look(node: Node) -> int:
@@ -223,7 +223,7 @@ def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
 def chosen_class(
     node: Node, kind: Kind, base: type[I], name: str, type_name: str | None
 ) -> type[I]:
-    """Return the class of the type that the user typed, or of the type of a name on the graph.
+    """Return the class of the interface type that the user typed, or that the graph uses.
 
     Args:
         node: A node on the graph.
@@ -247,7 +247,7 @@ def chosen_class(
 
 
 def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str, str]) -> None:
-    """Print a note on nodes that do not hear each other because their definitions of a type differ.
+    """Print a note on nodes that cannot communicate because they define a type differently.
 
     Args:
         node: The node of this command. The node's own endpoints are not compared.
@@ -265,7 +265,7 @@ def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str
 
 
 def no_router(reach: Reach) -> str:
-    """Return a text that says that no router answers at `ROUTER`."""
+    """Return the error message for the case that no router answers at `ROUTER`."""
     rest = "answers" if reach.config is None else "answers, or lets in this --config,"
     return f"no router {rest} at {ROUTER} ('turtleact serve' starts one)"
 
@@ -279,7 +279,7 @@ async def note_empty(transport: Transport, reach: Reach) -> None:
 
 
 async def none_in_domain(transport: Transport, reach: Reach, what: str = "nodes") -> str:
-    """Return a text that says what a domain lacks, and which other domains have nodes.
+    """Return a message such as "domain 5 has no nodes" that also names other domains with nodes.
 
     Args:
         transport: The transport to the graph.
@@ -313,7 +313,7 @@ def not_served(name: str, served: Iterable[str], where: str = "in reach") -> Ser
     Args:
         name: The full name of the action.
         served: The names of the actions that are served.
-        where: Where these actions are served, in words such as ``"in reach"``.
+        where: A phrase that says where these actions are served, such as ``"in reach"``.
     """
     if near := nearest(name, served := sorted(set(served))):
         hint = f"is your server running, or did you mean '{near}'?"

@@ -141,8 +141,7 @@ async def held_goals(node: Node, actions: dict[str, str]) -> tuple[list[HeldGoal
         actions: The names of the actions, with their types.
 
     Returns:
-        The goals in the order in which they were accepted, and the names of the nodes that do not
-        answer.
+        The goals in the order of their acceptance, and the names of the nodes that do not answer.
     """
     found: dict[tuple[str, bytes], HeldGoal] = {}
     silent: set[str] = set()
@@ -194,9 +193,9 @@ async def find_goal(node: Node, wanted: str) -> HeldGoal:
     goal is found. If the goal's server does not answer, a note is printed.
 
     Raises:
-        UsageError: if there are several such goals.
+        UsageError: if several goals match ``wanted``.
         ServerUnavailable: if ``wanted`` is the name of an action that nobody serves.
-        TurtleactError: if there is no such goal.
+        TurtleactError: if no goal matches ``wanted``.
     """
     is_name = wanted.startswith("/")
     goals, silent = await held_goals(node, served_actions(node, wanted if is_name else None))
@@ -290,12 +289,12 @@ async def cancel(node: Node, wanted: Sequence[str]) -> int:
 
 
 async def cancel_many(node: Node, name: str | None, before: int) -> int:
-    """Cancel all goals, or those accepted up to a moment, and print the outcome of each.
+    """Cancel all goals, or only the goals accepted until a given time, and print each outcome.
 
     Args:
         node: A node on the graph.
         name: The name of the action; None for all actions.
-        before: The moment (ns since the epoch, by the servers' clocks); 0 to cancel all goals.
+        before: The given time (ns since the epoch, by the servers' clocks); 0 for all goals.
 
     Raises:
         ServerUnavailable: if nobody serves the action.
@@ -425,7 +424,7 @@ class WatchedGoal:
                     self.status = each.status
 
     async def hear_pauses(self) -> None:
-        """Record whether the goal is paused, at each change."""
+        """Update ``is_paused`` whenever the goal is paused or resumed."""
         async for paused in follow_paused(self._node, self._action):
             self.is_paused = self.goal_id in paused
 
@@ -572,7 +571,7 @@ def _clients(node: Node, action: str) -> list[str]:
 
 
 async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
-    """Ask a server to cancel one goal. Return why the request fails, or None if it succeeds."""
+    """Ask a server to cancel a goal. Return the reason if the request failed, otherwise None."""
     response = await _request(node, goal.action, goal.goal_id, 0)
     if response is None:
         return SILENT

@@ -51,10 +51,10 @@ __all__ = [
 ]
 
 KINDS: Final = {"msg": "Messages", "srv": "Services", "action": "Actions"}
-"""The kinds of interfaces, in the order of the lists."""
+"""The kinds of interfaces with their headings, in the order in which they are listed."""
 
 LONGEST_LINE: Final = 2**12
-"""At most this many bytes of a pipe are read for a name. No interface name is longer."""
+"""At most this many bytes of an interface name are read from a pipe. No such name is longer."""
 
 
 def make_known(folder: str | None, *, is_silent: bool = False) -> None:
@@ -73,7 +73,7 @@ def make_known(folder: str | None, *, is_silent: bool = False) -> None:
 
 
 def make_found(folder: str | None, *, is_silent: bool = False) -> None:
-    """Find and register interfaces: in ``folder``, the workspace, and near the working directory.
+    """Find and register interfaces in ``folder``, in the workspace and near the working directory.
 
     If an interface has several definitions, the search order decides: first ``folder``, then the
     sourced workspace, the folders near the working directory, and turtleact itself. When the first

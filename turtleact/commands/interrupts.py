@@ -15,9 +15,9 @@ body. The effect of a signal depends on what the program is doing:
   Therefore, if the loop has not ended within `GRACE` after a second signal, the alarm timer ends
   the process. The timer also ends the process when another deadline passes
   (`Interrupts.end_within`, `Interrupts.patience`). A third signal ends the process at once. After
-  the first signal, the timer also expires every `GRACE` and interrupts blocking writes. Otherwise,
-  if a signal came just before a blocking write, Python would notice the signal only after the
-  write.
+  the first signal, the timer also expires every `GRACE` and interrupts blocking writes. Without
+  these interruptions, Python would notice a signal that came just before a blocking write only
+  after the write.
 - Some desktops and service managers send two signals of different kinds at once. A command that
   needs time to end can treat two signals of different kinds as one (`Interrupts.together`).
 - After the loop has ended, a signal has no effect. While Python shuts down, signals are ignored.
@@ -71,10 +71,13 @@ WAITS_FOR_FILES = os.name == "posix"
 """Whether the system can wait for a file and a signal at the same time."""
 
 TICK = 0.1
-"""The interval of checks on systems that cannot wait for a file or have no alarm timer (s)."""
+"""How often the deadline and the input are polled on some systems, such as Windows (s).
+
+These systems have no alarm timer, or cannot wait for a file.
+"""
 
 GRACE = 0.5
-"""How long after a deadline the loop may still end by itself (s, wall clock)."""
+"""The event loop has this much time after a deadline to end by itself (s, wall clock)."""
 
 LONGEST = 1e9
 """The longest time for which the alarm timer can safely be set (s): 31 years."""
@@ -241,10 +244,10 @@ class Interrupts:
     def beginning(self, status: int | None = None) -> Iterator[None]:
         """Let a signal end the process during a block that starts something, such as a node.
 
-        If a signal comes before or during the block, the program has `GRACE` to leave the block.
-        After that time, the process ends, even if the loop is busy. If a `TurtleactError` ends the
-        block after a signal, the error is suppressed. So check `received` before you use the
-        results of the block.
+        If a signal comes before or during the block, the program must leave the block within
+        `GRACE` seconds. After that time, the process ends, even if the loop is busy. If a
+        `TurtleactError` ends the block after a signal, the error is suppressed. Therefore check
+        `received` before you use the results of the block.
 
         Args:
             status: The exit status of the process if it ends in the block. None stands for the exit
@@ -320,7 +323,7 @@ class Interrupts:
             self._tell()
 
     def _is_repeated(self, number: int) -> bool:
-        """Whether to ignore a signal, because a different one came a moment ago; see `together`."""
+        """Whether to ignore a signal shortly after a signal of another kind; see `together`."""
         if not self.received:
             self._first_at = monotonic()
             return False

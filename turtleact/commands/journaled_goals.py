@@ -1,7 +1,7 @@
 """Implements ``goals --journal``, ``result --journal`` and ``journal prune``.
 
-These verbs need no graph, because they work on the file of a journal. The server that writes the
-journal may still be running, have ended or have been killed.
+These verbs need no graph, because they work on the file of a journal. It does not matter whether
+the server that writes the journal is running, has ended or was killed.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ DONE, ABORTED, CANCELED = 0, 4, 5
 """Exit statuses."""
 
 SECOND = 10**9
-"""A second (ns)."""
+"""The number of nanoseconds in a second."""
 
 HEADINGS = ("id", "action", "state", "age", "took", "reason")
 
 BLOCK = 1000
-"""This many goals are printed at a time, because a journal may have more than fit in memory."""
+"""How many goals are printed at a time. A journal may hold more goals than fit in memory."""
 
 
 def print_goals(path: Path, name: str | None, since: int, *, as_json: bool) -> int:

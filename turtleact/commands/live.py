@@ -1,4 +1,4 @@
-"""Draws the live displays on a terminal: one of a goal, and one of a server.
+"""Draws two live displays on a terminal: one shows a goal, and the other shows a server.
 
 `LiveTranscript` redraws a region at the end of the screen while a goal runs. Lines that must stay
 on the screen are printed above the region as plain text. When the goal ends, the last frame of the
@@ -304,7 +304,7 @@ MOST_TURTLES: Final = 50
 """The map shows and follows at most this many turtles."""
 
 FIRST_LOOK: Final = 0.1
-"""The interval at which `Dashboard.run` checks whether the log has a line (s)."""
+"""How often `Dashboard.run` checks whether the log has its first line (s)."""
 
 NOT_READY: Final = "not ready yet"
 """The dashboard's heading before the first call of `Dashboard.say`."""
@@ -432,7 +432,7 @@ class Dashboard:
 
 
 class _Served:
-    """A goal of the server, for the dashboard.
+    """A goal that the server runs, as shown on the dashboard.
 
     Args:
         goal: The goal.
@@ -516,7 +516,7 @@ class _Drawn:
         self._sim = sim
 
     def canvas(self, columns: int, rows: int) -> render.Braille:
-        """Return the lines as dots on a canvas of ``columns`` by ``rows`` characters."""
+        """Return the turtles' lines as dots on a canvas of ``columns`` by ``rows`` characters."""
         canvas = render.Braille(columns, rows)
         top = canvas.height - 1
         for row, pixels in enumerate(self._sim.thumbnail(canvas.width, canvas.height)):

@@ -44,7 +44,7 @@ __all__ = ["Locks", "is_loopback", "mode_of", "read_locks"]
 
 
 class Tls(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The section ``[tls]``; see the docstring of the module."""
+    """The certificates and the key in the section ``[tls]`` of a ``--config`` file."""
 
     ca: str = ""
     certificate: str = ""
@@ -53,7 +53,7 @@ class Tls(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Login(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The section ``[login]``; see the docstring of the module."""
+    """The user name and passwords in the section ``[login]`` of a ``--config`` file."""
 
     user: str = ""
     password: str = ""
@@ -61,7 +61,7 @@ class Login(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Access(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The section ``[access]``; see the docstring of the module."""
+    """The names that others may use, in the section ``[access]`` of a ``--config`` file."""
 
     actions: tuple[str, ...] = ()
     services: tuple[str, ...] = ()
@@ -84,7 +84,7 @@ class Locks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def keeps_strangers_out(self) -> bool:
-        """Whether a server with this file checks its clients, or restricts what they may use."""
+        """Whether a server with this configuration checks its clients or restricts their access."""
         asks = self.login is not None and bool(self.login.users)
         return asks or self.access is not None or (self.tls is not None and self.tls.mutual)
 
@@ -205,7 +205,7 @@ _DECLARED: Final = [
     "liveliness_query",
     "reply",
 ]
-"""The messages that a participant needs to join the graph and to answer."""
+"""The kinds of Zenoh messages that a participant needs to join the graph and answer queries."""
 
 _EVERYTHING: Final = ["**", "@ros2_lv/**", "**/@adv/**"]
 """Expressions that together match every key.
@@ -215,7 +215,7 @@ Wildcards do not match the parts of a key that begin with an at sign, so the lis
 
 
 def _access_control(access: Access) -> dict[str, object]:
-    """Return rules that let other nodes see the whole graph, but use only the listed names."""
+    """Return rules that show other nodes the whole graph but let them use only the listed names."""
     actions = [resolve_name(name)[1:] for name in access.actions]
     used = [f"*/{name}/_action/*/*/*" for name in actions]
     used += [f"*/{resolve_name(name)[1:]}/*/*" for name in access.services]

@@ -106,7 +106,7 @@ def _check_sdk() -> None:
 async def _open(order: Order) -> AsyncIterator[tuple[Node, Wire | None]]:
     """Open stdin and then a node on the graph.
 
-    If the clients use HTTP, or `Order.is_empty`, stdin is not opened.
+    Stdin is not opened if the clients use HTTP, or if the order is empty (`Order.is_empty`).
 
     If the client's first message on stdin comes at once, the client is answered before the graph is
     opened. While the graph is being opened, a thread imports the MCP SDK.
@@ -177,7 +177,7 @@ async def _serve_http(
 
 
 async def _what_there_is(node: Node) -> str:
-    """Return the error message for an empty order."""
+    """Return the error message for a command line that names no actions to offer."""
     await find_server(node.transport, lambda: node.graph().actions or None)
     seen = ", ".join(node.graph().actions) or "none"
     return f"name what to offer: --actions NAME,… or --all; the actions here are: {seen}"

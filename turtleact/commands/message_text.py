@@ -93,7 +93,7 @@ def read_text_file(path: str, what: str) -> str:
 
     Args:
         path: The path of the file.
-        what: The option and the file, with which each error message begins.
+        what: The beginning of each error message, which names the option and the file.
 
     Raises:
         UsageError: if the file cannot be read, is longer than `MOST` bytes, or is not UTF-8.

@@ -300,7 +300,7 @@ SINGLE: Final = {
 }
 """The parameter type of a single value, by Python type.
 
-The number of the type of a list is `ARRAY` higher than the number of the type of its elements.
+To get the type number of a list, add `ARRAY` to the type number of its elements.
 """
 
 ARRAY: Final = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
@@ -358,7 +358,7 @@ def plain(value: ParameterValue) -> object:
 
 
 def kind_name(number: int) -> str:
-    """Return the name of a parameter type, which is given by its number."""
+    """Return the name of the parameter type with a given number."""
     kind = KINDS.get(number)
     return "not set" if kind is None else kind.name
 

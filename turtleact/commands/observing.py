@@ -83,7 +83,7 @@ def json_line(text: str, **members: str) -> str:
 async def observing(
     watched: Watched, say: Callable[[str], object]
 ) -> AsyncIterator[Callable[[Node], None]]:
-    """During a block, export traces and serve metrics, as ``watched`` says.
+    """During a block, export traces and serve metrics according to ``watched``.
 
     Yield a function that the block must call with each node.
 

@@ -35,13 +35,13 @@ OFFERED_WITHIN: Final = 2.0
 """How long a server may take to offer the service (s, by the clock of the graph)."""
 
 TOLD_WITHIN: Final = 0.2
-"""How long to wait for a message of the topic, in addition to `ROUND_TRIPS`.
+"""How long to wait for the message with the paused goals (s, by the clock of the graph).
 
-In seconds, by the clock of the graph. Servers without turtleact do not offer the topic.
+The time for `ROUND_TRIPS` is added. Servers without turtleact do not publish this message.
 """
 
 ROUND_TRIPS: Final = 5
-"""How many network round trips are added to `TOLD_WITHIN`.
+"""The wait for the message with the paused goals also includes this many network round trips.
 
 The node must ask for the topic, find the topic's publisher, and get the latched message.
 """

@@ -44,13 +44,13 @@ DECLARING = (
     ast.AugAssign,
     ast.Pass,
 )
-"""The kinds of statements that declare something but run no program."""
+"""The kinds of statements that only declare something and do not make a file a program."""
 
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
 """The kinds of syntax nodes with code that does not run when their file is executed."""
 
 PREPARING = ("load_interfaces", "basicConfig")
-"""A file that only declares something may call these functions."""
+"""Calls of these functions outside of functions do not make a file a program."""
 
 MAIN = "main"
 """By convention, the function that runs a file's program."""
@@ -209,7 +209,7 @@ def _only_declares(statement: ast.stmt) -> bool:
 
 
 def _uses_main(node: ast.AST) -> bool:
-    """Whether ``main`` is called or passed on outside functions, as in ``code = main()``."""
+    """Whether code outside of functions uses the name ``main``, as in ``code = main()``."""
     if isinstance(node, FUNCTIONS):
         return False
     if isinstance(node, ast.Name):
@@ -267,7 +267,7 @@ def _status(code: object) -> int:
 
 
 def _told(error: BaseException) -> int:
-    """Print the traceback of the user's own code as Python does, and return the exit status."""
+    """Print a traceback as Python does, but only of the user's code. Return the exit status."""
     trace = error.__traceback__
     while trace is not None and _is_ours(trace.tb_frame.f_code.co_filename):
         trace = trace.tb_next

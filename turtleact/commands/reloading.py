@@ -44,7 +44,7 @@ INTERVAL = 0.15
 """How often the files are checked (s, event loop time)."""
 
 REASON = "reloading"
-"""The reason of a goal that ends because its body is replaced."""
+"""The reason given for the end of a goal whose body is replaced."""
 
 UNCHANGED = "the actions stay as they are until the next change"
 
@@ -53,7 +53,7 @@ Stamps: TypeAlias = dict[Path, tuple[int, int, int] | None]
 
 
 class Kept(TypedDict, total=False):
-    """The options for servers that keep their goals in a journal; empty without a journal."""
+    """The options that make a server keep its goals in a journal. Empty without a journal."""
 
     journal: Journal
     on_restart: OnRestart
@@ -89,7 +89,7 @@ class Watch:
         return [file for file, stamp in stamps.items() if stamp != before.get(file)]
 
     def follow(self) -> None:
-        """Also watch the files that have been imported since the last call."""
+        """Start to watch the files that were imported since the last call."""
         self._seen = {**self._stamps(), **self._seen}
         self._last = self._seen
 
@@ -110,8 +110,8 @@ class Reloader:
         say: A function that prints a line for the user.
 
     Attributes:
-        node: The argument ``node``.
-        watch: The argument ``watch``.
+        node: The node that serves the actions.
+        watch: Watches the files of the user's modules.
     """
 
     def __init__(
@@ -214,7 +214,7 @@ class Reloader:
         self._say(f"reloaded: {', '.join(names) or 'background tasks'}")
 
     def _import(self, changed: list[Path]) -> Found | None:
-        """Import the modules again. Return None if the import fails, or if a signal has come."""
+        """Import the modules again. Return None if the import fails or a signal was received."""
         known = REGISTRY.state()
         self._stale.update(changed)
         for name, file in _interface_files().items():
@@ -264,8 +264,8 @@ class Reloader:
 async def _together(calls: Iterable[Callable[[], Awaitable[None]]]) -> None:
     """Call functions that end tasks and servers, all at the same time, and wait for all of them.
 
-    All tasks that ignore their cancellation share one delay of `GRACE` seconds. During the delay,
-    no server accepts a goal.
+    Tasks that ignore their cancellation are waited for together, for `GRACE` seconds in all. During
+    this delay, no server accepts a goal.
     """
     # Shielded: a child that is cancelled before its first step would not cancel its task.
     with anyio.CancelScope(shield=True):

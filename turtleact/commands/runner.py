@@ -2,7 +2,7 @@
 
 At its end, `asyncio.run` waits for every task that still runs, and the interpreter waits for every
 thread. A body that ignores its cancellation or blocks a thread would therefore keep the program
-alive forever. Besides, the user's code runs in the same event loop. The user's code can stop the
+alive forever. The user's code also runs in this event loop. The user's code can stop the
 loop at any time with ``sys.exit``, ``raise KeyboardInterrupt`` or ``loop.stop()``, or by cancelling
 every task that it finds.
 """
@@ -33,7 +33,7 @@ OURS = str(Path(__file__).parents[1]) + os.sep
 """The folder of turtleact's own modules."""
 
 GRACE = 2.0
-"""How long to wait for the tasks that a command leaves behind, and then for its threads (s)."""
+"""After a command, each of two waits may take this long: for its tasks, and for its threads (s)."""
 
 STOPPED = (
     "a body, or other code of yours, called stop() of the event loop, which ends all that runs in "
@@ -48,9 +48,9 @@ CANCELLED = (
 def run(main: Coroutine[object, object, T], interrupts: Interrupts) -> T:
     """Run a command to its end, and return its result.
 
-    If the user's code stops the loop, the command ends as after a signal. Then this function raises
-    the exception that stopped the loop, or a `TurtleactError` if the loop was stopped without an
-    exception. If other tasks or threads do not end in time, this function sets
+    If the user's code stops the loop, the command ends as if a signal had come. This function then
+    raises the exception that stopped the loop, or a `TurtleactError` if the loop was stopped
+    without an exception. If other tasks or threads do not end in time, this function sets
     `Interrupts.must_leave`, because the process must end without waiting for them.
 
     Raises:
@@ -90,14 +90,15 @@ def _drive(
     """Run the loop until a task is done, even if the user's code stops the loop earlier.
 
     If the user's code stops the loop, ``interrupts`` tells the task to end, and the loop runs
-    again. Otherwise running goals could not end, and their clients would get no answer.
+    again. If the loop stayed stopped, running goals could not end, and their clients would get no
+    answer.
 
     An exception such as SystemExit stops the loop in the middle of an iteration, and
     ``loop.stop()`` stops the loop at the end of an iteration. After either stop, the loop can run
     again.
 
     Returns:
-        The exception that stopped the loop first, or a `TurtleactError` if ``loop.stop()`` did.
+        The exception that first stopped the loop, or a `TurtleactError` after ``loop.stop()``.
         None if the user's code did not stop the loop, or if ``interrupts`` is None.
     """
     cause: BaseException | None = None
@@ -120,9 +121,9 @@ def _drive(
 async def _end_the_rest() -> list[str]:
     """Cancel all other tasks, and close asynchronous generators and the loop's threads.
 
-    Return descriptions of the tasks that have not ended in time. If all tasks have ended, describe
-    the generators and threads that have not ended. This function waits with `asyncio.wait`, which
-    returns when the time is over, even if a task ignores its cancellation.
+    Return descriptions of the tasks that have not ended in time. If no task is left, return
+    descriptions of the generators and threads that have not ended. This function waits with
+    `asyncio.wait`, which returns at its timeout even if a task ignores its cancellation.
     """
     loop, own = asyncio.get_running_loop(), asyncio.current_task()
     left = asyncio.all_tasks() - {own}

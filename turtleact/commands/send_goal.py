@@ -214,8 +214,9 @@ class Sending:
         """Open a node on the user's graph or, if there is none with actions, in an embedded world.
 
         Raises:
-            TurtleactError: if there is no graph with actions, but the user waits for a server
-                (``--reattach``) or the goal must outlive this command (a timeout of 0).
+            TurtleactError: if there is no graph with actions and an embedded world is no
+                substitute. With ``--reattach``, the user waits for a server. With a timeout of 0,
+                the goal must outlive this command.
         """
         order, place, reach = self._order, self._order.place, self._order.place.reach
         why = ""

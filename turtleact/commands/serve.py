@@ -63,7 +63,7 @@ STANDBY = 0.2
 """The interval at which a standby tries to open the journal of another process (s)."""
 
 READY = "ready"
-"""The subject of the dashboard's line that says the server is ready."""
+"""The subject that identifies the dashboard's line about whether the server is ready."""
 
 MOST_LISTED = 12
 """The ready line names at most this many actions."""
@@ -489,7 +489,6 @@ class _Told(logging.Handler):
         self._tell = tell
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Pass the text of a log record to the function."""
         self._tell(printable(record.getMessage()))
 
 

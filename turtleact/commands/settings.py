@@ -210,7 +210,8 @@ class Service(NamedTuple):
         turtlesim_only: Whether the world serves only what turtlesim serves, and no built-in
             actions.
         wait: Whether to wait while another node serves one of the actions, or another process uses
-            the journal. Without ``wait``, a served action or a used journal is an error.
+            the journal. Without ``wait``, `serve` fails if an action is already served or
+            the journal is in use.
         reload: Whether to reload the user's actions when their files change.
         node_name: The name of the node that serves the actions, if there is no world.
         keeping: How to keep a journal of the goals; None for no journal.
@@ -239,7 +240,7 @@ class Service(NamedTuple):
 class Policies(NamedTuple):
     """The quality of service that the user asked for.
 
-    If a policy is None, the verb has a default for it.
+    For a policy that is None, each verb uses its own default.
 
     Attributes:
         reliability: As in `turtleact.QoS`.
@@ -277,7 +278,7 @@ def endpoints(option: str, text: str | None) -> tuple[str, ...]:
 
 
 def _is_reachable(endpoint: str) -> bool:
-    """Whether an endpoint has a host and a valid port, if its protocol needs them."""
+    """Whether an endpoint has a host and a valid port. True if its protocol needs neither."""
     found = _WITH_PORT.fullmatch(endpoint)
     if found is None:
         return True

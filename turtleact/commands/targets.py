@@ -49,7 +49,7 @@ DECLARES = re.compile(rb"^\s*@(?:\w+\.)*action\(", re.MULTILINE)
 """Matches the line with the decorator that declares an action."""
 
 MOST_READ = 50
-"""At most this many files of a folder are searched for actions, to suggest files in an error."""
+"""To suggest files in an error, at most this many files of a folder are searched for actions."""
 
 
 class Found(NamedTuple):
@@ -143,7 +143,7 @@ def _file_of(name: str) -> Path | None:
 
 
 def _files_to_name(folder: Path) -> str:
-    """Advise which file of a folder to name.
+    """Return advice on which file of a folder the user can name as a target.
 
     The advice names the files that seem to declare actions. If no file seems to declare an action,
     the advice names all Python files directly in the folder, except tests and `NOT_SERVED`.
@@ -188,8 +188,8 @@ class Modules:
         targets: The targets as the user wrote them.
 
     Attributes:
-        files: The files of the user's modules, and files that a failed import looked for. If one of
-            these files changes or appears, the modules must be imported again.
+        files: The files to watch. If one of these files changes or appears, the modules must be
+            imported again. After a failed import, these include files that were not found.
 
     Raises:
         UsageError: if a text is not a target, or names a file that does not exist.
@@ -485,6 +485,6 @@ def _place_of(error: BaseException) -> str:
 
 
 def _nearby(file: str | None) -> str:
-    """The path of a file, relative to the working directory if the file is below it."""
+    """Return the path of a file, relative to the working directory if the file is inside."""
     path = Path(str(file))
     return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)

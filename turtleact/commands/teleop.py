@@ -57,7 +57,7 @@ HEADINGS: Final = {
     "v": -1.5708,
     "b": -0.7854,
 }
-"""The heading for each key (rad). The keys lie around F."""
+"""The heading for each key (rad), which is the direction from F to the key on a keyboard."""
 
 CANCEL, QUIT = "f", "q"
 
@@ -84,7 +84,7 @@ During a reset, turtles are missing for a shorter time.
 END_ITS_GOAL: Final = (
     "cancel its goal: 'turtleact goals' lists the goals, 'turtleact cancel ID' cancels one"
 )
-"""What to do about a node that drives the turtle for a goal."""
+"""Advice for the user if a node already drives the turtle for a goal."""
 
 
 class Order(NamedTuple):
@@ -169,8 +169,8 @@ def _choose(order: Order, node: Node) -> str | None:
 
     Raises:
         TurtleactError: if the turtle that the user named is not in reach, or if several turtles are
-            in reach and it is not clear which one to drive. Also raised if the user named a graph
-            that has no turtles.
+            in reach and none is the clear choice. If the user gave ``--connect``, a graph without
+            turtles is also an error.
     """
     wanted, turtles = _wanted(order), turtles_in_reach(node)
     if not turtles:

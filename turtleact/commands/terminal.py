@@ -106,8 +106,8 @@ class Outlet:
     only while the terminal accepts text.
 
     Attributes:
-        is_writing: Whether `push` is writing at the moment. If a signal handler wrote to the
-            terminal at that moment, its text would end up inside other text.
+        is_writing: Whether `push` is writing at the moment. A signal handler must not write to the
+            terminal during a `push`, because its text would end up in the middle of other text.
         due: A function that `push` calls once, as soon as it has stopped writing; None if there is
             nothing to call.
     """
@@ -349,13 +349,13 @@ SHARE: Final = 0.2
 """The share of processor time that drawing may take."""
 
 SMALLEST: Final = 14
-"""The minimum height of a last frame, enough for a small map.
+"""The minimum height of the frame that stays on the screen at the end, enough for a small map.
 
-A last frame may shrink to this height to make room for the text below the frame.
+This last frame may shrink to this height to make room for the text below the frame.
 """
 
 FULL: Final = 2
-"""The number of lines in a frame that are as wide as the window.
+"""This many lines of a frame fill the whole width of the window.
 
 When the window gets narrower, each of these lines wraps onto two lines.
 """
@@ -473,7 +473,7 @@ class LogLines(io.TextIOBase):
         return len(text)
 
     def close(self) -> None:
-        """Do nothing, so that a body that closes its stdout does not end the log."""
+        """Do nothing, because the log must stay open even if a body closes its stdout."""
 
     @contextmanager
     def listening(self) -> Iterator[None]:

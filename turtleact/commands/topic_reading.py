@@ -51,7 +51,7 @@ DONE, TIMEOUT = 0, 124
 
 
 ABSENCE = 1.0
-"""A topic without a publisher is noted after this time (s, by the clock of the graph)."""
+"""How long to wait for a publisher before a note says that the topic has none (s, graph clock)."""
 
 
 class Order(NamedTuple):
@@ -90,8 +90,8 @@ async def echo(node: Node, order: Order) -> int:
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
-        TurtleactError: if the topic's type is unknown, or if all publishers have another type than
-            ``order.type_name``.
+        TurtleactError: if the topic's type is unknown, or if the type of every publisher differs
+            from ``order.type_name``.
         UsageError: if the messages have no field at ``order.path``, or if the user's filter raises
             an exception.
     """
@@ -112,7 +112,7 @@ async def echo(node: Node, order: Order) -> int:
 
 
 async def note_absence(node: Node, name: str) -> None:
-    """Print a note whenever the last publisher of a topic has gone, until this is cancelled."""
+    """Print a note each time a topic has lost its last publisher. Run until cancelled."""
     while True:
         await _wait_for_publishers(node, name)
         # No change is lost between the count and the wait: there is no await in between.
@@ -346,9 +346,9 @@ class Delay:
         self._is_news = True
 
     def line(self, now: int) -> str:  # noqa: ARG002  # the age on arrival counts
-        """The mean age of messages, or a note if no message has arrived since the last line.
+        """Return the mean age of messages, or a note if no message has arrived since the last call.
 
-        Empty before the first message.
+        The text is empty before the first message.
         """
         if not self._delays:
             return ""

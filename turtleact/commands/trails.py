@@ -33,10 +33,10 @@ __all__ = [
 ]
 
 NEAR: Final = 0.15
-"""How near (m) a turtle must come to pass a place, unless the goal's tolerance is larger."""
+"""A turtle reaches a place at this distance (m), or at the goal's tolerance if that is larger."""
 
 STILL: Final = 1e-4
-"""If a turtle moves at most this far (m) between two poses, the turtle has not moved."""
+"""A turtle that moves backwards by at most this distance (m) between two poses is not reversing."""
 
 JUMP: Final = 1.0
 """If a turtle moves at least this far (m) between two poses, the turtle was teleported."""

@@ -60,7 +60,7 @@ class Transcript(Protocol):
         """Called when the transcript starts to follow a goal that somebody else sent."""
 
     def served(self, *, is_served: bool) -> None:
-        """Called when the goal's server has gone or has come back. `note` is called, too."""
+        """Called when the goal's server has gone or has come back. The caller also calls `note`."""
 
     async def animate(self) -> None:
         """Animate the display. When the goal ends, the caller cancels this coroutine."""
@@ -203,7 +203,7 @@ class PlainTranscript:
         """Do nothing, because there is nothing to print yet."""
 
     def served(self, *, is_served: bool) -> None:
-        """Do nothing, because the caller also reports the change with `note`."""
+        """Print nothing, because `note` also reports that the server has gone or has come back."""
 
     async def animate(self) -> None:
         """Do nothing, because there is nothing to animate."""
@@ -268,7 +268,7 @@ class JsonTranscript:
         """Do nothing, because there is nothing to print yet."""
 
     def served(self, *, is_served: bool) -> None:
-        """Do nothing, because the caller also reports the change with `note`."""
+        """Print nothing, because `note` also reports that the server has gone or has come back."""
 
     async def animate(self) -> None:
         """Do nothing, because there is nothing to animate."""

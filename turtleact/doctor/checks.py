@@ -33,7 +33,7 @@ LACKS: Final[dict[Policy, str]] = {
     "lease": "a shorter lease duration",
     "reliability": "more reliability (reliable, not best_effort)",
 }
-"""For each policy, what a subscription requests beyond what a publisher offers."""
+"""For each QoS policy, describes a request of a subscription that exceeds a publisher's offer."""
 
 MOST_FIELDS: Final = 4
 """At most this many differing fields are named."""
@@ -420,7 +420,7 @@ def _why_differing(snapshot: Snapshot, type_name: str, hashes: list[str]) -> str
 
 
 def _shown(path: str, *, is_implied: bool) -> str:
-    """The path of a field. In an action, a leading ``request.`` or ``response.`` is left out."""
+    """Return the path of a field, without an action's leading ``request.`` or ``response.``."""
     return path.removeprefix("request.").removeprefix("response.") if is_implied else path
 
 

@@ -63,7 +63,10 @@ LIST_PARAMETERS: Final = "rcl_interfaces/srv/ListParameters"
 GET_DESCRIPTION: Final = "type_description_interfaces/srv/GetTypeDescription"
 
 QUESTIONS: Final = (CancelGoal.type_name, LIST_PARAMETERS, GET_DESCRIPTION)
-"""The types of services that can be called without doing harm, the preferred type first."""
+"""The types of services that the doctor may call as a probe, in order of preference.
+
+The doctor's requests to these services change nothing.
+"""
 
 
 async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
@@ -105,7 +108,7 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
 
 @contextmanager
 def _one_error() -> Iterator[None]:
-    """If a block raises an exception group of turtleact's errors, raise only the first of them."""
+    """Replace an exception group that contains only turtleact's errors with the first error."""
     try:
         yield
     except ExceptionGroup as group:
@@ -182,7 +185,7 @@ async def _ask(node: Node, session: str, service: Endpoint, answers: list[Answer
 
 
 def _join(node: Node, service: Endpoint) -> tuple[Caller, object]:
-    """Create a client of a service, and a harmless request to the service."""
+    """Return a client of a service, and a request that changes nothing when it is sent."""
     interface: Any = get_interface(service.type_name)
     described = Endpoint("client", service.name, service.type_name, node.fully_qualified_name)
     caller = node.transport.join(described, WireFormat(interface, asks=True))

@@ -5,8 +5,9 @@ The job runs outside of Typer, because Typer handles broken pipes and interrupts
 Each group of verbs is a module, which is imported only when the user chooses the group. The job
 imports the modules of `turtleact.commands` that do the work.
 
-`Verb` accepts the forms of arguments that ``ros2`` accepts. `Group` says what to use instead of
-verbs that only ``ros2`` has. Both classes override only documented methods of click.
+`Verb` accepts the forms of arguments that ``ros2`` accepts. If the user types a verb that
+only ``ros2`` has, `Group` suggests an alternative. Both classes override only documented methods
+of click.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ HOMES: Final = {
     **dict.fromkeys(("param", "service"), "node"),
     **dict.fromkeys(("teleop", "snapshot"), "turtlesim"),
 }
-"""The modules of those verbs that have another name than their module."""
+"""Maps each verb to its module, unless the verb and the module have the same name."""
 
 PANELS: Final = {
     **dict.fromkeys(
@@ -107,10 +108,10 @@ PANELS: Final = {
 
 
 _UNKNOWN: Final = ("--port", "--host")
-"""Options of other programs, which users also expect here."""
+"""Options of other programs that users may try. The error message suggests `_MEANT` instead."""
 
 _MEANT: Final = {"--web": "[HOST:]PORT", "--listen": "tcp/HOST:PORT"}
-"""The options to use instead, each with its value."""
+"""Maps each option that replaces an option in `_UNKNOWN` to the form of its value."""
 
 
 class Verb(TyperCommand):
@@ -122,8 +123,8 @@ class Verb(TyperCommand):
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
         """Parse the arguments.
 
-        Values may begin with a dash, such as ``-5``. Options about the daemon of ``ros2`` are
-        ignored.
+        Values may begin with a dash, such as ``-5``. Options that control the daemon of ``ros2``
+        are ignored.
         """
         known = {option for param in self.params for option in param.opts}
         if "--connect" in known:
@@ -196,7 +197,7 @@ class LazyGroup(Group):
         return _without_type([*self.params])
 
     def get_help_option(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401, ARG002  # as above
-        """Return the help option, because usage errors mention the option."""
+        """Return the option ``--help``, which click mentions in usage errors."""
         return next(param for param in self.params if param.name == "_help")
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]  # noqa: ANN401  # as in `Group`
@@ -282,7 +283,7 @@ def new_group(name: str, summary: str = "") -> typer.Typer:
 
 
 def without_daemon(args: Sequence[str]) -> list[str]:
-    """Remove the options about the daemon of ``ros2``, because turtleact has no daemon.
+    """Remove the options that control the daemon of ``ros2``, because turtleact has no daemon.
 
     >>> without_daemon(["--no-daemon", "--spin-time", "2", "-t", "--spin-time=1"])
     ['-t']
@@ -351,7 +352,7 @@ def _exit_status(status: int, _: Interrupts) -> int:
 
 
 def _check_text(ctx: typer.Context, param: Any) -> None:  # noqa: ANN401  # option or argument
-    """Raise an error for text that is not UTF-8, except for paths: a file may have any name."""
+    """Raise an error if text is not UTF-8. Paths are not checked: a file may have any name."""
     value = ctx.params.get(param.name)
     for text in value if isinstance(value, list | tuple) else [value]:
         if not isinstance(text, str):

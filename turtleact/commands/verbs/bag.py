@@ -38,7 +38,7 @@ SHORT = {
     "--max-duration": "--max-bag-duration",
     "--output-options": "--output",
 }
-"""Other names of options."""
+"""Maps alternative names of options to the names that ``--help`` shows."""
 
 FREQUENCY = "40"
 """How often ``--clock`` publishes (Hz), as in ``ros2 bag play``."""
@@ -68,7 +68,7 @@ def _is_list(param: Any) -> bool:  # noqa: ANN401  # of click, as in `load`
 
 
 def _repeated(args: Sequence[str], many: set[str]) -> list[str]:
-    """Repeat each option in ``many`` before each of its values.
+    """Insert the name of an option in ``many`` before each of its values.
 
     >>> _repeated(["--topics", "/a", "/b", "-o", "run", "/c"], {"--topics"})
     ['--topics', '/a', '--topics', '/b', '-o', 'run', '/c']
@@ -411,7 +411,7 @@ def record(
 def _recording(
     where: Reach, interfaces: Path | None, named: dict[str, Any], files: tuple[object, ...]
 ) -> Job:
-    """Make the job that records a graph to a bag; see `bag_sessions.RecordOrder`."""
+    """Return the job that records messages to a bag; see `bag_sessions.RecordOrder`."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands.interfaces import make_known

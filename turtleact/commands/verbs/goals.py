@@ -380,7 +380,7 @@ def resume(
 
 
 def _switch(given: list[str], *, is_all: bool, is_paused: bool, timeout: float) -> Look:
-    """Make the `Look` that pauses or resumes goals, given by their ids or by their action."""
+    """Return a function that pauses or resumes goals, selected by their ids or by their action."""
     if is_all and len(given) > 1:
         raise UsageError("--all takes one action; without one, it means all actions")
     if not is_all and not given:
@@ -609,7 +609,7 @@ def _parts(text: str, known: tuple[str, ...]) -> list[str] | None:
 
 
 def _read(look: Callable[[ModuleType], int]) -> Job:
-    """Make a job that passes the module `turtleact.commands.journaled_goals` to ``look``."""
+    """Return a job that imports `turtleact.commands.journaled_goals` and passes it to ``look``."""
 
     def job(_: Interrupts) -> int:
         from turtleact.commands import journaled_goals

@@ -55,7 +55,7 @@ __all__ = [
 ]
 
 Look: TypeAlias = Callable[["Node"], Awaitable[int]]
-"""A function that looks at the graph through a node and returns the exit status."""
+"""A function that runs a verb with a node on the graph, and returns the exit status."""
 
 Plan: TypeAlias = Callable[[Interrupts], Look]
 """A function that prepares the work before the graph is opened, and may read stdin.
@@ -243,7 +243,7 @@ def on_graph(where: Reach, look: Look) -> Job:
 
 
 def on_known_graph(where: Reach, interfaces: Path | None, plan: Plan) -> Job:
-    """Make a job that loads the interfaces, calls ``plan``, and calls its result on a graph."""
+    """Return a job that finds the interfaces and runs the function from ``plan`` on a graph."""
 
     def job(interrupts: Interrupts) -> int:
         from turtleact.commands import graph

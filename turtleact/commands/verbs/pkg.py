@@ -90,7 +90,7 @@ class Create(Verb):
 
 
 def spread(args: list[str], option: str) -> list[str]:
-    """Repeat an option before each of its values, up to the next option or ``--``.
+    """Insert an option before each of its values. The values end at the next option or ``--``.
 
     >>> spread(["lab", "--dependencies", "rclpy", "std_msgs", "--license", "MIT"], "--dependencies")
     ['lab', '--dependencies', 'rclpy', '--dependencies', 'std_msgs', '--license', 'MIT']
@@ -165,7 +165,7 @@ def list_() -> Job:
 
 @app.command("executables", cls=Verb)
 def executables(package: Package = None) -> Job:
-    """List what can be run, one package and executable per line."""
+    """List the executables of packages, one package and executable per line."""
 
     def job(_: Interrupts) -> int:
         from turtleact.commands.output import say_names

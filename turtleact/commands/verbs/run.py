@@ -86,9 +86,9 @@ class How(NamedTuple):
 
     Attributes:
         face: Which rclpy the program imports; see `turtleact.rclpy.face`.
-        embedded: Whether to start a world of turtles in the program's process, too.
+        embedded: Whether to also start a world of turtles in the program's process.
         interfaces: A folder with additional interfaces; None if there is none.
-        reach: The graph that the program joins with rclpy.
+        reach: The graph on which the program's rclpy nodes appear.
     """
 
     face: str

@@ -55,7 +55,7 @@ _WORLD_NODES = ("turtlesim", "turtle_actions", "world")
 NOTHING_TO_RELOAD = "--reload is for your own actions: name a module or a file, such as lab.py"
 
 WORLD, WEB, GOALS, WATCHING = "World", "Web", "Goals", "Watching"
-"""The headings of options."""
+"""The headings under which the help of ``serve`` groups its options."""
 
 Targets: TypeAlias = Annotated[
     list[str] | None,
@@ -354,10 +354,10 @@ def _overrides(files: list[Path] | None, assignments: list[str] | None) -> tuple
 def _node_name(targets: list[str] | None, *, no_sim: bool) -> str:
     """Return the name of the node with the user's actions.
 
-    Without a world, the node is named after the module of the first target. This name is used only
-    if it is a valid node name and no node of a world has it. In all other cases, the node is called
-    ``turtleact``. A server without a world often runs beside a server with one, and ROS 2 warns if
-    two nodes have the same name.
+    Without a world, the node is named after the module of the first target. The module must
+    have a valid node name that differs from the names of a world's nodes. In all other cases, the
+    node is called ``turtleact``. A server without a world often runs beside a server with a world,
+    and ROS 2 warns if two nodes have the same name.
     """
     from turtleact.commands.targets import read_target
 

@@ -1,4 +1,4 @@
-"""Declares the verbs around turtlesim for Typer: ``teleop`` and ``snapshot``."""
+"""Declares the turtlesim verbs ``teleop`` and ``snapshot`` for Typer."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def teleop(
 
 
 def turtle_teleop_key(arguments: Sequence[str], where: Reach) -> Job:
-    """Make the job of ``run turtlesim turtle_teleop_key``.
+    """Return the job that ``run turtlesim turtle_teleop_key`` executes.
 
     Args:
         arguments: The program's arguments: none, or ``--ros-args`` followed by ROS arguments.
