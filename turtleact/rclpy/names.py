@@ -66,9 +66,6 @@ NODE_FAULTS = (
 LONGEST = 255
 """The maximum number of characters in a node's name."""
 
-NOT_A_FAULT = "/"
-"""The root namespace, the only namespace that may end in a slash."""
-
 
 def validate_topic_name(name: str, *, is_service: bool = False) -> bool:
     """Check the name of a topic or service, which may be relative, and return True.
@@ -98,7 +95,7 @@ def validate_namespace(namespace: str) -> bool:
         InvalidNamespaceException: if the namespace breaks the rules.
     """
     fault = _fault(namespace, FULL_FAULTS)
-    if fault is not None and namespace != NOT_A_FAULT:
+    if fault is not None:
         raise InvalidNamespaceException(namespace, f"namespace {fault[0]}", fault[1])
     return True
 
@@ -144,7 +141,7 @@ def expand_topic_name(topic_name: str, node_name: str, node_namespace: str) -> s
         raise ValueError(f"topic name is invalid: '{topic_name}'")
     if _fault(node_name, NODE_FAULTS) is not None:
         raise ValueError(f"node name is invalid: '{node_name}'")
-    if node_namespace != "/" and _fault(node_namespace, FULL_FAULTS) is not None:
+    if _fault(node_namespace, FULL_FAULTS) is not None:
         raise ValueError(f"namespace is invalid: '{node_namespace}'")
     base = node_namespace.rstrip("/")
     known = {"node": node_name, "ns": node_namespace, "namespace": node_namespace}
