@@ -183,7 +183,7 @@ class Drive:
         return self.time() + PATIENCE * bound
 
     async def shortest_time(self, targets: Sequence[Point], *, theta: float | None = None) -> float:
-        """Return the shortest possible time (s) in which the turtle can drive through the targets.
+        """Return a lower bound of the time (s) that the turtle needs to visit the targets in order.
 
         The calculation runs in small steps, so that other tasks can run in between. Only one drive
         at a time runs this calculation.

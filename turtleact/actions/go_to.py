@@ -65,7 +65,7 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         Attributes:
             distance: How far the turtle went (m).
             duration: How long the turtle took (s), by the clock of the graph. Pauses do not count.
-            bound: The shortest possible time (s) for the goal's style and highest speeds.
+            bound: A lower bound of the time (s) with the goal's style and highest speeds.
         """
 
         distance: float64 = 0.0

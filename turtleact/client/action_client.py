@@ -385,20 +385,20 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
         return self._start().__await__()
 
     def send(self, value: object) -> object:
-        """Continue the coroutine until its next suspension. Event loops call this method."""
+        """Continue the coroutine until its next suspension. Only event loops need this method."""
         if self._calling is None:
             self._calling = self._start()
         return self._calling.send(value)
 
     def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
-        """Raise an exception where the coroutine is suspended. Event loops call this method."""
+        """Raise an exception in the suspended coroutine. Only event loops need this method."""
         if self._calling is None:
             self.close()
             raise error
         return self._calling.throw(error)
 
     def close(self) -> None:
-        """Close the coroutine. Event loops call this method."""
+        """Close the coroutine. Only event loops need this method."""
         self._order = None
         if self._calling is not None:
             self._calling.close()
