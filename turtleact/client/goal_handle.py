@@ -274,7 +274,7 @@ class GoalReader:
         is_sender: Whether this client sent the goal.
 
     Attributes:
-        goal: The argument ``goal``.
+        goal: The goal that is read.
         missed: How many feedback messages were dropped before this reader read them.
         is_detached: Whether the goal continues after the ``async with`` block of its handle.
     """

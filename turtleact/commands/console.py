@@ -54,7 +54,7 @@ VIRTUAL_TERMINAL: Final = 0x0004
 class Console(Protocol):
     """The operations on a terminal that differ between systems.
 
-    The argument ``stream`` of a method must be a terminal, unless the method says otherwise.
+    A parameter called ``stream`` must be a terminal, unless the method says otherwise.
     """
 
     def can_move(self) -> bool:

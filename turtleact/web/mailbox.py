@@ -191,7 +191,7 @@ class Throttle:
         topic: The topic's name as the client spells it.
 
     Attributes:
-        topic: The argument ``topic``.
+        topic: The topic's name as the client spells it.
         interval: The minimum time between two messages (s).
         queue_length: How many messages may wait until the interval has passed. Of more waiting
             messages, only the newest are kept. If 0, messages that would have to wait are dropped.

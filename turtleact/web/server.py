@@ -175,7 +175,7 @@ class Config(http_server.Config):
         ws_max_size: The maximum size of a message on a WebSocket (bytes).
 
     Attributes:
-        refusals: The argument ``refusals``.
+        refusals: Counts and logs refused connections.
         budget: Limits the memory of all WebSockets. Leave it unset if the app has no WebSockets.
         request_within: How long a client may take to send its request (s).
         spare: How many connections may be open beyond ``limit_concurrency``. Requests on these

@@ -209,8 +209,8 @@ class Connection:
         domain: The ROS domain.
 
     Attributes:
-        loop: The argument ``loop``.
-        domain: The argument ``domain``.
+        loop: The event loop.
+        domain: The ROS domain.
     """
 
     def __init__(self, loop: EventLoop, open_transport: OpenTransport, domain: int) -> None:
