@@ -56,7 +56,7 @@ def shortest_turn(theta: float, target: float) -> float:
         target: The wanted heading (rad), any angle.
 
     Returns:
-        The turn (rad), in [-pi, pi), positive to the left.
+        How far to turn (rad), in [-pi, pi); positive means to the left.
 
     Example:
         >>> round(shortest_turn(3.0, -3.0), 6)

@@ -202,13 +202,14 @@ class Goal(msgspec.Struct, eq=False):
         is_streamed: Whether the goal's feedback must be kept, because a client may read it later.
         parent: The goal whose body sent this goal, if any.
         sender: The client that sent the goal.
-        feedback: The feedback messages that are kept for readers; None before the first such
-            message or reader.
+        feedback: The feedback messages that are kept for readers. None until a message is kept or a
+            reader starts.
         last_feedback: The newest feedback message, which is always kept. The message may stay
             encoded until it is read in this process.
         result: The partial result until the goal ends, then the result.
         reason: Why the goal was aborted, or will be aborted soon.
-        listener: The listener to fire after each change.
+        listener: The object whose ``fire`` method wakes the tasks that wait for a change of the
+            goal.
         end_callbacks: Functions to call when the goal has ended, after observers have been
             called. These functions must not raise exceptions.
         body: The running body; None when there is no body that can be canceled.
@@ -223,8 +224,8 @@ class Goal(msgspec.Struct, eq=False):
         paused_ns: The total length of the goal's earlier pauses (ns), by the server's clock.
         children: The active goals that this goal's body has sent, each with an object that can
             pause it.
-        waiters: How many callers wait for the goal's result. The table keeps the goal while any
-            caller waits.
+        waiters: How many callers wait for the goal's result. While any caller waits, the server
+            does not forget the ended goal.
         published: How many feedback messages of the goal were published on the feedback topic.
         is_asked_for: Whether a client in another process has asked for the goal's result.
         error: The exception that explains why the client lost contact with the goal, or None. If
@@ -279,7 +280,7 @@ class Goal(msgspec.Struct, eq=False):
         parent.children[self] = pauses
 
     def leave_parent(self) -> None:
-        """Stop being a child of the parent goal, so that finished goals do not stay in memory."""
+        """Remove this goal from its parent's children, so that the parent can forget it."""
         if self.parent is not None and self.parent.children is not None:
             self.parent.children.pop(self, None)
         self.parent = None

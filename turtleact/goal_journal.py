@@ -1,8 +1,8 @@
 """The interface of a journal, which keeps an action server's goals on disk.
 
-A journal is not an observer, because the server waits for the journal: before the server accepts a
-goal, and before it announces a goal's end. When the server starts, it loads the goals that an
-earlier process left.
+A journal is not an observer: the server waits for the journal before the server accepts a goal, and
+before the server announces a goal's end. When the server starts, it loads the goals that an earlier
+process left.
 
 `turtleact.journal` implements the journal with SQLite. The server uses only this interface.
 """
@@ -121,7 +121,7 @@ class GoalChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     expires: int | None = None
 
     def columns(self) -> dict[str, object]:
-        """Return the values that have changed, by the names of the fields of `GoalRecord`."""
+        """Return the changed values in a dict. The keys are names of fields of `GoalRecord`."""
         values = ((name, getattr(self, name)) for name in self.__struct_fields__)
         return {name: value for name, value in values if value is not None}
 
@@ -130,8 +130,8 @@ class GoalJournal(Protocol):
     """Stores goals on disk. Changes reach the disk in the order in which they were made.
 
     Attributes:
-        max_starts: If a goal's server has crashed this many times since the goal's newest feedback,
-            the goal is not started again; None for no limit.
+        max_starts: A goal is not started again after this many server crashes without new feedback.
+            None means that there is no limit.
         aborts_at_close: Whether closing a server aborts its goals, even if they would be started
             again after a crash.
     """
@@ -155,10 +155,10 @@ class GoalJournal(Protocol):
     def progress(
         self, goal_id: bytes, change: GoalChange, then: Callable[[], object] | None = None
     ) -> None:
-        """Store a change soon, and call ``then`` when the change would survive a killed process.
+        """Store a change, and call ``then`` once the change would survive if the process is killed.
 
-        If the disk is full, ``then`` is called although the change is not on disk yet, because the
-        goal must go on.
+        If the disk is full, ``then`` is called before the change is on disk, so that the goal can
+        continue.
         """
 
     def end(self, goal_id: bytes, change: GoalChange, then: Callable[[], object]) -> None:

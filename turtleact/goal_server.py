@@ -31,8 +31,8 @@ class GoalServer(Protocol):
     async def send_goal(self, order: GoalOrder) -> Goal:
         """Send a goal and return it once it is accepted.
 
-        Cancelling: if the goal was already sent, it is canceled, and the caller waits at most
-        ``order.cancel_timeout`` seconds for its end.
+        Cancelling: if the goal was already sent, the goal is canceled, and this call waits at most
+        ``order.cancel_timeout`` seconds for the goal's end.
 
         Raises:
             InvalidGoal: if the request does not fit the action. In that case, the goal is not sent.
@@ -59,7 +59,7 @@ class GoalServer(Protocol):
         """Ask the server to cancel a goal, without waiting for the answer."""
 
     async def pause(self, goal: Goal, timeout: float) -> None:
-        """Pause a goal, and return when its body stands still.
+        """Pause a goal, and return once the goal's body has paused.
 
         Raises:
             PauseRefused: if the goal cannot be paused, or not within ``timeout`` (s, event loop
@@ -71,7 +71,7 @@ class GoalServer(Protocol):
         """Resume a paused goal. This raises the same errors as `pause`."""
 
     async def wait_for_end(self, goal: Goal) -> None:
-        """Wait until a goal has ended. Cancelling: safe, the goal goes on."""
+        """Wait until a goal has ended. Cancelling this call is safe: the goal continues."""
 
     def signal(self, goal: Goal) -> Signal:
         """Return the signal that fires at each change of a goal."""

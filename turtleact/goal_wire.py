@@ -2,7 +2,7 @@
 
 - A note carries facts for which ROS 2 has no field. It travels as a short JSON text attached to a
   request or a response. Other ROS 2 programs do not see it.
-- Nodes of turtleact pause goals by a service and topics that ROS 2 does not have:
+- Nodes of turtleact pause goals through services and topics that ROS 2 does not have:
 
   ========================  ========================  =========================================
   ``…/_action/set_paused``  `SetPaused`               pauses or resumes one goal
@@ -118,10 +118,10 @@ HEAD: Final = struct.Struct("<4sI")
 """The beginning of a status message: the CDR header, and the number of goals."""
 
 ENTRY: Final = struct.Struct("<16s3xiIb")
-"""The id, stamp and state of each goal after the first, with the padding that aligns the stamp."""
+"""The layout of each further goal in a status message: id, padding, stamp and state."""
 
 FIRST: Final = struct.Struct("<16siIb")
-"""The id, stamp and state of the first goal. Here, the stamp needs no padding."""
+"""The layout of the first goal in a status message: id, stamp and state, without padding."""
 
 
 def pack_state(goal_id: bytes, state: State) -> bytes:
@@ -174,7 +174,7 @@ class SetPaused(Service, type_name="turtleact_interfaces/srv/SetPaused"):
         Attributes:
             goal_id: The id of the goal.
             is_paused: Whether to pause the goal (true) or to resume it (false).
-            timeout: How long the goal's body may take to stand still (s).
+            timeout: How long the goal's body may take to pause (s).
         """
 
         goal_id: UUID = UUID()
@@ -182,7 +182,7 @@ class SetPaused(Service, type_name="turtleact_interfaces/srv/SetPaused"):
         timeout: float64 = 5.0
 
     class Response(Message):
-        """Whether the request was carried out.
+        """The answer to a request to pause or resume a goal.
 
         Attributes:
             success: Whether the goal is now paused, or resumed, as requested.

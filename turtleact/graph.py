@@ -136,7 +136,7 @@ def is_hidden_node(name: str) -> bool:
 
 
 def names_like(name: str, known: Iterable[str]) -> str:
-    """Return the end of an error about an unknown name: the nearest name, or a list of names."""
+    """Return a hint for an error about an unknown name: the nearest name, or a list of names."""
     from turtleact.interfaces.definition import did_you_mean
 
     names = sorted(set(known))

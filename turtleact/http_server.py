@@ -186,5 +186,5 @@ class _Server(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Leave all signals to the program."""
+        """Install no signal handlers, so that the program handles all signals itself."""
         yield

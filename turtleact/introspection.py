@@ -23,7 +23,7 @@ If there is a subscriber in the same process, each event is published at once. O
 collected for `GATHER` seconds, then built and sent together, because sending each event at once
 would delay the response that the caller waits for. In the meantime, only the encoded request or
 response is kept, so handlers cannot change it. The stamp of an event is the time of the call, not
-of the sending.
+the time at which the event is sent.
 
 Source: rcl ``service_event_publisher.c``; ``service_msgs/msg/ServiceEventInfo``; REP 2012.
 """
@@ -61,7 +61,7 @@ _Event: TypeAlias = tuple[int, int, bytes, int, bytes]
 """Kind, stamp (ns), the client's gid, sequence number, and the encoded request or response."""
 
 GATHER: Final = 0.02
-"""How long events to other processes wait to be sent together (s, event loop time)."""
+"""How long events for other processes are collected before they are sent (s, event loop time)."""
 
 
 class ServiceEvents(CallObserver):

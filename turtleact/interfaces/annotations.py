@@ -2,7 +2,8 @@
 
 ``int32`` is ``Annotated[int, …]``: a type checker reads it as ``int``, and a message class takes
 the ROS type from it. A type checker reads ``bounded[list[int32], 5]`` and
-``array[list[float64], 9]`` as lists. This module uses only the type name of a message class.
+``array[list[float64], 9]`` as lists. The only attribute of a message class that this module reads
+is the type name.
 """
 
 from __future__ import annotations
@@ -132,7 +133,7 @@ Scope: TypeAlias = "Mapping[str, object]"
 
 
 class Reading(NamedTuple):
-    """The meaning of an annotation."""
+    """A field's ROS type and message class, as the field's annotation declares them."""
 
     field_type: FieldType
     nested: type | None = None

@@ -151,7 +151,7 @@ def whole_class(
 
 
 class Implied(msgspec.Struct, frozen=True):
-    """The services and the message that carry the goals, results and feedback of an action.
+    """The services and the feedback message that ROS 2 derives from an action.
 
     Attributes:
         send_goal: The service whose request has a goal id and a goal; the response says whether and
@@ -288,6 +288,6 @@ def at_most_one(part: type[Message]) -> object:
 
 
 def naming(type_name: str) -> tuple[str, dict[str, object]]:
-    """Return a type's class name, and a class body with ``__module__`` and ``__qualname__``."""
+    """Return a type's class name, and a namespace with ``__module__`` and ``__qualname__``."""
     package, kind, name = type_name.split("/")
     return name, {"__module__": f"{package}.{kind}", "__qualname__": name}

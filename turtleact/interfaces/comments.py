@@ -114,7 +114,7 @@ def _part_text(cls: type[Message]) -> list[str]:
 
 
 def _set_off(text: str) -> list[str]:
-    """Wrap a text into comment lines, and add an empty line. An empty text gives no lines."""
+    """Return a text as comment lines and an empty line. An empty text gives no lines."""
     return [*_as_comment(text), ""] if text else []
 
 

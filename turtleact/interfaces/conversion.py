@@ -135,7 +135,7 @@ def stamp_of(time: int) -> Time:
 
 
 def error_class(root: str) -> type[InvalidMessage]:
-    """Return the class of the errors whose path begins with this word."""
+    """Return the exception class for errors in a message whose path begins with ``root``."""
     return InvalidGoal if root == "goal" else InvalidMessage
 
 
@@ -143,7 +143,8 @@ def error_class(root: str) -> type[InvalidMessage]:
 def compiled(cls: type[M], root: str) -> Callable[[M], M]:
     """Return the generated function that checks and copies messages of this class.
 
-    For nested messages, ``root`` is empty: the caller then completes the path in an error.
+    For nested messages, ``root`` is empty, because the function for the outer message adds the
+    beginning of the path to an error.
     """
     error = error_class(root)
 
@@ -184,7 +185,7 @@ def name_of(cls: type[Message]) -> str:
 
 
 def placed(field: Field, convert: Callable[[object], object], value: object) -> object:
-    """Convert the value of one field with ``convert``, and put the field's name into errors."""
+    """Convert the value of one field with ``convert``. Add the field's name to any error."""
     try:
         return convert(value)
     except InvalidMessage as inner:
@@ -247,8 +248,8 @@ def guarded(fast: str, slow: str) -> list[str]:
 def misses(field_type: FieldType, value: str) -> str:
     """Return an expression that is true if a value has the wrong Python type or is out of range.
 
-    The expression is also true for text that is not ASCII, because such text may contain half a
-    surrogate pair.
+    The expression is also true for text that is not ASCII, because the text may contain an unpaired
+    surrogate.
     """
     name = field_type.name
     if name == "bool":
@@ -357,8 +358,8 @@ def sample(field: Field) -> str:
 def instead(cls: type[Message], name: object) -> str:
     """Return the end of the error message about an unknown field.
 
-    The text says that a space is missing, suggests a field with a similar name, or lists the
-    fields.
+    The text points out a missing space (``x:1`` instead of ``x: 1``), suggests a field with a
+    similar name, or lists the fields.
     """
     names = [field.name for field in fields(cls)]
     if not names:

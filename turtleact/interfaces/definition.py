@@ -138,8 +138,8 @@ class FieldType(msgspec.Struct, frozen=True):
 def zero(field_type: FieldType) -> Primitive | tuple[Primitive, ...] | None:
     """Return the initial value of a field that has this type and no default in the interface.
 
-    If the field holds messages, the result is None, because each field of the messages has an
-    initial value of its own.
+    For a field of messages, the result is None: the fields of each message have their own initial
+    values.
     """
     if field_type.is_nested:
         return None
@@ -150,7 +150,7 @@ def zero(field_type: FieldType) -> Primitive | tuple[Primitive, ...] | None:
 
 
 def is_bytes(field_type: FieldType) -> bool:
-    """Whether a class made from the text of an interface holds a field of this type as ``bytes``.
+    """Whether a class generated from a definition stores a field of this type as ``bytes``.
 
     This is true only for a uint8 array of fixed length.
     """

@@ -356,8 +356,8 @@ def wrapped(head: str, items: list[str], tail: str, *, is_tight: bool = False) -
 def assignment(target: str, head: str, argument: str = "", tail: str = "") -> list[str]:
     """Return the lines of an assignment, wrapped as ruff wraps it.
 
-    The value is either ``head`` alone, or a call. For a call, ``head`` ends with the opening
-    bracket, and ``tail`` is the closing bracket.
+    Without ``argument``, the value is ``head``. With ``argument``, the value is a call: ``head``
+    ends with the opening bracket, and ``tail`` is the closing bracket.
     """
     one = f"{target} = {head}{argument}{tail}"
     if len(one) <= WIDTH:
@@ -386,7 +386,7 @@ def literal(value: Primitive) -> str:
 
 
 def documented(lines: tuple[str, ...], default: str, indent: str) -> list[str]:
-    """Make the docstring of a class from a comment. The first line is always a sentence."""
+    """Make the docstring of a class from a comment. The first line is a complete sentence."""
     width = WIDTH - len(indent) - 6
     paragraphs = paragraphs_of(lines)
     if not paragraphs:

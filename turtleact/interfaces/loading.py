@@ -44,20 +44,20 @@ if TYPE_CHECKING:
     from turtleact.interfaces.types import Interface
 
     class DynamicMessage(Message):
-        """What type checkers know about a message loaded at run time: it may have any fields."""
+        """The static type of a message loaded at run time. Type checkers accept any field."""
 
         def __init__(self, *args: object, **kwargs: object) -> None: ...
         def __getattr__(self, name: str) -> Any: ...  # noqa: ANN401  # any field
         def __setattr__(self, name: str, value: object) -> None: ...
 
     class DynamicService(Service):
-        """What type checkers know about a service loaded at run time."""
+        """The static type of a service loaded at run time."""
 
         Request: ClassVar[type[DynamicMessage]]
         Response: ClassVar[type[DynamicMessage]]
 
     class DynamicAction(Action):
-        """What type checkers know about an action loaded at run time."""
+        """The static type of an action loaded at run time."""
 
         Goal: ClassVar[type[DynamicMessage]]
         Result: ClassVar[type[DynamicMessage]]
@@ -139,8 +139,8 @@ def load_interface(source: str | Path, *, type_name: str = "") -> Interface:
             ``PACKAGE/KIND/NAME.EXT``.
 
     Raises:
-        InvalidInterface: if the name is missing, or the source is malformed or cannot be read.
-            Errors in the text have file, line and column.
+        InvalidInterface: if the name is missing, or the source is malformed or cannot be read. The
+            exception gives the file, line and column of an error in the text.
 
     >>> Order = load_interface("int32 count 3", type_name="example_msgs/msg/Order")
     >>> Order()
@@ -251,7 +251,7 @@ def known_interfaces() -> tuple[str, ...]:
 
 
 def interface_text(cls: Interface) -> str:
-    """Return an interface class in the format of a .msg, .srv or .action file.
+    """Return the text of an interface class, as a .msg, .srv or .action file would contain it.
 
     >>> from turtleact.interfaces.standard import Fibonacci
     >>> print(interface_text(Fibonacci))
@@ -389,7 +389,7 @@ def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
 
 
 def may_be_replaced(found: Interface, type_name: str) -> bool:
-    """Whether a file may still replace a class.
+    """Whether the class found for a type may still be replaced by a class made from a file.
 
     Only a built-in class can be replaced, and only until it has been compared with a file.
     """
@@ -399,7 +399,9 @@ def may_be_replaced(found: Interface, type_name: str) -> bool:
 
 
 def other_file(type_name: str, held: Interface | None) -> Traversable | None:
-    """Return an interface's file from `load_workspace` or `offer_interfaces`, or None.
+    """Find the file that `load_workspace` or `offer_interfaces` provides for an interface.
+
+    The result is None if there is no file, or if the file does not differ from ``held``.
 
     Args:
         type_name: The full name of the interface.
@@ -489,7 +491,7 @@ def of_kind(interface: Interface, base: type[B]) -> type[B]:
 
 
 def full_names(type_name: str, kinds: tuple[str, ...]) -> list[str]:
-    """Return the full names that a name may stand for, without invalid names.
+    """Return the valid full names that a name may stand for.
 
     For a full name, the result contains only the name itself. For ``package/Name``, the result
     contains one full name of each kind.
@@ -514,11 +516,11 @@ def suggestion(type_name: str) -> str:
 
     1. The interface with the most similar name in the package of ``type_name``. If the package has
        interfaces of several kinds with this name, the kind in ``type_name`` decides.
-    2. The only interface with the package and kind of ``type_name`` among the interfaces from
-       `load_interfaces` and `offer_interfaces`. For a message, rule 3 comes before rule 2, because
-       messages are often used from other packages.
+    2. An interface from `load_interfaces` or `offer_interfaces`, if it is the only interface from
+       these functions that has the package and kind of ``type_name``. For a message, rule 3 comes
+       before rule 2, because messages are often used from other packages.
     3. The interface with the same name in another package. If several packages have an interface
-       with this name, the full name decides: it must be the most similar one.
+       with this name, the interface with the full name most similar to ``type_name`` is chosen.
     4. The interface with the most similar full name. The name without package and kind must
        also be similar, because names of packages are often similar, such as ``arm_interfaces`` and
        ``leg_interfaces``.
@@ -636,7 +638,7 @@ def given(type_name: str) -> Traversable | None:
 
 
 def nearby(type_name: str) -> Traversable | None:
-    """Return the file that `offer_interfaces` was given for an interface, or None."""
+    """Return the file that a caller passed to `offer_interfaces` for an interface, or None."""
     path = REGISTRY.nearby.get(type_name)
     return None if path is None else Path(path)
 

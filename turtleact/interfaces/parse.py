@@ -2,8 +2,8 @@
 
 Each line declares a field or a constant. A field has a type, a name and perhaps a default; a
 constant has a type, a name and a value. ``#`` starts a comment, which is ignored. A line ``---``
-separates the parts of a service or action. Each error has file, line and column, and shows a caret
-below the column. This module reads only the text; the module ``classes`` checks whether the
+separates the parts of a service or action. Each error gives the file, line and column, and shows a
+caret below the column. This module reads only the text; the module ``classes`` checks whether the
 messages that a definition uses exist.
 
 Source: the ROS 2 article "Interface definition", and ``rosidl_adapter/parser.py``.
@@ -209,7 +209,10 @@ def commented(lines: list[Line]) -> tuple[list[Commented], list[str]]:
 
 
 def set_off(above: list[str]) -> tuple[list[str], list[str]]:
-    """Split the comment above a member into lines about the part and lines about the member."""
+    """Split the comment above a field or constant.
+
+    Return the lines about the whole message, then the lines about the field or constant.
+    """
     blank = max((index for index, line in enumerate(above) if not line), default=-1)
     return (
         (above[:blank], above[blank + 1 :])
@@ -225,7 +228,7 @@ def trimmed(lines: list[str]) -> tuple[str, ...]:
 
 
 def uncommented(text: str) -> str:
-    """Remove the ``#`` of a comment. If the comment has no text, the result is empty."""
+    """Return the text of a comment without the leading ``#``; empty if there is no text."""
     said = text.lstrip("#").expandtabs().rstrip()
     return "".join(c for c in said.removeprefix(" ") if c.isprintable())
 
@@ -235,7 +238,7 @@ _HAS = {
     2: "a service has 2 (request, response)",
     3: "an action has 3 (goal, result, feedback)",
 }
-"""How many parts a kind of interface has."""
+"""Error texts, by the number of parts that an interface of some kind has."""
 
 
 def split(lines: list[Line], count: int) -> list[list[Line]]:
@@ -274,7 +277,7 @@ def parse_part(lines: list[Line], type_name: str, package: str) -> MessageDefini
 
 
 def parse_member(line: Line, text: str, package: str) -> tuple[Field | Constant, int]:
-    """Parse a line. Return its field or constant, and the column of the name."""
+    """Return the field or constant that a line declares, and the column of its name."""
     match = member_pattern.fullmatch(text)
     if match is None or match["name"] is None:
         line.refuse("expected a type and a name", len(text.rstrip()))

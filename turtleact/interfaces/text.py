@@ -185,7 +185,7 @@ class Loader(Reader, Scanner, Parser, Composer, BaseResolver):
 
 
 def tree_of(document: Document) -> object:
-    """Parse a YAML or JSON text into plain values: dicts, lists, texts, numbers and bools."""
+    """Parse a YAML or JSON text into plain values: dicts, lists, strings, numbers and bools."""
     text = document.text
     if len(text) > MOST_JSON:
         document.refuse(f"{len(text)} characters are too many: at most {MOST_JSON}")
@@ -223,7 +223,7 @@ def json_tree(document: Document) -> object:
 
 
 def refuse_json(document: Document, error: ValueError | RecursionError) -> NoReturn:
-    """Raise the error for a faulty JSON text. This text is too long to be read as YAML."""
+    """Raise the error for a faulty JSON text that is too long to be parsed as YAML."""
     if isinstance(error, json.JSONDecodeError):
         place = error.lineno - 1, error.colno - 1
         document.refuse(f"{error.msg}; it is too long to be YAML", place)
@@ -239,7 +239,7 @@ def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def sounded(document: Document, value: object, depth: int) -> object:
-    """Replace each null in a JSON value by a `Spelled`, and refuse nesting that is too deep."""
+    """Replace each null in a JSON value by a `Spelled`. Raise an error if nesting is too deep."""
     if depth > DEEPEST:
         document.refuse(TOO_DEEP)
     if isinstance(value, dict):

@@ -153,8 +153,8 @@ class Registry:
         prefixes: The folders where ROS packages are installed, in order of precedence.
         nearby: The interface files that were given to `offer_interfaces`, by type name.
         on_nearby: Called with the type name and the file when a file of ``nearby`` is first used.
-        settled: The names of built-in interfaces for which no file with another definition was
-            found.
+        settled: The names of the built-in interfaces that need no further comparison with files,
+            because no file had another definition.
     """
 
     def __init__(self) -> None:
@@ -280,7 +280,7 @@ class Message(msgspec.Struct, metaclass=MessageMeta):
 class Action:
     """The base class of all actions, which contain the message classes Goal, Result and Feedback.
 
-    A part that is left out has no fields.
+    If an action omits Goal, Result or Feedback, that message class has no fields.
 
     >>> class Count(Action, type_name="example_msgs/action/Count"):
     ...     class Goal(Message):
@@ -295,7 +295,7 @@ class Action:
     Feedback: ClassVar[type[Message]] = Message
 
     def __init_subclass__(cls, *, type_name: str = "") -> None:
-        """Name the parts after the action, and register the action with its parts."""
+        """Name the Goal, Result and Feedback classes after the action, and register all classes."""
         super().__init_subclass__()
         declare(cls, type_name, base=Action, kind="action")
 
@@ -303,7 +303,7 @@ class Action:
 class Service:
     """The base class of all services, which contain the message classes Request and Response.
 
-    As in `Action`, a part that is left out has no fields.
+    If a service omits Request or Response, that message class has no fields.
     """
 
     type_name: ClassVar[str] = ""
@@ -311,7 +311,7 @@ class Service:
     Response: ClassVar[type[Message]] = Message
 
     def __init_subclass__(cls, *, type_name: str = "") -> None:
-        """Name the parts after the service, and register the service with its parts."""
+        """Name the Request and Response classes after the service, and register all classes."""
         super().__init_subclass__()
         declare(cls, type_name, base=Service, kind="srv")
 
@@ -360,8 +360,9 @@ def choices(cls: type[Message], field: Field) -> list[Constant]:
     """Return the named constants that a field may take; an empty list if the field is not limited.
 
     A field is limited if it holds a single text or whole number, and the default is one of at least
-    two named constants. However, constants that seem to be flags do not limit a field. In any other
-    field, the constants may name only some of the values, as a constant ``TIMEOUT_NEVER`` does.
+    two named constants. However, constants that seem to be flags do not limit a field. A field that
+    is not limited may also take values without a name. For example, ``TIMEOUT_NEVER`` names only
+    one of many timeouts.
     """
     named = named_values(cls, field)
     default = zero(field.type) if field.default is None else field.default
@@ -465,7 +466,7 @@ def named_part(cls: type[Service] | type[Action], part: str) -> type[Message]:
 
 
 def check_strays(cls: type, parts: tuple[str, ...]) -> None:
-    """Refuse an inner message class that is not a part, because it may be a misspelled part."""
+    """Raise an error if a nested message class is not in ``parts``: its name may be misspelled."""
     for name, member in vars(cls).items():
         if is_message_class(member) and name not in parts and member.__name__ == name:
             problem = f"the parts are {', '.join(parts)}{did_you_mean(name, parts)}"
@@ -533,7 +534,7 @@ def naming(source: str, name: str) -> Iterator[None]:
 def read_constant(
     name: str, annotation: object, namespace: Mapping[str, object], scope: Scope
 ) -> list[Constant]:
-    """Return the constant that a ClassVar in capitals declares, as a list with one element.
+    """Return a list with the constant that an upper-case ClassVar declares.
 
     The list is empty for other ClassVars, because they declare no constant.
     """
@@ -559,7 +560,7 @@ def read_field(name: str, reading: Reading, namespace: dict[str, object]) -> Fie
 
 
 def given_default(given: object) -> object:
-    """Return a field's default, which the class body gives directly or with ``msgspec.field``."""
+    """Return a field's default, which may be a plain value or wrapped in ``msgspec.field``."""
     if not isinstance(given, FIELD_SPECIFIER):
         return given
     value: Any = given  # msgspec does not export its type
@@ -570,7 +571,7 @@ def given_default(given: object) -> object:
 
 
 def as_default(reading: Reading, value: object) -> Default:
-    """Convert a default or a constant's value to the form that a definition contains."""
+    """Convert a default or a constant's value to the form that `Field` and `Constant` store."""
     if reading.nested is not None:
         check_nested_default(reading, value)
         return None
@@ -585,14 +586,14 @@ def as_default(reading: Reading, value: object) -> Default:
 
 
 def check_nested_default(reading: Reading, value: object) -> None:
-    """Refuse a field's default that consists of messages, unless it is the initial value."""
+    """Raise an error if a field of messages has a default other than the initial value."""
     if value != zero_message(reading)():
         problem = "ROS has no defaults for messages: leave it out; every message starts with zeros"
         raise InvalidInterface(problem, source="")
 
 
 def initial(reading: Reading, default: Default) -> object:
-    """Return the default that msgspec needs for a field: a value, or a factory of values."""
+    """Return a default in the form that msgspec accepts: a value, or a field with a factory."""
     if reading.nested is not None:
         return msgspec.field(default_factory=zero_message(reading))
     value = zero(reading.field_type) if default is None else default

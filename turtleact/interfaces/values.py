@@ -79,14 +79,14 @@ SHORT = ShortRepr()
 
 
 class Spelled:
-    """A word of YAML or JSON that stays as it was written, so that errors can show it.
+    """A YAML or JSON value that keeps its original spelling, so that errors can show it.
 
     Only a bool field accepts such a value, and only if ``truth`` is not None.
 
     Attributes:
         word: The value as it was written, or a description.
-        fits: For a number that is too large, the names of the types that accept smaller numbers of
-            the same form. Empty for any other value.
+        fits: For an integer that is too large, the names of all number types. For a float that is
+            too large, the names of the float types. Empty for any other value.
         truth: The bool that the word stands for; None if the word means neither true nor false.
     """
 

@@ -1,7 +1,7 @@
 """Encodes and decodes the messages of an endpoint.
 
-The messages are encoded as CDR, and the type hash identifies their layout. A transport to other
-processes gets a `WireFormat` with each endpoint, so the transport needs no message classes.
+The messages are encoded as CDR, and the type hash identifies their layout. Each endpoint comes with
+a `WireFormat`, so a transport to other processes needs no message classes.
 """
 
 from __future__ import annotations
@@ -175,8 +175,8 @@ class FeedbackFormat(WireFormat):
     def write_unchecked(self, goal_id: bytes, feedback: object) -> bytes | None:
         """Encode a feedback message from an object that may not be valid feedback.
 
-        Return None if ``snapshot`` might refuse or change the object. In this case, the caller must
-        convert the object and call `write`.
+        Return None if the object may be invalid or may need conversion. In this case, the caller
+        must convert the object and call `write`.
         """
         try:
             return self._write_strictly(feedback, self._header + goal_id)

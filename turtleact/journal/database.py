@@ -4,8 +4,8 @@ All functions here block, so the journal calls them in a thread of its own. Othe
 the file while the journal writes it, because the file is in SQLite's WAL mode.
 
 A commit with ``synchronous=FULL`` waits for the disk and survives a power loss. A commit with
-``synchronous=NORMAL`` takes a fiftieth of that time, and survives a killed process, but not a power
-loss.
+``synchronous=NORMAL`` is about 50 times as fast. That commit survives a killed process, but not a
+power loss.
 
 Source: sqlite.org, "Write-Ahead Logging", "PRAGMA Statements" and "Database File Format".
 """
@@ -41,10 +41,10 @@ __all__ = [
 ]
 
 APPLICATION = 0x7475_7274
-"""Marks a file as a journal of turtleact ("turt"); SQLite keeps it as ``application_id``."""
+"""Marks a file as a journal of turtleact ("turt"). SQLite stores it as ``application_id``."""
 
 VERSION = 1
-"""The layout of the file; SQLite keeps it as ``user_version``."""
+"""The version of the file's layout. SQLite stores this number as ``user_version``."""
 
 MAGIC = b"SQLite format 3\0"
 """The first bytes of every SQLite file."""
@@ -55,13 +55,16 @@ MARK = slice(68, 72)
 FOREIGN = "it is the file of another program; choose another name"
 
 BUSY = 5.0
-"""How long a reader or a prune waits for the writer (s)."""
+"""How long reading or pruning a journal waits for the process that writes the journal (s)."""
 
 AT_ONCE = 1000
-"""At most this many goals are deleted per transaction, because servers cannot write meanwhile."""
+"""The maximum number of goals that one transaction deletes.
+
+Servers cannot write during a transaction, so transactions must be short.
+"""
 
 PAUSE = 0.002
-"""The pause after each transaction that deletes goals, in which a server can write (s)."""
+"""How long to pause after each transaction that deletes goals, so that a server can write (s)."""
 
 _COLUMNS = GoalRecord.__struct_fields__
 
@@ -317,7 +320,7 @@ class Database:
 
 
 def find_goals(path: Path, beginning: str) -> list[GoalRecord]:
-    """Read at most ten goals whose ids begin with these hexadecimal digits.
+    """Read at most ten goals whose ids begin with the hexadecimal digits in ``beginning``.
 
     Raises:
         JournalError: if there is no such file, or it is not a journal.

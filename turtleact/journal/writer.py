@@ -60,8 +60,9 @@ class _Job(msgspec.Struct, eq=False):
         failed: Called in the event loop with the error if the job cannot be written; the thread
             then drops the job. If ``failed`` is None, the thread tries again.
         is_durable: Whether the job must survive a power loss once it is written.
-        is_told: Whether ``done`` has been called although the job is not written yet.
-        is_awaited: Whether a virtual clock is stopped until the thread has tried to write the job.
+        is_told: Whether ``done`` has been called after a failed attempt to write the job.
+        is_awaited: Whether virtual time must not advance until the thread has tried to write the
+            job.
     """
 
     work: Accept | Change | Withdraw | None
@@ -79,8 +80,8 @@ class Journal:
 
     Attributes:
         path: The journal's file.
-        max_starts: If a goal's server has crashed this many times since the goal's newest feedback,
-            the goal is not started again. None means that there is no limit.
+        max_starts: A goal is not started again after this many server crashes without new feedback.
+            None means that there is no limit.
         aborts_at_close: Whether closing a server ends the server's goals.
     """
 
@@ -143,9 +144,9 @@ class Journal:
     ) -> None:
         """Write a change of a goal, and call ``then`` when the change is in the file.
 
-        From then on, the change survives if the process is killed, but perhaps not if the power
-        fails. If the first attempt to write fails, ``then`` is called nevertheless, and the thread
-        tries again.
+        The change then survives if the process is killed, but a power failure may lose the change.
+        If the first attempt to write fails, ``then`` is called nevertheless, and the thread tries
+        again.
         """
         self._apply(goal_id, change)
         self._put(_Job(Change(goal_id, change), then))
@@ -393,8 +394,8 @@ async def open_journal(
     Args:
         path: The file, which is created if it does not exist. Up to three more files are beside it,
             with the same name followed by ``-wal``, ``-shm`` or ``-lock``.
-        max_starts: If a goal's server has crashed this many times since the goal's newest feedback,
-            the goal ends ABORTED instead of being started again. None means that there is no limit.
+        max_starts: A goal is aborted, and not started again, after this many server crashes without
+            new feedback. None means that there is no limit.
         abort_at_close: Whether closing a server ends the server's goals. If false, the goals go on
             when the server starts again with ``on_restart="resume"``.
 

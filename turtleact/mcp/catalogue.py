@@ -128,7 +128,7 @@ FIXED: Final = (
     ),
     _fixed("resume_goal", "Let a paused goal go on.", _object(goal_id=GOAL_ID), STATUS, ACTS),
 )
-"""The tools that do not depend on the graph. An offer may leave out some of them."""
+"""The tools that do not depend on the graph. An `Offer` may exclude some of these tools."""
 
 
 class Catalogue:
@@ -247,8 +247,7 @@ def _service_tool(name: str, service_type: type[Service]) -> Tool:
 def _said(interface: type[Action] | type[Service]) -> str:
     """Return the description that the author of an interface has written.
 
-    The result is empty if the description contains the interface's full name, because such a
-    description was generated.
+    The result is empty for a generated description, which contains the interface's full name.
     """
     text = introduction(interface)
     return "" if interface.type_name in text else text.replace("``", "`")

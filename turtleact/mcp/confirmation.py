@@ -31,10 +31,10 @@ __all__ = ["Confirmation"]
 
 QUESTION: Final = "confirm"
 FIRST_VERSION: Final = "2026-07-28"
-"""The first protocol version in which the server answers a tool call with the question."""
+"""The first protocol version in which a reply to a tool call can ask for confirmation."""
 
 MOST_ASKED: Final = 256
-"""How many questions may be open. A further question replaces the oldest open question."""
+"""The maximum number of unanswered questions. A new question may replace the oldest one."""
 
 FORM: Final = {"type": "object", "properties": {}}
 """The form that the user fills in. It has no fields; the user only answers yes or no."""
@@ -51,8 +51,8 @@ class Confirmation:
     ) -> InputRequiredResult | None:
         """Ask the user, and return None if the user agrees.
 
-        From version 2026-07-28 of the protocol on, the method first returns a reply that contains
-        the question. The client then repeats the tool's call with the user's answer.
+        In protocol version 2026-07-28 and later, the first call returns a reply that contains the
+        question. The client then repeats the tool's call with the user's answer.
 
         Raises:
             TurtleactError: if the user does not agree, or the client cannot ask its user.
@@ -86,7 +86,7 @@ class Confirmation:
         return InputRequiredResult(input_requests={QUESTION: asked}, request_state=token)
 
     def _take(self, params: CallToolRequestParams) -> ElicitResult:
-        """Return the user's answer, if the question was about exactly this call.
+        """Return the user's answer to the question about a call with this tool and arguments.
 
         Raises:
             TurtleactError: if the question was about another call, or has been answered before.

@@ -55,7 +55,10 @@ FAREWELL: Final = 1.0
 AnyClient: TypeAlias = "ActionClient[Message, Message, Message]"
 
 PATIENCE: Final = 0.5
-"""How long to wait for latched messages, besides some round trips (s, event loop time)."""
+"""How long to wait for latched messages (s, event loop time).
+
+The time for `ROUND_TRIPS` network round trips is added.
+"""
 
 ROUND_TRIPS: Final = 5
 
@@ -108,7 +111,7 @@ class Goals:
     async def run(self, client: AnyClient, goal: Message, report: Report) -> CallToolResult:
         """Send a goal, report its feedback, and wait for the goal's end.
 
-        If this call is cancelled, the goal is canceled, and the call waits for the goal's end.
+        Cancelling this call cancels the goal, and waits for the goal's end.
         """
         with self.place():
             reporter = _Reporter(report, self.limits.progress_rate)
@@ -205,7 +208,7 @@ class _Reporter:
     """Sends feedback to the client as progress messages, without delaying the goal's body.
 
     `take` puts feedback into a short queue, and `run` sends it. If the client reads slowly, or the
-    body publishes feedback faster than the rate allows, the oldest messages are skipped.
+    body publishes feedback faster than ``rate`` allows, the oldest messages are skipped.
 
     Attributes:
         latest: The newest feedback.

@@ -24,7 +24,7 @@ Names: TypeAlias = Collection[str] | Literal["all"]
 
 LONGEST_NAME: Final = 128
 DIGEST: Final = 8
-"""The number of hexadecimal digits that tell long tool names apart."""
+"""The number of hexadecimal digits of the hash at the end of a shortened tool name."""
 
 not_allowed = re.compile(r"[^A-Za-z0-9_.-]")
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["LONGEST_TEXT", "Request", "answer", "data_of", "failure", "goal_schema", "one_line"]
 
 Request: TypeAlias = ServerRequestContext[Any, Any]
-"""A client's request, with the session through which to send messages to the client."""
+"""A client's request, and the session for sending messages to the client."""
 
 LONGEST_TEXT: Final = 100_000
 """The maximum length of a reply's text for models (characters of JSON).
@@ -34,7 +34,7 @@ LONGEST_LINE: Final = 500
 
 DECIMALS: Final = 3
 MOST_SHOWN: Final = 100
-"""A progress message is made from at most this many items of each list."""
+"""The maximum number of items of each list that are used for a progress message."""
 
 ENDS: Final = [GoalStatus.SUCCEEDED.name, GoalStatus.CANCELED.name, GoalStatus.ABORTED.name]
 

@@ -1,13 +1,13 @@
-"""Makes JSON Schemas for ROS interfaces, and messages from arguments that fit the schemas.
+"""Makes JSON Schemas for ROS interfaces, and converts arguments that fit a schema to messages.
 
 A model sees an interface only through its schema. The schema therefore contains all that is known:
 ranges of integers, lengths of lists and texts, defaults, constants, and the author's comments,
 which often give the units.
 
 - If no field of a goal has a default, the arguments must contain all fields. If at least one field
-  has a default, fields without a default are required only if they are lists or messages. Other
-  fields without a default, such as numbers, may be left out and are then zero, as in ROS. Many
-  authors do not write defaults of zero, so these fields are not required.
+  has a default, only the lists and messages without a default are required. Other fields without a
+  default, such as numbers, may be left out and are then zero, as in ROS. Many authors do not write
+  defaults of zero, so these fields are not required.
 - A field of a nested message is never required, as in ROS.
 - Constants become an ``enum`` if their names begin with the field's name: ``STATUS_OK`` for
   ``status``. Constants that are single bits do not become an ``enum``, because they can be
@@ -71,7 +71,7 @@ def input_schema(cls: type[Message]) -> Schema:
 
 @cache
 def output_schema(cls: type[Message]) -> Schema:
-    """Return the JSON Schema of what `plain` returns for a result, feedback or response.
+    """Return the JSON Schema of a result, feedback or response that `plain` has converted.
 
     All fields are required.
     """

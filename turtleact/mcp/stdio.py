@@ -78,7 +78,7 @@ class Wire:
             self.greeted.set()
 
     async def __aiter__(self) -> AsyncIterator[str]:
-        """Yield all lines, including the first."""
+        """Yield all lines, including the first line, which `greet` has already read."""
         await self.greeted.wait()
         if self._first is not None and self.lines is not None:
             yield self._first
@@ -109,7 +109,8 @@ async def open_wire() -> AsyncIterator[Wire]:
 async def serve_stdio(server: McpServer, wire: Wire) -> None:
     """Serve one client until it closes stdin. Then cancel the client's calls.
 
-    Nothing else may write to stdout meanwhile. The SDK redirects prints of user code to stderr.
+    Nothing else may write to stdout while this function runs. The SDK redirects prints of user code
+    to stderr.
     """
     from mcp.server.stdio import stdio_server  # needs modules of the system's own
 
@@ -134,8 +135,8 @@ class _WithoutGreeting:
     async def send(self, item: Any, /) -> None:  # noqa: ANN401  # the SDK's message
         """Send a message, but drop an answer to ``initialize`` if `Wire` has already sent one.
 
-        The SDK answers ``initialize`` before it reads another request, so this answer is the first
-        message that the SDK sends.
+        The first message that the SDK sends is the answer to ``initialize``, because the SDK does
+        not read another request earlier.
         """
         if self._wire.greeting is not None:
             self._wire.greeting = None

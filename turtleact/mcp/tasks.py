@@ -68,10 +68,10 @@ If too many tasks have ended, the oldest tasks are removed earlier.
 
 POLL_MS: Final = 500
 RETURN: Final = 600.0
-"""How long a goal's server may be away before its task ends with an error (s)."""
+"""How long a goal's server may be unreachable before the goal's task ends with an error (s)."""
 
 PAUSE: Final = 0.5
-"""The pause before the next search for a server that has gone (s, event loop time)."""
+"""How long to wait before looking again for a server that was lost (s, event loop time)."""
 
 
 class TaskParams(RequestParams):
@@ -247,9 +247,9 @@ class Tasks:
         return task
 
     async def _recover(self, goal_id: bytes) -> _Task | None:
-        """Make a task for a goal that the server of an offered action holds.
+        """Make a task for an existing goal of an offered action.
 
-        Return None if no such server holds the goal.
+        Return None if no server of an offered action has the goal.
         """
         held = await self._board.find(goal_id)
         action_type = None if held is None else self._action_type(held.action)
@@ -285,7 +285,7 @@ class Tasks:
 
 
 def declares_tasks(ctx: Request) -> bool:
-    """Whether the client of a request accepts tasks, because it has declared the extension."""
+    """Whether the client that sent a request has declared the tasks extension."""
     capabilities = ctx.session.client_capabilities
     declared = None if capabilities is None else capabilities.extensions
     return ctx.protocol_version >= FIRST_VERSION and EXTENSION in (declared or {})

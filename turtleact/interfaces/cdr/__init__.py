@@ -70,7 +70,7 @@ def decode(
 
     The contents of padding and anything after the message are ignored, because ROS 2 leaves garbage
     there. Bytes that are not UTF-8 become U+FFFD. The length of the data limits the memory and time
-    that decoding takes, even if the data claims other lengths.
+    for decoding, even if a length inside the data is wrong.
 
     Args:
         cls: The class of the message.
@@ -109,8 +109,8 @@ def writer_behind(
 ) -> Callable[[object, bytes], bytes]:
     """Return a function that encodes a message of this class and appends it to other bytes.
 
-    The function takes the message, and the bytes to append the message to, which begin with the
-    header. The function returns all these bytes with the encoded message at the end. If the
+    The function takes the message and the bytes to append the message to. These bytes begin with
+    the header. The function returns all these bytes with the encoded message at the end. If the
     function cannot encode the message unchanged, it raises one of `UNFIT`.
 
     Args:
@@ -122,7 +122,7 @@ def writer_behind(
 
 
 def reader_behind(cls: type[M], place: int) -> Callable[[bytes], M]:
-    """Return a function that decodes the message from bytes that `writer_behind` has returned.
+    """Return a function that decodes a message that follows other bytes; see `writer_behind`.
 
     The function raises one of `MISREAD` for bytes that it cannot read. It reads the bytes as little
     endian, whatever the header says.

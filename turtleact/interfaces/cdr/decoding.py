@@ -221,7 +221,7 @@ class Reader:
     def count(self, field_type: FieldType) -> str:
         """Add code that reads a sequence's length, and sets ``p`` to the place after the length.
 
-        A fixed length is not in the data, so the code for it only sets ``p``.
+        If the length is fixed, the data does not contain the length, so the code only sets ``p``.
         """
         if field_type.form is ArrayForm.FIXED:
             self.flush()
@@ -255,14 +255,14 @@ class Reader:
         self.source.add(f"if {condition}: raise short")
 
     def settle(self) -> None:
-        """Add code that sets the variable ``p`` to ``place``, if ``place`` is known."""
+        """Add code that sets the offset variable ``p`` to ``place``, unless ``place`` is None."""
         if self.place is not None:
             self.source.add(f"p = {self.place}")
             self.places = frozenset({self.place % WIDEST})
             self.place = None
 
     def flush(self) -> None:
-        """Add code that reads the pending run."""
+        """Add code that reads the pending values with one ``struct`` call."""
         if not self.pending:
             return
         items, self.pending = self.pending, []
@@ -289,7 +289,7 @@ def targets(items: list[Item]) -> str:
 
 
 def narrow(content: bytes, order: str) -> str:
-    """Decode the text of a wstring. Each four bytes hold a character, or half of a surrogate pair.
+    """Decode the text of a wstring. Every four bytes hold a character or half a surrogate pair.
 
     Raises:
         ValueError: if four bytes hold neither a character nor half of a surrogate pair.
@@ -326,7 +326,7 @@ def as_array(
 
 
 def numpy_maker(order: str, code: str) -> Make:
-    """Return a function that copies the numbers in some bytes into a new numpy array."""
+    """Return a function that makes a numpy array from encoded numbers. The array is a copy."""
     import numpy as np  # slower to import than the rest of the package
 
     stored, native = np.dtype("B" if code == "?" else order + code), np.dtype(code)

@@ -96,8 +96,8 @@ class Writer:
         source: The code so far.
         pending: The pending run: the values for which no code has been added yet.
         places: The offsets, modulo 8, at which the pending run may start.
-        pieces: The expressions for the data up to the pending run. Once the code has created
-            ``out``, the code appends data to ``out`` instead.
+        pieces: The expressions for the data before the pending run. Not used after the generated
+            code creates ``out``, because the code then appends data directly to ``out``.
         is_begun: Whether the code has created the bytearray ``out`` for the data.
         is_strict: Whether to refuse values whose Python type is not exactly the expected type.
     """
@@ -216,9 +216,9 @@ class Writer:
         self.content(content, size_of(code))
 
     def elements(self, field_type: FieldType, value: str) -> None:
-        """Add code that refuses a value, unless it is a list whose elements have the field's type.
+        """Add code that raises an error if a value is not a list of elements of the field's type.
 
-        For the types in `BYTE_TYPES`, ``bytes`` are accepted, too. This code does not check the
+        For the types in `BYTE_TYPES`, the code also accepts ``bytes``. This code does not check the
         elements of a list of bools, because the code that writes bools checks them.
         """
         if field_type.name in BYTE_TYPES:
@@ -232,7 +232,7 @@ class Writer:
             self.source.depth -= 1
 
     def numbers_behind(self, field_type: FieldType, value: str, code: str) -> None:
-        """Add code that calls one function to write the pending run and a sequence's numbers."""
+        """Add code that writes the pending values and a sequence of numbers in one call."""
         items, self.pending = self.pending, []
         runs = Runs("pack", "<", items, min(self.places), code)
         values = "".join(f"{item.text}, " for item in items if item.text)
@@ -250,7 +250,7 @@ class Writer:
     def is_common(self, items: list[Item]) -> bool:
         """Whether the padding in a run is the same at each offset where the run may start.
 
-        The result is true only if the run without its last item has this property as well.
+        The result is false if the padding differs when the run's last item is left out.
         """
         return all(common_run("<", each, self.places) for each in (items, items[:-1]))
 
@@ -312,14 +312,14 @@ class Writer:
             self.pieces.append(piece)
 
     def begin(self) -> None:
-        """Add code that writes the pending run and moves all bytes so far into ``out``."""
+        """Add code that writes the pending values and creates ``out`` with all bytes so far."""
         self.flush()
         if not self.is_begun:
             self.source.add(f"out = bytearray({self.joined()})")
             self.is_begun = True
 
     def finish(self) -> None:
-        """Add code that writes the pending run and returns the bytes."""
+        """Add code that writes the pending values and returns the bytes of the message."""
         self.flush()
         self.source.add(f"return {'bytes(out)' if self.is_begun else self.joined()}")
 
@@ -328,7 +328,7 @@ class Writer:
         return self.pieces[0] if len(self.pieces) == 1 else f"join(({', '.join(self.pieces)}))"
 
     def call(self, function: object, items: list[Item], index: str = "") -> str:
-        """Return code that calls a ``pack`` function with the values of these items."""
+        """Return an expression that calls a ``pack`` function with the values of ``items``."""
         values = ", ".join(item.text for item in items if item.text)
         return f"{self.source.hold(function)}{index}({values})"
 
@@ -337,7 +337,7 @@ class Writer:
 def text_encoder(
     field_type: FieldType, *, is_strict: bool = False
 ) -> Callable[[str, bytearray], None]:
-    """Return a function that encodes one text of a sequence and appends it to a bytearray."""
+    """Return a function that encodes one string of a sequence and appends it to a bytearray."""
     writer = Writer("m, out", ANYWHERE, is_strict=is_strict)
     writer.text(field_type.element, "m")
     writer.flush()
@@ -347,8 +347,8 @@ def text_encoder(
 def is_other(field_type: FieldType, value: str) -> str:
     """Return an expression that is true if a value is not of the expected Python type.
 
-    The expression does not check ranges, because ``struct`` does. It is also true for text that is
-    not ASCII, because such text may contain half a surrogate pair.
+    The expression does not check ranges, because ``struct`` does. The expression is also true for
+    text that is not ASCII, because the text may contain an unpaired surrogate.
     """
     if field_type.is_string:
         return f"type({value}) is not str or not {value}.isascii()"
@@ -390,7 +390,7 @@ KINDS = {
 
 
 def behind(runs: Runs, *values: object) -> bytes:
-    """Pack a run, then append the bytes of an array, which is the last of ``values``."""
+    """Pack all values except the last, and append the bytes of the last value, an array."""
     *others, value = values
     content = copied(runs.code, value)
     first: bytes = runs[0](*others)

@@ -1,9 +1,10 @@
 """Computes where values are in CDR data.
 
 Consecutive values of fixed size form a *run*, which ``struct`` reads or writes in one call. The
-padding in a run depends on where the run starts. If that place is known in advance, the run has one
-``Struct``; otherwise it has eight, one for each place modulo 8. Places are counted from the start
-of the data, which begins with the header. Alignment is counted from the end of the header.
+padding in a run depends on the place where the run starts. If the place is known in advance, the
+run has one ``Struct``. Otherwise, the run has eight: one for each remainder of the place modulo 8.
+Places are counted from the start of the data, which begins with the header. Alignment is counted
+from the end of the header.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ class Source:
         return f"{prefix}{self.count}"
 
     def hold(self, value: object) -> str:
-        """Make an object available to the function, and return the object's name there."""
+        """Make an object available to the generated code, and return its variable name there."""
         name = self.fresh("k")
         self.names[name] = value
         return name
@@ -154,7 +155,10 @@ def padding(place: int, size: int) -> int:
 
 
 def run(order: str, items: Iterable[Item], place: int) -> struct.Struct:
-    """Return the ``Struct`` for a run at the offset ``place``, in the byte order ``<`` or ``>``."""
+    """Return the ``Struct`` for adjacent values that start at the offset ``place``.
+
+    ``order`` is the byte order, ``<`` or ``>``.
+    """
     text, at = order, place
     for code, _ in items:
         pad = padding(at, alignment(code))
@@ -164,23 +168,26 @@ def run(order: str, items: Iterable[Item], place: int) -> struct.Struct:
 
 
 def phases(order: str, items: Sequence[Item]) -> list[struct.Struct]:
-    """Return eight ``Struct`` objects for a run: one for each start offset, modulo 8."""
+    """Return eight ``Struct`` objects for adjacent values: one for each start offset modulo 8."""
     return [run(order, items, place) for place in range(WIDEST)]
 
 
 def common_run(order: str, items: Sequence[Item], places: Places) -> struct.Struct | None:
-    """Return the ``Struct`` that fits a run at all offsets in ``places``; None if none fits all."""
+    """Return the ``Struct`` for adjacent values that may start at any offset in ``places``.
+
+    The result is None if the padding differs between the offsets.
+    """
     runs = [run(order, items, place) for place in places]
     return runs[0] if len({each.format for each in runs}) == 1 else None
 
 
 def places_after(items: Sequence[Item], places: Places) -> Places:
-    """Return the offsets at which a run may end if the run starts at an offset in ``places``."""
+    """Return the possible end offsets of adjacent values that start at an offset in ``places``."""
     return frozenset((place + run("<", items, place).size) % WIDEST for place in places)
 
 
 def places_aligned(size: int, places: Places) -> Places:
-    """Return the offsets in ``places``, both as they are and padded for a value of this size."""
+    """Add to ``places`` the offsets after the padding before a value of this size."""
     return places | {(place + padding(place, size)) % WIDEST for place in places}
 
 
@@ -194,7 +201,9 @@ def places_in_steps(size: int, places: Places) -> Places:
 
 
 class Runs(dict[int, "Callable[..., Any]"]):
-    """Maps a number N to the method that reads or writes a run followed by N values of one type.
+    """Maps a number N to the method that reads or writes a run, then N values of one type.
+
+    A run consists of adjacent values of fixed size.
 
     Args:
         method: The name of a method of ``struct.Struct``: ``pack`` or ``unpack_from``.
@@ -219,7 +228,7 @@ class Runs(dict[int, "Callable[..., Any]"]):
         self.code = code
 
     def __missing__(self, count: int) -> Callable[..., Any]:
-        """Make the method for a run followed by ``count`` values.
+        """Make the method for adjacent values of fixed size, followed by ``count`` values.
 
         Only the first `MOST_RUNS` methods are stored.
         """
@@ -233,12 +242,15 @@ class Runs(dict[int, "Callable[..., Any]"]):
 
 
 def members(cls: type[Message]) -> Iterator[tuple[Field, type[Message] | None]]:
-    """Return each field of a message class with the class of its messages; None for primitives."""
+    """Return pairs of a field and its message class. The class is None for a primitive field."""
     return zip(fields(cls), nested_classes(cls), strict=True)
 
 
 def is_in_run(field_type: FieldType) -> bool:
-    """Whether a field of this type can be in a run: a number, a bool or a fixed array of bytes."""
+    """Whether ``struct`` can read or write a field together with its neighbours.
+
+    This is true for a number, a bool and a fixed array of bytes.
+    """
     if field_type.form is ArrayForm.FIXED:
         return field_type.name in BYTE_TYPES
     return not field_type.is_sequence and field_type.name in FORMATS
@@ -264,12 +276,12 @@ def weight(cls: type[Message]) -> int:
 
 
 def is_inlined(cls: type[Message]) -> bool:
-    """Whether the code for a message of this class is part of the code for its outer message."""
+    """Whether the code for this class is inlined in the code for a class that contains it."""
     return weight(cls) <= MOST_INLINED
 
 
 def row(cls: type[Message]) -> list[Item] | None:
-    """Return the items of the run that a message consists of; None if it is not a single run."""
+    """Return the values of a message if one ``struct`` call can handle all; otherwise None."""
     if not is_inlined(cls):
         return None
     items: list[Item] = []
@@ -289,8 +301,8 @@ def common_alignment(cls: type[Message], *, counted: bool) -> int:
 
     Args:
         cls: The class of the messages.
-        counted: Whether the length of the sequence comes before the messages. The length
-            ends at a multiple of 4 bytes, so the first message starts at a multiple of 4 bytes.
+        counted: Whether the length of the sequence comes before the messages. If so, the first
+            message starts at a multiple of 4 bytes, because the length ends at one.
     """
     items = row(cls)
     if items is None:
