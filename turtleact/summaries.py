@@ -29,7 +29,7 @@ STOPPED = "the program was stopped"
 """The reason given for goals and service calls that end because the program was stopped."""
 
 CUT_OFF = "canceled from within"
-"""The reason given for a goal if the user's own code cancelled its body's task."""
+"""The reason recorded for a goal if the user's own code cancelled the task of the goal's body."""
 
 LONGEST = 10_000
 """The maximum length of an exception's text in logs and messages, in characters."""
@@ -38,7 +38,7 @@ _UNKNOWN_FIELD = re.compile(r"Unexpected keyword argument '(\w+)'")
 """The error text of msgspec for a message that is created with an unknown field."""
 
 _RETURN_IN_GENERATOR = "'return' with value in async generator"
-"""The error text of Python for a body that yields feedback and returns its result."""
+"""Python's error message for a body that both yields feedback and returns a result."""
 
 
 def summary(error: BaseException) -> str:

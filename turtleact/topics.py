@@ -87,7 +87,7 @@ class Matching(Source):
         self._on_matched = on_matched
 
     def readers_changed(self, *, has_readers: bool) -> None:  # noqa: ARG002  # the callback asks
-        """Call the function."""
+        """Call the function ``on_matched``."""
         self._on_matched()
 
 
@@ -97,8 +97,8 @@ class Subscription(Generic[M]):
     ``async for message in subscription`` gives the messages in order. If a reader lags behind, only
     the newest messages are kept, as many as the QoS depth, and `missed` counts the dropped ones. If
     several tasks read the same subscription, each message goes to only one of them. Do not change
-    the messages, because other subscriptions get the same message objects. Cancelling: safe,
-    nothing is lost.
+    the messages, because other subscriptions get the same message objects. Cancelling: safe, no
+    message is lost.
 
     Attributes:
         topic: The fully qualified name of the topic.

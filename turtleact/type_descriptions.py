@@ -43,7 +43,7 @@ def offer_when_sought(transport: Transport, node: str) -> Closeable:
 
 
 class _Nothing:
-    """Takes the place of the service if the transport reaches no other process."""
+    """A placeholder for the type description service if the transport reaches no other process."""
 
     def close(self) -> None:
         """Do nothing."""

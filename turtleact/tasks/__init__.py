@@ -7,8 +7,8 @@ nothing about goals.
   it if necessary, and waits for its end.
 - When a `Signal` fires, it wakes all tasks that wait for it. A task that begins to wait later waits
   until the signal fires again.
-- `asyncio.Task.cancel` cancels a task even inside a shielded scope of anyio, unlike trio's cancel
-  scopes. To respect shields, call `Tasks.is_shielded` before you cancel a task.
+- On asyncio, `asyncio.Task.cancel` ignores anyio's shielded scopes. On trio, cancellation respects
+  shielded scopes. To respect shields on both, call `Tasks.is_shielded` before you cancel a task.
 """
 
 from __future__ import annotations

@@ -44,8 +44,8 @@ class Tasks(Protocol):
 
     Attributes:
         cancelled: The exception that cancels a task.
-        can_let_go: Whether the event loop can end although a task ignores its cancellation. True on
-            asyncio, False on trio.
+        can_let_go: Whether the event loop can end while a task still ignores its cancellation. True
+            on asyncio, False on trio.
     """
 
     cancelled: type[BaseException]
@@ -94,7 +94,10 @@ class Tasks(Protocol):
         """End the program because a task raised `SystemExit` or `KeyboardInterrupt`."""
 
     def stoppable(self) -> AbstractContextManager[None]:
-        """Return a context manager; `stop_program` ends its block. Only trio needs such a block."""
+        """Return a context manager for a block that `stop_program` can end.
+
+        Only trio needs such a block.
+        """
 
 
 def is_cancellation(error: BaseException, tasks: Tasks) -> bool:
@@ -144,10 +147,10 @@ class Home:
     def check(self) -> None:
         """Check that this call comes from the home's event loop.
 
-        While no event loop runs, a call from the home's thread is also allowed, because nothing can
-        interfere. For example, a notebook that runs as plain Python calls functions between two
-        calls of ``runner.run(…)``. Such calls are allowed only for a home on asyncio, and only
-        until its loop is closed.
+        While no event loop runs, a call from the home's thread is also allowed, because no task can
+        run at the same time. For example, a notebook that runs as plain Python calls functions
+        between two calls of ``runner.run(…)``. Calls without a running event loop are allowed only
+        for a home on asyncio, and only until its loop is closed.
 
         Raises:
             TurtleactError: if the call comes from another event loop or another thread, or if the

@@ -40,7 +40,7 @@ __all__ = [
 logger = logging.getLogger("turtleact")
 
 CALLBACK_TURNS = 3
-"""How many turns of the loop to wait for pending callbacks if the loop hides its queue.
+"""How many turns of the loop to wait for pending callbacks if the loop's queue cannot be read.
 
 A finished task wakes its parent with a callback that belongs to no task. Until this callback runs,
 the loop looks idle although the parent is about to run."""
@@ -179,7 +179,10 @@ class ThreadWork:
 
     @contextmanager
     def counted(self) -> Iterator[None]:
-        """Count a ``with`` block as one piece of work. The block may wait for a thread."""
+        """Count a ``with`` block as one piece of work.
+
+        Virtual time stands still during the block, even while the block waits for a worker thread.
+        """
         self.begin()
         try:
             yield

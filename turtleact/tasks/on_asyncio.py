@@ -20,7 +20,7 @@ from turtleact.goal import Cancelable
 __all__ = ["AsyncioSignal", "AsyncioTasks", "is_in_shielded_scope"]
 
 DEEPEST = 32
-"""How deeply eager tasks may be nested, each started in the first step of the task before.
+"""The maximum depth of nested eager tasks, where each task starts the next in its first step.
 
 A body that starts eagerly may send a goal, the body of that goal may also start eagerly, and so on.
 Each level takes about six of the 1,000 frames on Python's stack. A body beyond this depth starts in
@@ -86,8 +86,8 @@ class AsyncioTasks:
     def call_soon(self, callback: Callable[[], object]) -> None:
         """Schedule a callback for the loop's next turn.
 
-        The callback may run the first step of a body, which must not run inside the step of another
-        body.
+        The callback may run the first step of a goal's body. This first step must not run inside a
+        step of another body.
         """
         self._loop.call_soon(callback)
 
@@ -110,7 +110,7 @@ class AsyncioTasks:
         return task is None or task.cancelling() > 0
 
     def stop_program(self, error: BaseException) -> None:
-        """Raise the error in a callback of the loop, which ends `asyncio.run`.
+        """Raise the error in a callback of the loop, so that `asyncio.run` ends with the error.
 
         An eager task must not raise the error itself, because the code that started the task would
         get it.

@@ -82,7 +82,11 @@ class TrioTasks:
         await self._trio.lowlevel.checkpoint()
 
     def is_canceled(self) -> bool:
-        """Return True, because trio raises ``Cancelled`` only in tasks that are cancelled."""
+        """Whether the running task has been cancelled; on trio, always True.
+
+        Callers ask only after trio has raised ``Cancelled``, which happens only in cancelled
+        tasks.
+        """
         return True
 
     def stop_program(self, error: BaseException) -> None:
@@ -97,7 +101,7 @@ class TrioTasks:
 
     @contextmanager
     def stoppable(self) -> Iterator[None]:
-        """Return a context manager; `stop_program` cancels its block.
+        """Return a context manager for a block that `stop_program` can cancel.
 
         The cancelled block raises the error that ends the program.
         """
@@ -119,9 +123,9 @@ class TrioTasks:
 
 
 class _Stop:
-    """The error that ends the program, and the `stoppable` blocks that the error cancels.
+    """Holds the error that ends the program, and the `stoppable` blocks to cancel.
 
-    Each event loop has one such object.
+    Each event loop has its own `_Stop` object.
     """
 
     def __init__(self) -> None:

@@ -40,7 +40,7 @@ __all__ = ["FLUSH_WITHIN", "exporting"]
 logger = logging.getLogger("turtleact.telemetry")
 
 FLUSH_WITHIN: Final = 3.0
-"""How long sending the last spans and measurements may take at the end (s, event loop time)."""
+"""The time allowed at shutdown to send the last spans and measurements (s, event loop time)."""
 
 EXPORTERS: Final = ("otlp", "none")
 
@@ -51,7 +51,7 @@ LOGGERS: Final = {
 """The loggers of the exporters."""
 
 READERS: Final = "opentelemetry.sdk.trace.export", "opentelemetry.sdk.resources"
-"""The loggers that report environment variables with a traceback."""
+"""The SDK's loggers that log a traceback if an environment variable has an invalid value."""
 
 
 @asynccontextmanager
@@ -80,7 +80,10 @@ async def exporting(service: str) -> AsyncIterator[None]:
 
 
 def _set_up(service: str) -> list[Callable[[], object]]:
-    """Set the global providers. Return the functions that shut the providers down."""
+    """Set OpenTelemetry's global providers of traces and metrics.
+
+    Return the functions that shut the providers down.
+    """
     resource = Resource.create()
     if str(resource.attributes[SERVICE_NAME]).startswith("unknown_service"):
         resource = resource.merge(Resource({SERVICE_NAME: service}))
@@ -128,9 +131,9 @@ class _Session(requests.Session):
 
 
 def _session(kind: str) -> requests.Session | None:
-    """Return a session for an exporter; None if the environment names a credential provider.
+    """Return a session for an exporter; None if an environment variable sets a credential provider.
 
-    The SDK then gets the session from that provider.
+    If there is a credential provider, the SDK gets the session from the provider.
     """
     if any(name.endswith("_CREDENTIAL_PROVIDER") for name in os.environ):
         return None

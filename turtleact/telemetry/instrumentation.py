@@ -80,7 +80,7 @@ class _Instrumentation:
 
 
 class _Nothing:
-    """Takes the place of a transport's object, because an `_Instrumentation` has none.
+    """A placeholder for the transport object that an `_Instrumentation` does not have.
 
     A node closes each of its objects together with an object of the transport.
     """

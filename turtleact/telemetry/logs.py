@@ -5,9 +5,10 @@
 >>> handler.addFilter(GoalFilter())
 >>> handler.setFormatter(JsonFormatter())
 
-Each record that is logged in a body then carries the goal id, the action and the node, whichever
-module logs it. A record that is logged in a thread also carries these three fields if the thread
-has the body's context. Threads of `asyncio.to_thread` and `anyio.to_thread` have this context.
+With the filter, every record logged in a body carries the goal id, the action and the node, even if
+another module logs the record. A record that is logged in a thread also carries these three fields
+if the thread has the body's context. Threads of `asyncio.to_thread` and `anyio.to_thread` have this
+context.
 """
 
 from __future__ import annotations

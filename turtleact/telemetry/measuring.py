@@ -37,7 +37,10 @@ AnyClient = ActionClient[Any, Any, Any]
 
 
 class Measurements(Protocol):
-    """Receives measurements. Its methods must not raise exceptions, and must not block."""
+    """The interface of objects that receive measurements.
+
+    The methods must not raise exceptions, and must not block.
+    """
 
     def ended(self, action: str, status: str, seconds: float | None) -> None:
         """Called when a goal has ended, with the time since its acceptance (s).
@@ -109,13 +112,14 @@ class _ServerMeter(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """False, because a goal that starts at once has no waiting time to measure."""
+        """Always False, because a goal that starts at once has no waiting time to measure."""
         return False
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Count the goal in its new state.
 
-        Measure how long the goal waited for its body, or how long it took.
+        When the goal starts, measure how long the goal waited for its body. When the goal ends,
+        measure the time since its acceptance.
         """
         self._move(before, after)
         if after is GoalStatus.EXECUTING:

@@ -157,7 +157,7 @@ class _Record:
 
 
 class _Spans(GoalObserver):
-    """Writes what happens to the goals of one server or client into the goals' spans.
+    """Records the events of one server's or client's goals in the goals' spans.
 
     Args:
         observers: The observers of the server or client.
@@ -169,7 +169,7 @@ class _Spans(GoalObserver):
         self._recording: _Recording | None = None
 
     def begin(self, span: Span, goal_id: bytes) -> _Record:
-        """From now on, write what happens to a goal into this span.
+        """Record all further events of a goal in ``span``.
 
         If the client has already sent a goal with this id, the goal keeps its first span.
         """
@@ -183,11 +183,11 @@ class _Spans(GoalObserver):
 
     @property
     def wants_acceptance(self) -> bool:
-        """False, because `goal_changed` writes the event "accepted" in any case."""
+        """Always False, because `goal_changed` already records the event "accepted"."""
         return False
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
-        """Write a change of a goal's state into its span."""
+        """Record a change of a goal's state in the goal's span."""
         record = self.records.get(goal.id)
         if record is None:
             return
@@ -214,7 +214,7 @@ class _Spans(GoalObserver):
             record.span.add_event("paused" if goal.is_paused else "resumed")
 
     def noted(self, goal: Goal, news: News) -> None:
-        """Write into a goal's span that the goal was lost or detached, or has lost feedback."""
+        """Record in a goal's span that the goal was lost or detached, or that feedback was lost."""
         record = self.records.get(goal.id)
         if record is None:
             return
@@ -271,14 +271,14 @@ class _ServerSpans(_Spans):
         self._attributes = attributes
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
-        """Begin the span of a new goal, and write a change of a goal's state into its span."""
+        """Begin the span of a new goal, and record each change of a goal's state in its span."""
         if before is GoalStatus.UNKNOWN:
             self._begin(goal)
         if self.records:
             super().goal_changed(goal, before, after)
 
     def noted(self, goal: Goal, news: News) -> None:
-        """Write a body's exception, lost feedback, or the loss of the goal into the goal's span."""
+        """Record in a goal's span that the body raised, or that feedback or the goal was lost."""
         record = self.records.get(goal.id)
         if record is not None and isinstance(news, BodyFailed):
             record.span.record_exception(news.error)

@@ -83,8 +83,10 @@ class FaultyTransport:
 
     Attributes:
         clock: The clock of the wrapped transport.
-        round_trip: The value of the wrapped transport; see `turtleact.transports.Transport`.
-        discovery_ends: The value of the wrapped transport; see `turtleact.transports.Transport`.
+        round_trip: The ``round_trip`` of the wrapped transport; see
+            `turtleact.transports.Transport`.
+        discovery_ends: The ``discovery_ends`` of the wrapped transport; see
+            `turtleact.transports.Transport`.
         delay: The shortest and the longest delay (s). You may change it at any time.
         drop: The share of messages that are lost. You may change it at any time.
         repeat: The share of delivered messages that arrive twice. You may change it at any time.

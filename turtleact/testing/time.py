@@ -222,7 +222,11 @@ class _Hold:
         self._patience = patience
 
     def after_task_step(self, task: trio.lowlevel.Task) -> None:  # noqa: ARG002  # trio passes it
-        """Check for working threads and open sockets, and set the ``autojump_threshold``."""
+        """Decide when virtual time may jump.
+
+        While a thread works, virtual time stands still. While a socket is open, virtual time jumps
+        only after all tasks have waited for ``patience`` seconds of wall time.
+        """
         threshold = 0.0
         if self._trio.to_thread.current_default_thread_limiter().borrowed_tokens:
             threshold = math.inf

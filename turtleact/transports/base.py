@@ -11,7 +11,7 @@ them. A transport guarantees:
 - A topic is *latched* if its endpoints are transient-local. A new subscription of a latched topic
   first gets the publishers' last messages, even those published before the subscription was opened.
 - A closed endpoint neither sends nor receives. The latched messages of a closed publisher are gone.
-- Two endpoints of the same name and type communicate even if their qualities of service differ.
+- Two endpoints of the same name and type communicate even if their QoS policies differ.
 - Every call ends, either with a reply or with an error that says why there is none.
 
 The handler that you pass to `Transport.serve` may be any object. A client in the same process gets
@@ -146,14 +146,14 @@ class Endpoint(msgspec.Struct, frozen=True, gc=False):
         type_name: The type name of the topic or service, ``pkg/kind/Name``.
         node: The fully qualified name of the endpoint's node.
         qos: The quality of service, if the endpoint belongs to a topic.
-        times: The QoS policies that are measured in time. turtleact sets none for its endpoints.
+        times: The QoS policies with durations, such as the deadline. turtleact sets none.
         type_hash: The hash of the type; empty if it is not known.
         gid: The 16 bytes that identify the endpoint to other processes; empty if it has none.
         on_demand: Whether the endpoint stays hidden from other processes until one of them has an
             endpoint with the same name. This saves work if a process opens thousands of endpoints
             and uses only a few.
-        is_unlisted: Whether `Transport.endpoints` and `Transport.local_endpoints`, called without a
-            name, leave the endpoint out in the endpoint's own process.
+        is_unlisted: Whether `Transport.endpoints` and `Transport.local_endpoints` return the
+            endpoint in its own process only if you pass its name.
     """
 
     kind: EndpointKind
@@ -230,7 +230,7 @@ class Closeable(Protocol):
 
 
 class AsyncCloseable(Protocol):
-    """An open object that may take a while to close."""
+    """An object whose ``aclose`` must be awaited, because closing may take a while."""
 
     async def aclose(self) -> None:
         """Close this object. Closing it again does nothing."""
@@ -261,8 +261,8 @@ class Owner(Protocol):
             opened: The object that the transport has opened for ``thing``.
 
         Returns:
-            A `Closeable`. Its ``close`` closes ``opened``, and the owner stops tracking ``thing``.
-            When ``thing`` is closed, ``thing`` must call ``close`` of this `Closeable`.
+            A `Closeable` that ``thing`` must close when ``thing`` is closed. Closing the
+            `Closeable` closes ``opened``, and the owner stops tracking ``thing``.
         """
 
     def add_server(
@@ -288,7 +288,7 @@ class Publication(Closeable, Protocol):
 
     @property
     def is_congested(self) -> bool:
-        """Whether so many bytes wait to be sent that you should await `drained`."""
+        """Whether you should await `drained`, because too many bytes are waiting to be sent."""
 
     @property
     def dropped(self) -> int:
@@ -313,8 +313,8 @@ class Publication(Closeable, Protocol):
 class Source(Protocol):
     """Makes the messages of a topic from the current state of an object.
 
-    Unless the topic is latched, messages are made only while somebody reads the topic. If a
-    subclass has no state, it needs to implement only `readers_changed`.
+    Unless the topic is latched, messages are made only while somebody reads the topic. A subclass
+    that makes no messages needs to implement only `readers_changed`.
     """
 
     def current(self) -> Sequence[object]:
@@ -353,7 +353,7 @@ class Reply(msgspec.Struct, frozen=True):
 
 
 REQUEST_NOTE: ContextVar[str] = ContextVar("REQUEST_NOTE", default="")
-"""The note that came with the request that is being handled. Only turtleact sends notes."""
+"""The text sent with the request that is being handled. Only turtleact sends such texts."""
 
 
 class Target(msgspec.Struct, frozen=True, gc=False):
@@ -372,7 +372,7 @@ class Target(msgspec.Struct, frozen=True, gc=False):
 
 
 EVERY_SERVER = Target()
-"""The target of ROS 2's clients."""
+"""Sends each request to every server of the service, as ROS 2's clients do."""
 
 
 class PendingCall(Protocol):
@@ -387,7 +387,7 @@ class PendingCall(Protocol):
         """When the reply was sent (ns since the epoch, by its sender's clock); None if unknown."""
 
     def tell(self, told: Callable[[], object]) -> None:
-        """Call ``told`` in the event loop, at least once, when the call is over."""
+        """When the call is over, the event loop runs ``told`` once or several times."""
 
     def take(self) -> Reply:
         """Return the reply of a call that is over. Raises the same errors as `Caller.call`."""
@@ -442,7 +442,7 @@ class Caller(Closeable, Protocol):
     async def call(self, request: object, note: str = "") -> Reply:
         """Send a request and wait for the reply.
 
-        Cancelling: safe. A server in the same process learns of the cancellation.
+        Cancelling: safe. A server in the same process learns that the call was cancelled.
 
         Args:
             request: The request.
@@ -472,21 +472,21 @@ class Caller(Closeable, Protocol):
         Args:
             request: The request.
             note: A short text to send with the request, as for `call`.
-            on_end: Called once, with the `PendingCall`, when the call is over, either in the thread
-                that receives the reply or in the event loop. If you pass ``on_end``, you may call
-                `ask` in any thread, but not in two threads at the same time.
+            on_end: Called once, with the `PendingCall`, when the call is over. The thread that
+                receives the reply or the event loop calls this function. If you pass ``on_end``,
+                you may call `ask` in any thread, but not in two threads at the same time.
 
         Raises:
             InvalidMessage: if the request does not fit its type. Nothing was sent.
         """
 
     def why_not_served(self, suffix: str = "") -> str:
-        """Explain why a call would reach no server. Type names are given without ``suffix``."""
+        """Explain, with type names cut before ``suffix``, why a call would reach no server."""
 
 
 @runtime_checkable
 class AsyncHandler(Protocol):
-    """A handler of a service that answers clients in any process. Answering may take time."""
+    """A handler of a service that answers clients in any process, and may wait to do so."""
 
     async def reply(self, request: object, caller: bytes) -> Reply:
         """Answer a request. ``caller`` is the gid of the client."""
@@ -541,8 +541,8 @@ class Lazy(Protocol):
         ``on_demand`` exists in this process from the start.
 
         Returns:
-            A `Closeable`. Its ``close`` closes the object that ``open`` has returned. If ``open``
-            has not been called yet, ``close`` prevents the call.
+            A `Closeable` that closes the object returned by ``open``. If ``open`` has not been
+            called yet, closing the `Closeable` prevents the call.
         """
 
 
@@ -566,8 +566,8 @@ class Transport(Protocol):
     ) -> Publication:
         """Open the sending end of a topic.
 
-        With a ``source``, a new reader of a latched topic gets the messages that the source
-        returns, instead of messages passed to `Publication.publish`.
+        If you pass a ``source``, a new reader of a latched topic gets the messages that ``source``
+        returns. The reader does not get earlier messages passed to `Publication.publish`.
         """
 
     def subscribe(
@@ -598,7 +598,7 @@ class Transport(Protocol):
         """
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
-        """Show a client of a service on the graph, and return the object that calls the service."""
+        """Add a service client to the graph, and return the object that calls the service."""
 
     def local(self, name: str, type_name: str) -> object | None:
         """The oldest handler that serves a service in this process; None if there is none."""
@@ -607,7 +607,7 @@ class Transport(Protocol):
         """All handlers that serve a service in this process, in the order they were offered."""
 
     def enter(self, node: str) -> Closeable:
-        """Show a node with this fully qualified name on the graph."""
+        """Add a node with this fully qualified name to the graph."""
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints, this process's first. With a ``name``, only endpoints of that name."""

@@ -76,8 +76,8 @@ class MemoryTransport:
     ) -> Publication:
         """Open the sending end of a topic.
 
-        With a ``source``, a new reader of a latched topic gets the messages that the source
-        returns, instead of messages passed to `Publication.publish`.
+        If you pass a ``source``, a new reader of a latched topic gets the messages that ``source``
+        returns. The reader does not get earlier messages passed to `Publication.publish`.
         """
         topic = self._topic(endpoint)
         publication = _Publication(topic, endpoint.qos, format, source)
@@ -96,7 +96,10 @@ class MemoryTransport:
         *,
         in_any_thread: bool = False,  # noqa: ARG002  # a message comes in its publisher's thread
     ) -> Closeable:
-        """Open the receiving end of a topic. Latched messages are delivered before this returns."""
+        """Open the receiving end of a topic.
+
+        Latched messages are delivered before this method returns.
+        """
         topic = self._topic(endpoint)
         reader = _Reader(topic.key[0], deliver, takes_bytes=isinstance(format, RawFormat))
         if endpoint.qos.durability == "transient_local":
@@ -175,7 +178,7 @@ class MemoryTransport:
         return tuple(each for each in self._endpoints.values() if not each.is_unlisted)
 
     def local_endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
-        """The same endpoints as `endpoints` returns, because all endpoints are in this process."""
+        """The same endpoints as those of `endpoints`, because all endpoints are in this process."""
         return self.endpoints(name)
 
     def nodes(self) -> tuple[str, ...]:
@@ -229,8 +232,8 @@ class MemoryTransport:
     def _appear_as(self, endpoint: Endpoint, leave: Callable[[], None]) -> Leave:
         """Show an endpoint on the graph, and return the function that removes it.
 
-        The function is a `partial`, because a graph may have thousands of endpoints, and closures
-        would take ten objects for each endpoint.
+        The function is a `partial`, because a closure would create ten objects per endpoint. A
+        graph may have thousands of endpoints.
         """
         number = self._number()
         self._endpoints[number] = endpoint

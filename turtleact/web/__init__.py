@@ -2,8 +2,8 @@
 
 Use `add_error_handlers` in your own Starlette or FastAPI apps.
 
-The web server serves an ordinary `turtleact.Node`. Other modules of turtleact import this package
-only when they use it.
+The web server works on top of an ordinary `turtleact.Node`. Other modules of turtleact import this
+package only when they use it.
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ class Context:
     Attributes:
         session: The Zenoh session. Only jobs in the outbox call it.
         near: The local transport, which connects the endpoints in this process.
-        tasks: The functions for tasks on the event loop, asyncio or trio.
+        tasks: The task functions of the event loop, either asyncio or trio.
         inbox: Runs jobs from other threads in the event loop.
         outbox: Runs jobs that call Zenoh.
         crew: Runs the tasks of the transport.
@@ -118,7 +118,7 @@ class Context:
     def seek(self, name: str) -> None:
         """Record that another process has an endpoint with this name.
 
-        Open the objects and declare the endpoints that wait for such an endpoint.
+        Open the objects and declare the endpoints that were held back until this name appeared.
         """
         self.sought[name] += 1
         if name in self.waiting:
@@ -155,7 +155,7 @@ class Sought:
             context.waiting[name] = self
 
     def open(self) -> None:
-        """Open the object, because another process now has an endpoint with the name."""
+        """Open the object. Called when another process has an endpoint with the object's name."""
         self._opened = self._opener()
 
     def close(self) -> None:
@@ -229,8 +229,9 @@ class Presence:
         declare: Declares everything except the liveliness token. The outbox calls this function.
         undeclare: Undeclares everything except the liveliness token. The outbox calls this
             function.
-        on_demand: The endpoint is declared only when another process has an endpoint with this
-            name. If this argument is empty, the endpoint is declared at once.
+        on_demand: The name of an endpoint. The endpoint of this object is declared only when
+            another process has an endpoint with the name ``on_demand``. If ``on_demand`` is empty,
+            the endpoint is declared at once.
         on_wake: Called when the endpoint is declared because another process has an endpoint with
             the name ``on_demand``.
 
@@ -327,7 +328,7 @@ class Inbox:
     """Runs jobs from other threads in the event loop, in order.
 
     Args:
-        tasks: The functions for tasks on the event loop, asyncio or trio.
+        tasks: The task functions of the event loop, either asyncio or trio.
     """
 
     def __init__(self, tasks: Tasks) -> None:

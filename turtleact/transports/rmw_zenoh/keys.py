@@ -1,4 +1,4 @@
-"""Names on Zenoh: data keys, liveliness tokens and gids, and the graph that tokens describe.
+"""Names on Zenoh (data keys, liveliness tokens, gids), and the graph that the tokens describe.
 
 A topic or service has a *key expression*. Endpoints with the same key communicate with each other,
 so the key includes the type and its hash. A node or endpoint is on the graph while its *liveliness
@@ -72,7 +72,7 @@ INFINITE = 9_223_372_036
 
 
 class Token(msgspec.Struct, frozen=True):
-    """The meaning of a liveliness token.
+    """A parsed liveliness token: the node or endpoint that the token announces.
 
     Attributes:
         zid: The id of the session that declared the token.
@@ -101,7 +101,7 @@ class Graph:
         self._by_name: dict[str, dict[str, Endpoint]] = {}  # token to endpoint
 
     def add(self, key: str) -> Token | None:
-        """Add a token, and return its meaning.
+        """Add a liveliness token, and return the parsed token.
 
         Return None if the token is already known, belongs to our own session or cannot be
         understood.
@@ -237,7 +237,9 @@ def gid_of(token: str) -> bytes:
 
 
 def dds_type(type_name: str) -> str:
-    """Convert a type name to DDS's form. Service types get no ending ``_Request`` or ``_Response``.
+    """Convert a type name to DDS's form.
+
+    The ending ``_Request`` or ``_Response`` is not added to service types.
 
     >>> dds_type("turtlesim/srv/Spawn")
     'turtlesim::srv::dds_::Spawn_'
@@ -287,7 +289,10 @@ def _parse_qos(chunk: str) -> QoS:
 
 
 def _parse_times(chunk: str) -> TimePolicies:
-    """Parse the time policies. Unknown or missing durations are infinite, as in rmw_zenoh."""
+    """Parse the QoS policies deadline, lifespan and liveliness.
+
+    Unknown or missing durations are infinite, as in rmw_zenoh.
+    """
     parts = chunk.split(":")
     deadline, lifespan, liveliness = (*parts[3:6], "", "", "")[:3]
     kind, _, lease = liveliness.partition(",")

@@ -142,11 +142,11 @@ class WireCaller:
             call.end()
 
     def doubt(self, server: str) -> None:
-        """End this client's calls soon if ``server`` is the service that the client calls.
+        """If this client calls the service ``server``, end the client's open calls soon.
 
-        The transport calls this method when a server of the service ``server`` has gone. Each call
-        under way ends after at most `LOST` seconds. Until then, another server may still answer the
-        call.
+        The transport calls this method when a server of the service ``server`` has left the graph.
+        Each call under way ends after at most `LOST` seconds. Until then, another server may still
+        answer the call.
         """
         if server != self._endpoint.name:
             return
@@ -244,7 +244,7 @@ class WireCaller:
         )
 
     def _why_otherwise(self) -> str:
-        """Return another possible reason for a missing reply, or an empty text if there is none."""
+        """Explain a missing reply if the transport is open and a server exists; else return ""."""
         if self._context.is_open and any(map(self._fits, self._servers())):
             return "dropped the request: ROS 2 keeps 10 that wait"
         return ""
@@ -285,9 +285,9 @@ class WireCall(msgspec.Struct, eq=False):
         caller: The client that makes the call.
         is_cancelable: Whether `drop` also cancels the query in Zenoh. If False, the query of a
             dropped call ends when the query is answered or times out, or when the client is closed.
-        on_end: A list with the function to call, in any thread, when the call is over; None if
-            there is no such function. The function is removed from the list before it is called,
-            because two threads may notice the end of the call at the same moment.
+        on_end: A list with one function, which is called in any thread when the call is over; None
+            if there is no function to call. The function is removed from the list before it is
+            called, because two threads may notice the end of the call at the same moment.
         answer: The payload and attachment of the reply.
         error: The text and the kind of the server's error; see `decode_error`.
         is_over: Whether a reply or error has arrived, or none will ever arrive.
@@ -370,7 +370,10 @@ class WireCall(msgspec.Struct, eq=False):
             self._end_here(self.on_end)
 
     def _end_here(self, on_end: list[Callable[[PendingCall], object]]) -> bool:
-        """Call and remove the function in ``on_end``. Return False if ``on_end`` is empty."""
+        """Remove the function from the list ``on_end`` and call the function.
+
+        Return False if the list is empty.
+        """
         try:
             end = on_end.pop()
         except IndexError:

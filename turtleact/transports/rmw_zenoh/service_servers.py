@@ -87,8 +87,8 @@ class WireService:
         """Add a handler. Requests from other processes go to the oldest handler.
 
         Returns:
-            An object whose ``close`` removes the handler. Removing the last handler closes the
-            server.
+            The method returns an object whose ``close`` removes the handler. Removing the last
+            handler closes the server.
         """
         near = self.context.near.serve(self._named.endpoint, self.format, handler)
         offer = _Offer(self, near, handler)
@@ -241,8 +241,8 @@ class _Request(msgspec.Struct, eq=False):
     async def _answer(self, message: object) -> None:
         """Let the handler answer the request in this task.
 
-        If the handler raises an exception, the client gets an error. A cancellation is passed on
-        after the request has been answered.
+        If the handler raises an exception, the client gets an error. If the task is cancelled, the
+        client gets an answer before the cancellation is raised again.
         """
         service, handler = self.service, self.offer.handler
         try:
@@ -267,7 +267,7 @@ class _Request(msgspec.Struct, eq=False):
 
 
 class _Offer:
-    """A handler of a service, and its entry in the local transport."""
+    """A handler of a service, together with the handler's registration in the local transport."""
 
     __slots__ = ("_near", "_service", "handler", "is_threaded", "observer", "sync")
 

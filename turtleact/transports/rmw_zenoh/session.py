@@ -125,8 +125,8 @@ class Session:
         This blocks for `CLOSING` seconds at most. Zenoh itself may need up to ten seconds if it is
         still connecting to a peer that is suspended (by SIGSTOP or a debugger). In that case, this
         method returns, and the thread that closes the session is left running. This daemon thread
-        does not prevent the process from ending. Zenoh has told the other processes by then that
-        the session closes.
+        does not prevent the process from ending. Before this method returns, Zenoh has told the
+        other processes that the session closes.
         """
         session = self._session
         # The closing thread drops the session, where that may block. Without this line the garbage
@@ -165,8 +165,8 @@ class Session:
         """Return all existing tokens that match ``key``.
 
         This blocks until every process that knows such tokens has answered, or `ANSWER` seconds
-        have passed. A peer that was opened a moment ago first waits until it is connected to the
-        other peers.
+        have passed. If this session is a peer that was opened a moment ago, this method first waits
+        until the session is connected to the other peers.
         """
         if not self._is_peer or monotonic() > self._opened_at + MEETING:
             return self._ask(key)
@@ -368,10 +368,10 @@ class Publisher:
     def undeclare(self) -> None:
         """Undeclare the publisher, and drop the messages that it keeps. Call this once.
 
-        This method drops Zenoh's publisher, because dropping it releases the GIL. The method
-        ``undeclare`` of an advanced publisher would hold the GIL while it waits for one of Zenoh's
-        threads. If this thread of Zenoh is waiting for the GIL, no Python code runs for ten seconds
-        (eclipse-zenoh 1.10).
+        This method deletes Zenoh's publisher instead of calling Zenoh's ``undeclare``. Deleting the
+        publisher releases the GIL. The method ``undeclare`` of an advanced publisher would hold the
+        GIL while ``undeclare`` waits for one of Zenoh's threads. If this thread of Zenoh is waiting
+        for the GIL, no Python code runs for ten seconds (eclipse-zenoh 1.10).
         """
         del self._publisher
 

@@ -166,7 +166,7 @@ class WirePublication:
 
     @property
     def has_near_readers(self) -> bool:
-        """Whether a new message has a reader in this process, or may get one later."""
+        """Whether messages published now have readers in this process, or may get readers later."""
         return self._near.has_readers if self._source is None else self._has_near_readers
 
     @property
@@ -221,7 +221,7 @@ class WirePublication:
                 await self._sent.wait()
 
     def close(self) -> None:
-        """Send the source's last state, then leave the graph. A second call does nothing."""
+        """Send the source's unsent messages, then leave the graph. A second call does nothing."""
         if not self._is_open:
             return
         if self.is_stale:
@@ -276,7 +276,7 @@ class WirePublication:
                 self._source.message_lost()
 
     def _send_current(self) -> int:
-        """Send the source's state to other processes, and return its size (bytes)."""
+        """Send the source's current messages to other processes, and return their size (bytes)."""
         self.is_stale = False
         payloads = () if self._source is None else self._source.written(self._format.encode)
         for payload in payloads:
@@ -284,9 +284,9 @@ class WirePublication:
         return sum(map(len, payloads))
 
     def _grow_stale(self) -> None:
-        """Start a task that sends the source's state, unless such a task is already running.
+        """Start a task that sends the source's current messages, unless the task already runs.
 
-        Several calls in a row send only the last state.
+        Several calls in a row send only the latest messages of the source.
         """
         if self.presence.is_asleep:  # it is refreshed when it wakes
             return

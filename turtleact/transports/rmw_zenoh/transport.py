@@ -5,8 +5,9 @@ between processes travel over Zenoh, as bytes that ROS 2 can read.
 
 - Calls into Zenoh may block. A single thread makes all calls into Zenoh, in order.
 - Zenoh runs callbacks in its own threads. The callbacks pass the received data to the event loop.
-- A process that stops reading can delay senders of reliable topics once, by a second at most. Then
-  Zenoh disconnects the process. The process reconnects by itself when it reads again.
+- A process that stops reading can delay senders of reliable topics only once, by at most one
+  second. After this delay, Zenoh disconnects the process. The process reconnects by itself when it
+  reads again.
 
 Source: rmw_zenoh_cpp, ``docs/design.md``.
 """
@@ -123,8 +124,8 @@ class ZenohTransport:
         """Open the receiving end of a topic. This raises the same errors as `advertise`.
 
         With ``in_any_thread``, one of Zenoh's threads decodes each message from another process and
-        calls ``deliver``. Then ``deliver`` must return quickly, because no other message arrives
-        until it has returned.
+        calls ``deliver``. With ``in_any_thread``, ``deliver`` must return quickly, because no other
+        message arrives until ``deliver`` has returned.
         """
         named = self._name(endpoint, format)
         made = DirectSubscription if in_any_thread else WireSubscription
@@ -424,9 +425,8 @@ async def open_zenoh(
             ``connect`` and ``listen`` replace the endpoints in a file. A mode in the file takes
             precedence over ``mode``.
         clock: The clock of the nodes in this process. The default is wall time.
-        discovery: How long after the opening goals and calls wait for a server that is not known
-            yet (s, event loop time). After that time, a goal or call without a server fails at
-            once.
+        discovery: Goals and calls wait for an unknown server until this time after the transport
+            was opened (s, event loop time). Later, a goal or call without a server fails at once.
 
     Raises:
         InvalidOption: if the value of an option is not allowed.
