@@ -347,7 +347,7 @@ def background(run: Callable[[H], Coroutine[Any, Any, object]], /) -> Background
 
 
 class Body:
-    """A function that can do the work of an action, and its style.
+    """A function that can do the work of an action.
 
     Attributes:
         is_generator: Whether the function yields its feedback and result.

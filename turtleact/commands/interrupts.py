@@ -11,7 +11,8 @@ body. The effect of a signal depends on what the program is doing:
 - During a start that may take long (`Interrupts.beginning`), a signal sets the system's alarm timer
   (SIGALRM). The timer ends the process unless the start is over within `GRACE`.
 - In the event loop (`Interrupts.listening`), a signal wakes the task that waits in
-  `Interrupts.wait`. But the loop may be stuck in a body, or in writing to a pipe that nobody reads.
+  `Interrupts.wait`. But the loop may be stuck in the code of an action, or in writing to a pipe
+  that nobody reads.
   Therefore, if the loop has not ended within `GRACE` after a second signal, the alarm timer ends
   the process. The timer also ends the process when another deadline passes
   (`Interrupts.end_within`, `Interrupts.patience`). A third signal ends the process at once. After

@@ -508,8 +508,8 @@ async def _set(
 ) -> list[SetParametersResult]:
     """Set parameters, and return the node's answers.
 
-    If the node refuses a value, the reason in the answer also names the allowed range or the
-    nearest name.
+    If the node refuses a value, this function adds the allowed range to the reason in the answer,
+    or the existing parameter with the most similar name.
     """
     request = SetParameters.Request(list(parameters))
     results = list((await _ask(node, SetParameters, owner, request)).results)

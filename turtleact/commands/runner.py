@@ -33,7 +33,7 @@ OURS = str(Path(__file__).parents[1]) + os.sep
 """The folder of turtleact's own modules."""
 
 GRACE = 2.0
-"""After a command, each of two waits may take this long: for its tasks, and for its threads (s)."""
+"""How long to wait for a command's tasks after its end, and then for its threads (s, each)."""
 
 STOPPED = (
     "a body, or other code of yours, called stop() of the event loop, which ends all that runs in "

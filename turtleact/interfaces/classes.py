@@ -227,7 +227,10 @@ def part_of(owner: Interface | None, part: str) -> Interface | None:
 
 @functools.cache
 def made_implied(action: type[Action]) -> Implied:
-    """Make the classes for `implied`. The fields and their order are those of ROS."""
+    """Make the service and message classes that carry the goals of an action.
+
+    The fields and their order are those of ROS.
+    """
     check_type_name(action.type_name, kinds=("action",))
     send_goal = service(
         f"{action.type_name}_SendGoal",

@@ -133,7 +133,7 @@ def leave(error: BaseException | None) -> NoReturn:
 
 
 def _places(folders: Sequence[Path]) -> Iterator[Path]:
-    """Yield each folder and the nearest parents that belong to a workspace.
+    """Yield each folder and, above it, the nearest folders that belong to a workspace.
 
     Such a parent is named ``src`` or contains a folder ``src``.
     """

@@ -3,7 +3,8 @@
 A disk may fill up during a recording. A hidden file in the folder therefore reserves disk space for
 the index of the last file and for ``metadata.yaml``.
 
-Writing to the disk blocks, so `turtleact.recording.spool` does it in a thread of its own.
+A write may block while the disk is busy, so `turtleact.recording.spool` writes in a thread of its
+own.
 
 Source: rosbag2 ``sequential_writer.cpp``.
 """

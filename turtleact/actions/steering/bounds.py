@@ -642,7 +642,7 @@ def _between(start: _Sight, end: _Sight, view: View, half: float, width: float) 
 
 
 def _on_both_sides(start: _Sight, end: _Sight, view: View, half: float, width: float) -> float:
-    """Return the least time lost on a leg whose two heading errors are to different sides."""
+    """Return the least time lost on a leg whose two heading errors have opposite signs."""
     (error, _, made), (wanted, _, made_wanted) = start, end
     least = max(error - made + wanted - made_wanted, error + wanted - view.most)
     # Or the turtle turns the other way round: an error of half a turn is on both sides.

@@ -69,7 +69,7 @@ class StatusTopic(Source):
         return (write_states(packed),)
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
-        """Return the message of `current`, for readers in other processes."""
+        """Return the message with the goals' states, encoded for readers in other processes."""
         return [encode(message) for message in self.current()]
 
     def readers_changed(self, *, has_readers: bool) -> None:

@@ -232,8 +232,8 @@ class Presence:
         on_demand: The name of an endpoint. The endpoint of this object is declared only when
             another process has an endpoint with the name ``on_demand``. If ``on_demand`` is empty,
             the endpoint is declared at once.
-        on_wake: Called when the endpoint is declared because another process has an endpoint with
-            the name ``on_demand``.
+        on_wake: Called when another process opens an endpoint with the name that ``on_demand``
+            holds, and this endpoint is therefore declared.
 
     Attributes:
         is_asleep: Whether the endpoint is not declared yet because of ``on_demand``.
