@@ -192,6 +192,11 @@ def test_arguments_of_a_declaration_may_be_given_by_name():
     ("arguments", "problem"),
     [
         ({"action_type": Count, "name": 5}, "the name of the action is 5, which is not a string"),
+        ({"name": "count"}, r"the type of the action is missing: write \(TYPE, 'count'\)$"),
+        (
+            {"action_type": None, "name": "count"},
+            "expected a subclass of turtleact.Action, not None",
+        ),
         ({}, r"the type and the name of the action are missing: write \(TYPE, 'NAME'\)$"),
     ],
 )
@@ -327,6 +332,13 @@ def test_the_decorator_for_the_background_is_written_without_parentheses():
     declare: Any = background
     with pytest.raises(TypeError, match=r"^write @turtleact\.background without \(\)$"):
         declare()
+
+
+def test_an_error_about_other_arguments_names_the_decorator():
+    with pytest.raises(TypeError, match=r"^background\(\) got an unexpected keyword argument"):
+        background(name="x")  # type: ignore[call-arg]  # meant
+    with pytest.raises(TypeError, match=r"^action\(\) got multiple values for argument 'name'"):
+        action(Count, "x", name="y")  # type: ignore[misc]  # meant
 
 
 async def test_a_background_function_can_be_called_like_the_function_itself():

@@ -241,18 +241,25 @@ class Declare(Protocol[G, R, F]):
     ) -> ActionDeclaration[[G, H], Coroutine[Any, Any, R]]: ...
 
 
-def _checked(check: Callable[..., None]) -> Callable[[Callable[P, T]], Callable[P, T]]:
+def _checked(
+    check: Callable[[Mapping[str, object]], None],
+) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Make a decorator that calls ``check`` with a function's arguments before the function.
 
-    Python's own error for a missing argument does not say what to write. Only ``check`` has default
-    values for its arguments. If the decorated function had them, type checkers would not report a
-    missing argument.
+    Python reports a missing argument, too, but does not say what to write. A default in the
+    function itself would hide the mistake from type checkers.
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
+        signature = inspect.signature(function)
+
         @functools.wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> T:
-            check(*args, **kwargs)
+            try:
+                given = signature.bind_partial(*args, **kwargs).arguments
+            except TypeError:
+                return function(*args, **kwargs)  # raises the error that names the function
+            check(given)
             return function(*args, **kwargs)
 
         return call
@@ -260,10 +267,14 @@ def _checked(check: Callable[..., None]) -> Callable[[Callable[P, T]], Callable[
     return decorate
 
 
-def _check_action(action_type: object = None, name: object = "", *_: object, **__: object) -> None:
+def _check_action(given: Mapping[str, object]) -> None:
     """Check the arguments of `action`, so that a mistake is reported at the decorator's line."""
-    if action_type is None:
-        raise TypeError("the type and the name of the action are missing: write (TYPE, 'NAME')")
+    name = given.get("name", "")
+    if "action_type" not in given:
+        missing = "type" if name else "type and the name"
+        verb, shown = ("is", repr(name)) if name else ("are", "'NAME'")
+        raise TypeError(f"the {missing} of the action {verb} missing: write (TYPE, {shown})")
+    action_type = given["action_type"]
     if inspect.isfunction(action_type):  # the decorator was written without arguments
         call = f"@turtleact.action(TYPE, '{action_type.__name__}')"
         raise TypeError(f"the type and the name of the action are missing: write {call}")
@@ -278,9 +289,9 @@ def _check_action(action_type: object = None, name: object = "", *_: object, **_
     validate_name(name)
 
 
-def _check_background(run: object = None) -> None:
+def _check_background(given: Mapping[str, object]) -> None:
     """Check that `background` was written without parentheses."""
-    if run is None:
+    if not given:
         raise TypeError("write @turtleact.background without ()")
 
 

@@ -101,7 +101,7 @@ _INTEGER = ParameterType.PARAMETER_INTEGER
 _DOUBLE = ParameterType.PARAMETER_DOUBLE
 _BYTES = ParameterType.PARAMETER_BYTE_ARRAY
 _ARRAY = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
-"""The difference between the number of an array's kind and the number of its items' kind."""
+"""What to add to the number of a type, such as a bool, to get the number of its array type."""
 
 
 class ParameterDeclaration(Generic[P]):

@@ -145,9 +145,9 @@ def test_the_comments_of_the_interface_itself_are_shown(turtleact, paint):
 
 
 def test_control_characters_of_comments_do_not_reach_the_terminal(turtleact, install):
-    install("paint_interfaces/msg/Pot", "# red\x1b[31m\x07\nuint8 r\t# a\tb\x00\n")
+    install("paint_interfaces/msg/Pot", "# red\x1b[31m\x07\u3000\u200d\nuint8 r\t# a\tb\x00\n")
     out = turtleact("interface", "show", "paint_interfaces/msg/Pot").out
-    assert out == "# red[31m\nuint8 r\t# a\tb\n"
+    assert out == "# red[31m\u3000\u200d\nuint8 r\t# a\tb\n"
 
 
 def test_all_comments_may_be_shown(turtleact, paint):

@@ -358,6 +358,8 @@ def test_what_is_no_sqlite_file_is_refused(tmp_path, content):
         ("rosbag2_bagfile_information: 3", "it has no 'rosbag2_bagfile_information'"),
         ("[", r"it is not YAML: line \d, column \d: "),
         ("a: \0", "it is not YAML: "),
+        ("a: !!bool foo", "it is not YAML: a value does not fit its tag: 'foo'"),
+        ("a: !!timestamp foo", "it is not YAML: a value does not fit its tag: "),
         (
             "rosbag2_bagfile_information: {}",
             "it does not describe a bag: 'starting_time' is missing",
@@ -372,10 +374,11 @@ def test_a_description_that_cannot_be_read_is_named(tmp_path, text, problem):
         Bag(path)
 
 
-def test_what_is_neither_a_file_nor_a_folder_is_refused(tmp_path):
-    os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(BagError, match="it is neither a folder nor a regular file"):
-        Bag(tmp_path / "pipe")
+@pytest.mark.parametrize("name", ["pipe", "metadata.yaml", "run_0.mcap"])
+def test_a_pipe_in_place_of_a_file_is_refused(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(BagError, match=f"{name}': it is not a regular file"):
+        Bag(tmp_path / name if name == "pipe" else tmp_path)
 
 
 def test_what_is_not_there_is_named(tmp_path):

@@ -467,14 +467,15 @@ class _Reading:
 class _Iteration(_Reading):
     """The iterator of one ``async for`` loop.
 
-    The goal's body may wait for the reader only until the ``async for`` loop ends. If a loop ends
-    with ``break``, Python does not notify the iterator, but only drops it. The finalizer of the
-    iterator therefore reports the end of the loop. If the iterator is part of a reference cycle,
-    the finalizer may run in any thread.
+    The body of the goal may be waiting for this iterator to read feedback. That wait must end with
+    the ``async for`` loop. If a loop ends with ``break``, Python does not notify the iterator, but
+    only drops it. The finalizer of the iterator therefore reports the end of the loop. If the
+    iterator is part of a reference cycle, the finalizer may run in any thread.
 
-    The event loop would close an abandoned async generator. The iterator is nevertheless not an
-    async generator, because an async generator cannot continue after a cancelled ``anext``. In
-    addition, trio warns about every async generator that is left before its end.
+    If this iterator were an async generator, the event loop would close it. The iterator is
+    nevertheless not an async generator, because an async generator cannot continue after a
+    cancelled ``anext``. In addition, trio warns about every async generator that is left before its
+    end.
     """
 
     __slots__ = ("_thread",)

@@ -9,6 +9,7 @@ Source: ros2cli ``ros2interface/verb/*.py`` (Jazzy), for the printed text.
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from importlib import import_module
@@ -52,6 +53,9 @@ __all__ = [
 
 KINDS: Final = {"msg": "Messages", "srv": "Services", "action": "Actions"}
 """The kinds of interfaces with their headings, in the order in which they are listed."""
+
+_CONTROL: Final = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
+"""The characters of a file that could change the terminal's state."""
 
 LONGEST_LINE: Final = 2**12
 """At most this many bytes of an interface name are read from a pipe. No such name is longer."""
@@ -278,8 +282,7 @@ def _lines(type_name: str, *, depth: int, comments: bool, nested_comments: bool)
     interface = get_interface(type_name)
     package = interface.type_name.partition("/")[0]
     for number, text in enumerate(commented_text(interface).splitlines(), 1):
-        # A comment may contain control characters, which could change the terminal's state.
-        shown = "".join(c for c in text if c.isprintable() or c == "\t").rstrip()
+        shown = _CONTROL.sub("", text).rstrip()
         said = without_comment(shown).strip()
         if comments or said:
             kept = shown if comments else said

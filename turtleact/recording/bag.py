@@ -154,12 +154,12 @@ class Bag:
     def _look(self) -> BagInfo:
         if not self.path.exists():
             raise BagError(self.path, "it does not exist")
-        if not (self.path.is_dir() or self.path.is_file()):
-            raise BagError(self.path, "it is neither a folder nor a regular file")
         if not self.path.is_dir():
             return self._from_files([self.path])
         described = self.path / METADATA
         if described.exists():
+            if not described.is_file():
+                raise BagError(described, "it is not a regular file")
             try:
                 info = read_info(described.read_text(encoding="utf-8"), described)
             except (OSError, UnicodeDecodeError) as error:
@@ -319,6 +319,8 @@ async def read(
 
 
 def _open(path: Path) -> BagStorage:
+    if not path.is_file():  # reading from a pipe could wait for ever
+        raise BagError(path, "it is not a regular file")
     if path.suffix == ".db3":
         return SqliteFile(path)
     return McapFile(path)

@@ -163,6 +163,9 @@ def read_yaml(text: str) -> object:
         raise ValueError(f"{where}{error.problem or error.context}") from error
     except yaml.YAMLError as error:
         raise ValueError(" ".join(str(error).split())) from error
+    except (ArithmeticError, AttributeError, LookupError, TypeError) as error:
+        # PyYAML lets these errors through if a value does not fit its tag, as in ``!!bool foo``.
+        raise ValueError(f"a value does not fit its tag: {error}") from error
     return value
 
 
@@ -205,7 +208,7 @@ def read_info(text: str, path: Path) -> BagInfo:
         raise BagError(path, f"it has no '{ROOT}' with the description of a bag; {hint}")
     try:
         return _info(said[ROOT])
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise BagError(path, f"it does not describe a bag: {what}; {hint}") from error
 

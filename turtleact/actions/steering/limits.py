@@ -349,7 +349,7 @@ def approach(
 def sweep(frame: Frame, target: complex, after: complex, limits: Limits, *, area: Area) -> float:
     """Return the side of a turn to the next target: 1 for left, -1 for right, 0 to wait.
 
-    The turn begins if its arc leads through the disc of the current target. The arc ends after a
+    The turn begins if its arc reaches the current target. The arc ends after a
     quarter turn, or as soon as the turtle heads in the direction from the current target to the
     next target. The turn does not begin if the turtle would leave the area in the next tick.
     """
