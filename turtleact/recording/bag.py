@@ -319,7 +319,7 @@ async def read(
 
 
 def _open(path: Path) -> BagStorage:
-    if not path.is_file():  # reading from a pipe could wait for ever
+    if path.exists() and not path.is_file():  # reading from a pipe could wait for ever
         raise BagError(path, "it is not a regular file")
     if path.suffix == ".db3":
         return SqliteFile(path)
