@@ -137,7 +137,7 @@ spin_beside()
 ActionServer(node, Fibonacci, 'f', execute)
 rclpy.shutdown()
 for thread in threading.enumerate():
-    if thread.name.startswith('rclpy'):
+    if thread.name.startswith(('rclpy', 'Thread-')):  # the last is the one that spins
         thread.join()
 print([each.name for each in threading.enumerate() if not each.name.startswith('turtleact-')])
 """
