@@ -29,11 +29,10 @@ import anyio.lowlevel
 import hypothesis
 import pytest
 
-from turtleact.commands.interrupts import SIGNALS
 from turtleact.interfaces.types import REGISTRY, definition
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Generator, Iterator
+    from collections.abc import Awaitable, Callable, Generator
 
 LOOPS = {
     "asyncio": ("asyncio", {"use_uvloop": False}),
@@ -195,15 +194,6 @@ def names_mean_what_they_meant() -> None:
         if REGISTRY.get(name) is not interface:
             REGISTRY.forget(name)
             REGISTRY.add(interface, definition(interface))
-
-
-@pytest.fixture
-def handlers() -> Iterator[None]:
-    """Gives a test in which the program has begun its signal handlers back."""
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 class Watchdog(threading.Thread):

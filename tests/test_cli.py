@@ -6,7 +6,6 @@ import errno
 import io
 import os
 import re
-import signal
 import subprocess
 import sys
 from importlib import import_module
@@ -16,7 +15,6 @@ import pytest
 
 from turtleact import __version__, cli
 from turtleact.commands import VERBS, verbs
-from turtleact.commands.interrupts import Interrupts
 from turtleact.errors import InvalidGoal, InvalidName, ServerUnavailable, SimError, UsageError
 
 from . import warm
@@ -28,22 +26,22 @@ ROOT = Path(__file__).parents[1]
 def ends(monkeypatch, capsys):
     """Runs a job through the door: its exit status and what stands on stderr."""
 
-    def run(job, interrupts=None):
+    def run(job):
         monkeypatch.setattr(verbs, "parse", lambda _: job)
-        return cli.run(["verb"], interrupts or Interrupts()), capsys.readouterr().err
+        return cli.run(["verb"]), capsys.readouterr().err
 
     return run
 
 
 def raises(error):
-    def job(_):
+    def job():
         raise error
 
     return job
 
 
 def test_a_verb_says_the_exit_status(ends):
-    assert ends(lambda _: 5) == (5, "")
+    assert ends(lambda: 5) == (5, "")
 
 
 @pytest.mark.parametrize(
@@ -84,7 +82,7 @@ def test_a_file_that_hides_an_installed_module_is_named(ends, monkeypatch, tmp_p
     del sys.modules["wave"]
     monkeypatch.syspath_prepend(tmp_path)
     hiding = import_module("wave")
-    assert ends(lambda _: use(hiding)) == (
+    assert ends(lambda: use(hiding)) == (
         1,
         f"turtleact: {file} hides the installed module 'wave', which turtleact needs: rename it\n",
     )
@@ -119,12 +117,6 @@ def test_ctrl_c_is_one_line(ends):
     assert ends(raises(KeyboardInterrupt())) == (130, "turtleact: interrupted\n")
 
 
-def test_a_signal_is_told_in_the_exit_status(ends):
-    interrupts = Interrupts()
-    interrupts.received.append(signal.SIGTERM)
-    assert ends(raises(KeyboardInterrupt()), interrupts)[0] == 143
-
-
 @pytest.mark.parametrize("number", [errno.EPIPE, errno.EIO])
 def test_an_output_that_is_gone_is_no_error_to_speak_of(ends, monkeypatch, number):
     reading, writing = os.pipe()
@@ -147,7 +139,7 @@ def test_a_command_whose_output_was_closed_keeps_its_status(ends, monkeypatch):
     closed = io.StringIO()
     closed.close()
     monkeypatch.setattr(sys, "stdout", closed)
-    assert ends(lambda _: 3) == (3, "")
+    assert ends(lambda: 3) == (3, "")
 
 
 def test_a_full_disk_is_an_error():
@@ -167,14 +159,14 @@ def test_an_output_that_breaks_at_the_last_flush_is_no_error_to_speak_of(ends, m
     reading, writing = os.pipe()
     monkeypatch.setattr(sys, "stdout", os.fdopen(writing, "w"))
     os.close(reading)
-    assert ends(lambda _: print("text") or 0) == (141, "")
+    assert ends(lambda: print("text") or 0) == (141, "")
     sys.stdout.close()
 
 
 def test_characters_that_the_output_cannot_show_are_escaped(ends, monkeypatch):
     latin = io.TextIOWrapper(io.BytesIO(), "latin-1")
     monkeypatch.setattr(sys, "stdout", latin)
-    assert ends(lambda _: print("⠿") or 0)[0] == 0
+    assert ends(lambda: print("⠿") or 0)[0] == 0
     assert latin.buffer.getvalue() == b"\\u283f\n"
 
 
@@ -182,12 +174,12 @@ def test_closed_outputs_are_no_reason_to_fail(monkeypatch):
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
     monkeypatch.setattr(verbs, "parse", lambda _: raises(UsageError("no")))
-    assert cli.run(["verb"], Interrupts()) == 2
+    assert cli.run(["verb"]) == 2
 
 
 def test_a_closed_stdout_is_no_reason_to_fail(monkeypatch, ends):
     monkeypatch.setattr(sys, "stdout", None)
-    assert ends(lambda _: 0)[0] == 0
+    assert ends(lambda: 0)[0] == 0
 
 
 # --- what needs no verb ---------------------------------------------------------------------
@@ -195,7 +187,7 @@ def test_a_closed_stdout_is_no_reason_to_fail(monkeypatch, ends):
 
 @pytest.mark.parametrize("arguments", [[], ["-h"], ["--help"], ["--help", "send-goal"]])
 def test_help_is_printed(arguments, capsys):
-    assert cli.run(arguments, Interrupts()) == 0
+    assert cli.run(arguments) == 0
     out, err = capsys.readouterr()
     assert err == ""
     assert "Usage: turtleact [OPTIONS] COMMAND [ARGS]..." in out
@@ -204,7 +196,7 @@ def test_help_is_printed(arguments, capsys):
 
 
 def test_the_version_is_printed(capsys):
-    assert cli.run(["--version"], Interrupts()) == 0
+    assert cli.run(["--version"]) == 0
     assert capsys.readouterr().out == f"turtleact {__version__}\n"
 
 
@@ -219,31 +211,6 @@ def test_the_help_of_a_verb_may_lose_its_reader():
     )
     os.close(writing)
     assert (ran.returncode, ran.stderr) == (141, b"")
-
-
-def test_nothing_is_imported_before_ctrl_c_is_taken():
-    code = (
-        "import __future__, sys; before = {*sys.modules}; from turtleact import cli;"
-        "print(sorted({*sys.modules} - before))"
-    )
-    out = subprocess.check_output([sys.executable, "-S", "-c", code], text=True, cwd=ROOT)
-    assert out == "['turtleact', 'turtleact.cli']\n"
-
-
-def test_ctrl_c_in_the_midst_of_an_import_ends_the_program_silently():
-    code = (
-        "import signal, sys; from contextlib import suppress; from turtleact import cli\n"
-        "class Finder:\n"
-        "    def find_spec(self, name, path, target=None):\n"
-        "        with suppress(KeyboardInterrupt):\n"  # as an import may drop it
-        "            if name == 'turtleact.commands.interrupts':\n"
-        "                signal.raise_signal(signal.SIGINT)\n"
-        "sys.meta_path.insert(0, Finder())\n"
-        "sys.argv = ['turtleact', '--version']\n"
-        "sys.exit(cli.main())"
-    )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
-    assert (ran.returncode, ran.stdout, ran.stderr) == (-signal.SIGINT, b"", b"")
 
 
 def test_a_signal_that_the_parent_ignores_stays_ignored():
@@ -289,10 +256,3 @@ def test_the_module_is_the_program(argument):
 def test_importing_the_module_runs_nothing(capsys):
     import_module("turtleact.__main__")
     assert capsys.readouterr() == ("", "")
-
-
-@pytest.mark.usefixtures("handlers")
-def test_main_leaves_signals_ignored_for_the_end_of_the_process(monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["turtleact", "--version"])
-    assert cli.main() == 0
-    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import NoReturn
 
-    from turtleact.commands.interrupts import Interrupts
-
 __all__ = ["main", "run", "serve"]
 
 FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
@@ -45,25 +43,12 @@ def main() -> int:
         import os
         import signal
 
-        # Until our handlers are installed, Ctrl-C ends the program silently, as in a C program.
-        # A KeyboardInterrupt during an import could be swallowed or print a traceback.
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-        from turtleact.commands.interrupts import Interrupts
-
-        interrupts = Interrupts()
         if "_TURTLEACT_COMPLETE" in os.environ:
-            _complete(interrupts)
-        interrupts.install()
-    except KeyboardInterrupt:  # Ctrl-C in the few milliseconds before SIG_DFL was set
+            _complete()
+        status = run(sys.argv[1:])
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback while Python shuts down
+    except KeyboardInterrupt:
         return INTERRUPTED
-    status = run(sys.argv[1:], interrupts)
-    interrupts.ignore()
-    if interrupts.must_leave:
-        from turtleact.commands.interrupts import leave
-
-        leave(status)
     return status
 
 
@@ -82,24 +67,24 @@ def serve(*targets: str, node: str) -> NoReturn:
     sys.exit(main())
 
 
-def run(arguments: Sequence[str], interrupts: Interrupts) -> int:
+def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit status. An error is printed to stderr."""
     _make_printable()
     try:
         from turtleact.commands.verbs import parse
 
-        status = parse(arguments)(interrupts)
+        status = parse(arguments)()
         if sys.stdout is not None and not sys.stdout.closed:
             sys.stdout.flush()
     except KeyboardInterrupt:
         _note("interrupted")
-        return interrupts.status if interrupts.received else INTERRUPTED
+        return INTERRUPTED
     except BaseException as error:
         return _report(_leaf(error))
     return status
 
 
-def _complete(interrupts: Interrupts) -> None:
+def _complete() -> None:
     """Let Typer print completions for the shell, then end the process.
 
     The shell waits for the process, and shows whatever the process prints. Completion therefore
@@ -110,7 +95,7 @@ def _complete(interrupts: Interrupts) -> None:
     import threading
     from contextlib import suppress
 
-    from turtleact.commands.interrupts import leave
+    from turtleact.commands.output import leave
 
     watch = threading.Timer(PATIENCE, os._exit, (0,))
     watch.daemon = True
@@ -119,7 +104,7 @@ def _complete(interrupts: Interrupts) -> None:
     with suppress(Exception):
         from turtleact.commands.verbs import parse
 
-        status = parse(())(interrupts)
+        status = parse(())()
     leave(status)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -15,7 +14,6 @@ import pytest
 
 from turtleact import cli
 from turtleact.commands import graph, send_goal
-from turtleact.commands.interrupts import SIGNALS, Interrupts
 
 from .. import warm
 
@@ -91,22 +89,11 @@ def loaded(path):
 
 
 @pytest.fixture
-def interrupts():
-    """Signals, as the program takes them; the test's own handlers and alarm clock come back."""
-    before = {number: signal.getsignal(number) for number in (*SIGNALS, signal.SIGALRM)}
-    alarm = signal.setitimer(signal.ITIMER_REAL, 0)
-    yield Interrupts()
-    for number, handler in before.items():
-        signal.signal(number, handler)
-    signal.setitimer(signal.ITIMER_REAL, *alarm)
-
-
-@pytest.fixture
-def turtleact(capsys, interrupts):
+def turtleact(capsys):
     """Runs a command line in this process, in the embedded world."""
 
     def run(*arguments):
-        status = cli.run(arguments, interrupts)
+        status = cli.run(arguments)
         return Ran(status, *capsys.readouterr())
 
     return run
@@ -120,9 +107,8 @@ def on_stage(turtleact, stage, monkeypatch):
 
 
 @pytest.fixture
-def on_graph(turtleact, graphs, interrupts, monkeypatch):
-    """Runs a command line in this process, on a graph of ``graphs.py``; signals are taken."""
-    interrupts.install()
+def on_graph(turtleact, graphs, monkeypatch):
+    """Runs a command line in this process, on a graph of ``graphs.py``."""
 
     def run(nodes, *arguments):
         monkeypatch.setattr(graph, "open_transport", graphs.open_graph(nodes))

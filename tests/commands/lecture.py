@@ -25,9 +25,9 @@ def main() -> int:
     serve.ROUTER = router
     config.CONNECT = dict.fromkeys(("peer", "client"), (router,)) | {"router": ()}
 
-    def run_fast(service, interrupts):
+    def run_fast(service):
         fleet = service.fleet and service.fleet._replace(speed=SPEED)
-        return run(service._replace(fleet=fleet), interrupts)
+        return run(service._replace(fleet=fleet))
 
     serve.run = run_fast
     return cli.main()

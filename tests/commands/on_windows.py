@@ -56,7 +56,4 @@ if __name__ == "__main__":
         import_all()
     else:
         hide()
-        from turtleact.commands import interrupts
-
-        interrupts.WAITS_FOR_FILES = False
         runpy.run_path(str(Path(__file__).with_name("stage.py")), run_name="__main__")

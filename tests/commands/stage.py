@@ -14,7 +14,7 @@ from contextlib import asynccontextmanager, suppress
 import anyio
 
 from turtleact import Abort, Action, CancelResponse, Message, Reject, cli, open_node
-from turtleact.commands import interrupts, runner, send_goal
+from turtleact.commands import send_goal
 from turtleact.interfaces import float64, string
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 
@@ -115,6 +115,6 @@ async def world(speed, seed):
 
 if __name__ == "__main__":
     send_goal.embedded_world = world
-    send_goal.PATIENCE = interrupts.GRACE = runner.GRACE = 0.1
+    send_goal.PATIENCE = 0.1
     send_goal.CANCEL_TIMEOUT = 2.0
     sys.exit(cli.main())

@@ -148,8 +148,7 @@ def test_reattach_waits_until_the_action_is_served(on_graph, graphs):
     assert (ran.status, ran.err.count("waiting for a server for up to 20 s")) == (0, 1)
 
 
-def test_a_signal_ends_that_wait(turtleact, without_router, interrupts):
-    interrupts.install()
+def test_a_signal_ends_that_wait(turtleact, without_router):
     threading.Timer(0.1, signal.raise_signal, [signal.SIGINT]).start()
     ran = turtleact("send-goal", "now", "--reattach", "600")
     assert (ran.status, ran.err.splitlines()[-1]) == (

@@ -8,15 +8,13 @@ import signal
 import sys
 import time
 from contextlib import asynccontextmanager
-from itertools import count
-from threading import Event
 
 import anyio
 import pytest
 
 from turtleact import open_node, recording
 from turtleact.clock import VirtualClock
-from turtleact.commands import bag_contents, bag_converting, bag_sessions
+from turtleact.commands import bag_contents, bag_sessions
 from turtleact.interfaces import encode, get_message
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard.std_msgs.msg import String
@@ -25,7 +23,6 @@ from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.mcap_writing import McapWriter
 from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import Schema, schema_of
-from turtleact.recording.spool import Spool
 from turtleact.recording.storage import Channel
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport
@@ -152,28 +149,6 @@ class Left(BaseException):
     """In place of the end of the process."""
 
 
-@pytest.fixture
-def ends(monkeypatch, interrupts):
-    """Makes the end of the process an exception, and a signal come when a bag is read."""
-
-    def left(status):
-        raise Left(status)
-
-    def read(*_):
-        signal.raise_signal(signal.SIGTERM)
-        return iter(())
-
-    interrupts.install()
-    monkeypatch.setattr(os, "_exit", left)
-    monkeypatch.setattr(Bag, "messages", read)
-
-
-@pytest.mark.parametrize("verb", [["info", "-v"], ["goals"]])
-def test_a_signal_ends_the_reading_of_a_bag(turtleact, bag, ends, verb):
-    with pytest.raises(Left, match="143"):
-        turtleact("bag", *verb, str(bag))
-
-
 def test_info_of_nothing(turtleact, tmp_path):
     ran = turtleact("bag", "info", str(tmp_path / "none"))
     assert (ran.status, ran.err) == (1, f"turtleact: bag '{tmp_path}/none': it does not exist\n")
@@ -196,16 +171,14 @@ def test_something_must_be_recorded(on_graph, tmp_path):
         (["-e", "s.id", "--storage-preset-profile", "zstd_fast"], {"/said"}),
     ],
 )
-def test_a_signal_ends_a_recording_with_status_0(
-    on_graph, interrupts, monkeypatch, tmp_path, options, topics
-):
+def test_a_signal_ends_a_recording_with_status_0(on_graph, monkeypatch, tmp_path, options, topics):
     taken = recording.record
 
     @asynccontextmanager
     async def record(node, path, **options):
         async with taken(node, path, **options) as run:
             await node.clock.sleep(1)
-            interrupts.end(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
             yield run
 
     monkeypatch.setattr(bag_sessions, "record", record)
@@ -239,13 +212,12 @@ async def asking(transport):
         await running.aclose()
 
 
-def test_a_recording_without_goals_says_so_and_counts_as_info_does(
-    on_graph, interrupts, monkeypatch, tmp_path
-):
+def test_a_recording_without_goals_says_so_and_counts_as_info_does(on_graph, monkeypatch, tmp_path):
     async def tell(recording):
         while recording.count < 8:
             await anyio.sleep(0.01)
-        interrupts.end(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        await anyio.sleep_forever()
 
     monkeypatch.setattr(bag_sessions, "tell", tell)
     path = tmp_path / "run"
@@ -260,18 +232,19 @@ def test_a_recording_without_goals_says_so_and_counts_as_info_does(
     assert bag_contents.messages_told(bag.info) == told
 
 
-def test_a_bag_of_topics_is_counted_in_one_number(on_graph, tmp_path, interrupts, monkeypatch):
-    signal_at(monkeypatch, interrupts)
+def test_a_bag_of_topics_is_counted_in_one_number(on_graph, tmp_path, monkeypatch):
+    signal_at(monkeypatch)
     ran = on_graph(talking, "bag", "record", "/said", "-o", str(tmp_path / "run"))
     assert " of topics" not in ran.err
 
 
-def test_a_recording_names_what_was_lost(on_graph, interrupts, monkeypatch, tmp_path):
+def test_a_recording_names_what_was_lost(on_graph, monkeypatch, tmp_path):
     lost = {f"/{number}": number for number in range(1, 9)}
     monkeypatch.setattr(recording.Recording, "lost_by_topic", lost)
 
     async def tell(_):
-        interrupts.end(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
+        await anyio.sleep_forever()
 
     monkeypatch.setattr(bag_sessions, "tell", tell)
     ran = on_graph(talking, "bag", "record", "-a", "-o", str(tmp_path / "run"))
@@ -279,25 +252,26 @@ def test_a_recording_names_what_was_lost(on_graph, interrupts, monkeypatch, tmp_
     assert ran.err.endswith("lost in all: 36 messages of 8 topics\n")
 
 
-def signal_at(monkeypatch, interrupts, before_closing=None):
+def signal_at(monkeypatch, before_closing=None):
     """Send SIGINT as soon as a recording has begun; then call something before the bag closes."""
 
     async def tell(recording):
-        interrupts.end(signal.SIGINT)
-        if before_closing is not None:
-            before_closing(recording)
+        signal.raise_signal(signal.SIGINT)
+        try:
+            await anyio.sleep_forever()
+        finally:
+            if before_closing is not None:
+                before_closing(recording)
 
     monkeypatch.setattr(bag_sessions, "tell", tell)
 
 
-def test_a_disk_that_is_full_when_a_signal_comes_is_named(
-    on_graph, interrupts, monkeypatch, tmp_path
-):
+def test_a_disk_that_is_full_when_a_signal_comes_is_named(on_graph, monkeypatch, tmp_path):
     def flush(_):
         raise OSError(28, "No space left on device")
 
     async def tell(recording):
-        interrupts.end(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
         with anyio.CancelScope(shield=True):
             while recording.count == 0:
                 await anyio.sleep(0.01)
@@ -309,67 +283,14 @@ def test_a_disk_that_is_full_when_a_signal_comes_is_named(
     assert "it cannot be written any more: No space left on device" in ran.err
 
 
-def test_a_deleted_folder_is_named_at_the_end(on_graph, interrupts, monkeypatch, tmp_path):
+def test_a_deleted_folder_is_named_at_the_end(on_graph, monkeypatch, tmp_path):
     path = tmp_path / "run"
-    signal_at(monkeypatch, interrupts, lambda _: shutil.rmtree(path))
+    signal_at(monkeypatch, lambda _: shutil.rmtree(path))
     ran = on_graph(talking, "bag", "record", "-a", "-o", str(path))
     assert ran.status == 1
     problem = "it was deleted, moved or renamed while it was written"
     assert ran.err.splitlines()[-1] == f"turtleact: bag '{path}': {problem}"
     assert "recorded in" not in ran.err
-
-
-def test_while_a_bag_takes_long_to_close_its_progress_is_told(
-    on_graph, interrupts, monkeypatch, tmp_path
-):
-    waiting, told, closes = count(100, -10), Event(), Spool.close
-    extended = []
-
-    def note(text):
-        notes.append(text)
-        if "still to write" in text:
-            told.set()
-
-    def close(self):
-        assert told.wait(5)
-        closes(self)
-
-    notes: list[str] = []
-    signal_at(monkeypatch, interrupts)
-    monkeypatch.setattr(bag_sessions, "note", note)
-    monkeypatch.setattr(bag_sessions, "LOOK", 0.001)
-    monkeypatch.setattr(Spool, "close", close)
-    monkeypatch.setattr(recording.Recording, "waiting", property(lambda _: next(waiting)))
-    monkeypatch.setattr(type(interrupts), "extend", lambda _: extended.append(1))
-    ran = on_graph(talking, "bag", "record", "-a", "-o", str(tmp_path / "run"))
-    assert ran.status == 0
-    path = tmp_path / "run"
-    assert f"closing {path}: 60 messages still to write; Ctrl-C gives them up" in notes
-    assert len(extended) >= 5
-
-
-@pytest.mark.parametrize(
-    ("more", "cause"),
-    [([], "nothing was written for 10 s"), ([signal.SIGINT], "a second signal came")],
-)
-def test_a_bag_that_is_given_up_is_named(on_graph, interrupts, monkeypatch, tmp_path, more, cause):
-    said = []
-
-    def before_closing(_):
-        interrupts.received += more
-        said.append(interrupts.last_words())
-
-    signal_at(monkeypatch, interrupts, before_closing)
-    monkeypatch.setattr(recording.Recording, "waiting", 7)
-    monkeypatch.setattr(recording.Recording, "lost", 2)
-    path = tmp_path / "run"
-    on_graph(talking, "bag", "record", "-a", "-o", str(path))
-    assert said == [
-        f"turtleact: {path} was not closed, because {cause}: 9 messages lost; 'turtleact bag info "
-        f"{path}' counts the others and says that the file was not closed\n"
-    ]
-    assert interrupts.last_words() == ""  # the bag is closed
-    assert interrupts.together == 1.0
 
 
 def test_a_name_that_is_not_utf8_is_refused_at_the_start(on_graph):
@@ -604,16 +525,3 @@ def test_options_of_a_file_that_make_no_sense_are_refused(turtleact, bag, tmp_pa
     ran = turtleact("bag", "convert", "-i", str(bag), "-o", str(options))
     assert ran.status == 2
     assert problem in ran.err
-
-
-def test_a_signal_ends_a_conversion(turtleact, bag, tmp_path, interrupts, monkeypatch):
-    real = bag_converting.cut
-
-    def cut(*options):
-        interrupts.received.append(signal.SIGINT)
-        return real(*options)
-
-    monkeypatch.setattr(bag_converting, "cut", cut)
-    ran = turtleact("bag", "convert", "-i", str(bag), "-o", str(tmp_path / "x"))
-    assert ran.status == 130
-    assert Bag(tmp_path / "x").info.count == 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shlex
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -75,13 +74,13 @@ def asked_by(shell, *words):
 
 
 @pytest.fixture
-def offered(monkeypatch, capsys, interrupts):
+def offered(monkeypatch, capsys):
     """What a shell is told for the last word of a line."""
 
     def tab(*words, shell="bash"):
         for name, value in asked_by(shell, *words).items():
             monkeypatch.setenv(name, value)
-        assert verbs.parse(())(interrupts) == 0
+        assert verbs.parse(())() == 0
         out, err = capsys.readouterr()
         assert err == ""
         return out.splitlines()
@@ -185,10 +184,7 @@ def test_the_graph_is_the_one_that_the_line_means(there, completed):
     assert [where[:2] for where in there] == [(("tcp/robot:1",), 5)]
 
 
-def test_ids_of_goals_are_completed_and_told_of(
-    interrupts, graphs, monkeypatch, offered, completed
-):
-    interrupts.install()
+def test_ids_of_goals_are_completed_and_told_of(graphs, monkeypatch, offered, completed):
     monkeypatch.setattr(graph, "open_transport", graphs.open_graph(graphs.goals))
     assert offered("watch", "71a9", shell="fish")[0] == f"{graphs.IDS['later']}\t/hold EXECUTING"
     assert completed("watch", "71a9") == [graphs.IDS["later"], graphs.IDS["hold"]]
@@ -379,20 +375,11 @@ def test_a_graph_that_does_not_answer_is_not_waited_for():
 def test_a_tab_imports_no_more_than_it_needs(words, needs):
     heavy = {"anyio", "asyncio", "numpy", "pydantic", "rich", "typer", "yaml", "zenoh"}
     code = (
-        "from turtleact.commands import interrupts; cli.PATIENCE = 60.0; leave = interrupts.leave;"
-        "interrupts.leave = lambda status: ("
+        "from turtleact.commands import output; cli.PATIENCE = 60.0; leave = output.leave;"
+        "output.leave = lambda status: ("
         f"print(*sorted({heavy} & {{*sys.modules}})), leave(status))"
     )
     assert tab_in_a_process(*words, code=code).stdout.splitlines()[-1].split() == needs
-
-
-def test_ctrl_c_ends_a_completion_silently():
-    code = (
-        "import signal; from turtleact.commands import interrupts; cli.PATIENCE = 60.0;"
-        "interrupts.leave = lambda status: signal.raise_signal(signal.SIGINT)"
-    )
-    ran = tab_in_a_process("nothing-begins-so", code=code)
-    assert (ran.returncode, ran.stderr) == (-signal.SIGINT, "")
 
 
 @pytest.fixture

@@ -15,7 +15,6 @@ import anyio
 import pytest
 
 from turtleact.commands import console as consoles
-from turtleact.commands import interrupts as signals_of_the_program
 from turtleact.commands import terminal
 from turtleact.commands.console import PosixConsole, WindowsConsole, console
 from turtleact.commands.terminal import GIVE_BACK, Region
@@ -60,7 +59,7 @@ def start():
         program.communicate()
 
 
-def test_a_goal_is_read_from_stdin_by_a_thread(start):
+def test_a_goal_is_read_from_stdin(start):
     out, err = start("send-goal", "now", "--stdin", "--plain").communicate("order: 1", PATIENCE)
     assert "Goal finished with status: SUCCEEDED" in out, err
 
@@ -85,25 +84,17 @@ def test_a_signal_wakes_the_loop_and_cancels_the_goal(start):
     assert "Goal finished with status: CANCELED" in out
 
 
-def test_a_thread_ends_a_program_that_is_stuck_in_its_output(start):
+def test_a_second_signal_ends_a_program_that_is_stuck_in_its_output(start):
     reading, writing = os.pipe()
     program = start("send-goal", "flood", "--feedback", "--plain", stdout=writing)
     while select.select([], [writing], [], 0)[1]:
         assert program.poll() is None
         time.sleep(0.01)
-    program.send_signal(signal.SIGTERM)
+    program.send_signal(signal.SIGINT)
     program.send_signal(signal.SIGTERM)
     assert program.wait(PATIENCE) == 143
     os.close(reading)
     os.close(writing)
-
-
-def test_an_error_of_a_file_reaches_who_reads_it_by_a_thread(interrupts, monkeypatch, tmp_path):
-    monkeypatch.setattr(signals_of_the_program, "WAITS_FOR_FILES", False)
-    folder = os.open(tmp_path, os.O_RDONLY)
-    with pytest.raises(IsADirectoryError):
-        interrupts.read(folder, 10)
-    os.close(folder)
 
 
 # --- a console of Windows ---------------------------------------------------------------------

@@ -16,16 +16,14 @@ import anyio
 import pytest
 
 from turtleact import Node, open_node
-from turtleact.commands import event_echo, graph, held_goals, listing, topic_reading, user_messages
-from turtleact.commands import interrupts as interrupts_module
+from turtleact.commands import graph, held_goals, listing, topic_reading, user_messages
 from turtleact.commands.message_text import GoalText, Style
 from turtleact.commands.settings import Policies
 from turtleact.commands.transcript import PlainTranscript
-from turtleact.errors import TurtleactError
 from turtleact.graph import names_like
 from turtleact.interfaces.standard import ExampleFibonacci, Fibonacci
 from turtleact.transports import MemoryTransport
-from turtleact.transports.rmw_zenoh import config, transport
+from turtleact.transports.rmw_zenoh import config
 
 GRAPHS = Path(__file__).with_name("graphs.py")
 
@@ -56,44 +54,15 @@ def test_names_are_listed_in_their_order_and_once():
     assert names_like("/zzz", known) == " (there are: /chatter, /turtlesim)"
 
 
-def test_a_signal_ends_the_opening_of_a_graph(turtleact, interrupts, monkeypatch):
+def test_a_signal_ends_the_opening_of_a_graph(turtleact, monkeypatch):
     @asynccontextmanager
     async def open_transport(reach, mode=None):
         signal.raise_signal(signal.SIGTERM)
         await anyio.sleep_forever()
         yield
 
-    interrupts.install()
     monkeypatch.setattr(graph, "open_transport", open_transport)
     assert turtleact("topic", "list") == (143, "", "")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "err"),
-    [
-        (["goals"], 143, ""),
-        (["topic", "echo", "/chatter"], 143, ""),
-        (
-            ["send-goal", "fibonacci", "{}"],
-            143,
-            "turtleact: interrupted before the goal was accepted; it does not run\n",
-        ),
-        (["serve", "--no-sim", "turtleact.actions.fibonacci"], 0, ""),
-    ],
-)
-def test_a_signal_counts_for_more_than_a_graph_out_of_reach(
-    turtleact, interrupts, monkeypatch, arguments, status, err
-):
-    class Refused:
-        @staticmethod
-        def open(_):
-            signal.raise_signal(signal.SIGTERM)
-            raise TurtleactError("no ROS 2 graph in reach")
-
-    interrupts.install()
-    monkeypatch.setattr(transport, "Session", Refused)
-    ran = turtleact(*arguments, "--connect", "tcp/127.0.0.1:1")
-    assert (ran.status, ran.err) == (status, err)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +72,9 @@ def test_a_signal_counts_for_more_than_a_graph_out_of_reach(
         (["send-goal", "fibonacci", "{}"], signal.SIGINT, 130),
     ],
 )
-def test_a_router_that_hangs_is_not_waited_for_behind_a_signal(start, arguments, number, status):
+def test_a_router_that_hangs_is_not_waited_for_behind_a_second_signal(
+    start, arguments, number, status
+):
     with socket.create_server(("127.0.0.1", 0)) as router:
         where = f"tcp/127.0.0.1:{router.getsockname()[1]}"
         program = start(*arguments, "--connect", where, module=True)
@@ -111,7 +82,7 @@ def test_a_router_that_hangs_is_not_waited_for_behind_a_signal(start, arguments,
         with connection:
             program.send(number)
             ran = program.end()
-    assert (ran.status, ran.err) == (status, "")
+    assert (ran.status, "Traceback" in ran.err) == (status, False)
 
 
 VERBS = [
@@ -193,33 +164,6 @@ def test_ctrl_c_ends_a_program_that_echoes(start):
 
 class Left(BaseException):
     """In place of the end of the process."""
-
-
-@pytest.mark.parametrize(
-    ("verb", "module"),
-    [
-        (["topic", "echo", "/turtle1/pose"], topic_reading),
-        (["action", "echo", "/hold"], event_echo),
-    ],
-)
-def test_one_signal_ends_a_verb_that_is_stuck_in_its_output(
-    on_graph, graphs, monkeypatch, verb, module
-):
-    def leave(status):
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        raise Left(status)
-
-    def stick(_):
-        signal.raise_signal(signal.SIGTERM)
-        while True:  # as a write to a full pipe, which goes on after a signal
-            pass
-
-    monkeypatch.setattr(os, "_exit", leave)
-    monkeypatch.setattr(interrupts_module, "GRACE", 0.02)
-    monkeypatch.setattr(graph, "PATIENCE", 0.02)
-    monkeypatch.setattr(module, "say_message", stick)
-    with pytest.raises(Left, match="143"):
-        on_graph(graphs.in_turn(graphs.turtlesim, graphs.goals), *verb)
 
 
 def test_a_program_that_echoes_may_lose_its_reader():

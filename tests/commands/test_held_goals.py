@@ -16,7 +16,7 @@ import pytest
 from turtleact import QoS, open_node
 from turtleact.actions.patrol import Patrol
 from turtleact.clock import EPOCH, VirtualClock
-from turtleact.commands import event_echo, live, send_goal, topic_reading
+from turtleact.commands import event_echo, live, topic_reading
 from turtleact.commands import held_goals as verbs
 from turtleact.commands.held_goals import HeldGoal, held_goals, served_actions
 from turtleact.commands.message_text import Style
@@ -533,7 +533,7 @@ def terminal(monkeypatch):
         assert (view, wants_feedback, wants_feedback_live) == ("auto", True, False)
         return live.LiveTranscript(written, wants_feedback=False)
 
-    monkeypatch.setattr(send_goal, "choose_transcript", choose)
+    monkeypatch.setattr(verbs, "choose_transcript", choose)
     return written
 
 

@@ -199,18 +199,18 @@ def test_an_empty_pipe_is_a_usage_error(turtleact, stdin_of):
     )
 
 
-def test_a_closed_stdin_is_no_pipe(interrupts, monkeypatch):
+def test_a_closed_stdin_is_no_pipe(monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(UsageError, match="stdin is not a pipe"):
-        interfaces.read_type("-", interrupts)
+        interfaces.read_type("-")
 
 
-def test_a_type_is_taken_before_the_pipe_ends(interrupts, monkeypatch):
+def test_a_type_is_taken_before_the_pipe_ends(monkeypatch):
     file, other = os.pipe()
     os.write(other, b"std_msgs/msg/String\nmore")
     with os.fdopen(file) as stdin, os.fdopen(other, "wb"):
         monkeypatch.setattr(sys, "stdin", stdin)
-        assert interfaces.read_type("-", interrupts) == "std_msgs/msg/String"
+        assert interfaces.read_type("-") == "std_msgs/msg/String"
 
 
 # --- proto ----------------------------------------------------------------------------------

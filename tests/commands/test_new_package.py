@@ -55,9 +55,7 @@ def test_its_tests_pass_with_plain_pytest(turtleact, here, folder):
 
 
 @pytest.mark.parametrize("options", [[], ["--node-name", "count"]])
-def test_its_program_is_found_and_serves_its_action(
-    turtleact, here, interrupts, monkeypatch, options
-):
+def test_its_program_is_found_and_serves_its_action(turtleact, here, monkeypatch, options):
     turtleact("pkg", "create", "lab", *options)
     served = []
 
@@ -71,7 +69,7 @@ def test_its_program_is_found_and_serves_its_action(
     monkeypatch.setattr(sys, "meta_path", [*sys.meta_path])
     [(name, program)] = find_sources(here)["lab"].programs.items()
     try:
-        assert run_program(program, ["--plain"], interrupts) == 5
+        assert run_program(program, ["--plain"]) == 5
     finally:
         for module in [each for each in sys.modules if each.partition(".")[0] == "lab"]:
             del sys.modules[module]

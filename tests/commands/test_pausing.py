@@ -12,7 +12,7 @@ import anyio
 import pytest
 
 from turtleact import open_node
-from turtleact.commands import live, send_goal
+from turtleact.commands import held_goals, live, send_goal
 from turtleact.goal_wire import SetPaused
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.tasks import Background
@@ -200,7 +200,8 @@ def test_the_key_p_pauses_and_resumes_a_goal(on_graph, monkeypatch, verb):
 
     with os.fdopen(other, "r") as stdin:
         monkeypatch.setattr(sys, "stdin", stdin)
-        monkeypatch.setattr(send_goal, "choose_transcript", choose)
+        for module in (send_goal, held_goals):
+            monkeypatch.setattr(module, "choose_transcript", choose)
         assert on_graph(nodes, *verb).status == 0
     os.close(main)
     assert walk.log == ["pause", "resume"]

@@ -28,16 +28,15 @@ def python(monkeypatch):
 
 
 @pytest.fixture
-def run(python, interrupts, tmp_path):
+def run(python, tmp_path):
     """Writes a program and runs it, as the file it is or by a function in it."""
-    interrupts.install()
 
     def run_(text, function=None, *arguments):
         file = tmp_path / "go.py"
         file.write_text(text)
         by_function = Program("go", module="go", function=function or "", folders=(tmp_path,))
         program = by_function if function else Program(str(file), file=file)
-        return run_program(program, arguments, interrupts)
+        return run_program(program, arguments)
 
     return run_
 
@@ -116,32 +115,19 @@ def test_the_program_gets_pythons_own_signal_handlers(run):
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
-def test_a_signal_before_the_program_ends_it_before_it_begins(run, interrupts, capsys):
-    signal.raise_signal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt):
-        run("print('hello')")
-    assert capsys.readouterr().out == ""
-
-
-def test_signals_still_end_threads_that_outlive_the_program(run, interrupts):
-    assert run("") == 0
-    interrupts.ignore()
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_machine_code_takes_over_the_process(interrupts, monkeypatch, tmp_path):
+def test_machine_code_takes_over_the_process(monkeypatch, tmp_path):
     started = []
     monkeypatch.setattr(os, "execv", lambda file, command: started.append((file, command)))
     monkeypatch.setattr(subprocess, "call", lambda command: len(command))
     file = tmp_path / "node"
     file.write_bytes(b"\x7fELF")
-    assert run_program(Program("node", file=file), ["-x"], interrupts) == 2
+    assert run_program(Program("node", file=file), ["-x"]) == 2
     assert started == [(str(file), [str(file), "-x"])]
 
 
-def test_machine_code_that_cannot_be_run_is_an_error(interrupts, tmp_path):
+def test_machine_code_that_cannot_be_run_is_an_error(tmp_path):
     with pytest.raises(TurtleactError, match=r"node cannot be run: No such file"):
-        run_program(Program("node", file=tmp_path / "node"), (), interrupts)
+        run_program(Program("node", file=tmp_path / "node"), ())
 
 
 @pytest.mark.parametrize(

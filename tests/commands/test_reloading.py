@@ -13,7 +13,6 @@ import anyio.lowlevel
 import pytest
 
 from turtleact import GoalStatus, Node, open_node
-from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.reloading import Reloader, Watch
 from turtleact.commands.targets import Modules
 from turtleact.errors import InvalidParameter
@@ -89,7 +88,7 @@ async def desk(tmp_path, monkeypatch):
     watch.follow()
     said: list[str] = []
     async with open_node("turtleact", transport=transport) as node:
-        reloader = Reloader(node, modules, watch, Interrupts(), said.append)
+        reloader = Reloader(node, modules, watch, said.append)
         reloader.adopt(found, [node.serve(each) for each in found.actions])
         yield Desk(tmp_path, node, reloader, said, transport)
 

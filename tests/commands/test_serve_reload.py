@@ -100,16 +100,6 @@ def test_a_file_is_served_and_served_anew_and_its_goals_end(tmp_path):
         assert server.returncode == 0
 
 
-def test_a_signal_ends_a_server_that_is_stuck_in_an_import(tmp_path):
-    with reloading(tmp_path, LAB) as (server, _):
-        lines_until(server, "ready at")
-        save(tmp_path, STUCK)
-        lines_until(server, "importing")
-        server.send_signal(signal.SIGTERM)
-        server.communicate(timeout=20)
-        assert server.returncode == 0
-
-
 def test_reload_needs_a_target(turtleact):
     ran = turtleact("serve", "--reload")
     assert ran.status == 2

@@ -273,11 +273,9 @@ def test_a_refusal_says_where_there_is_help(turtleact, arguments):
         ("löb --no-sim", "turtleact"),
     ],
 )
-def test_the_node_of_a_server_without_a_world_has_the_name_of_the_module(
-    monkeypatch, interrupts, line, name
-):
-    monkeypatch.setattr(serve, "run", lambda service, _: service.node_name)
-    assert verbs.parse(["serve", *line.split()])(interrupts) == name
+def test_the_node_of_a_server_without_a_world_has_the_name_of_the_module(monkeypatch, line, name):
+    monkeypatch.setattr(serve, "run", lambda service: service.node_name)
+    assert verbs.parse(["serve", *line.split()])() == name
 
 
 @pytest.mark.parametrize(
@@ -295,18 +293,18 @@ def test_an_endpoint_of_any_kind_is_taken(endpoint):
 
 
 @pytest.fixture
-def order(monkeypatch, interrupts):
+def order(monkeypatch):
     """The order that a command line makes."""
 
     def of(*arguments):
         orders = []
 
-        def run(order, _):
+        def run(order):
             orders.append(order)
             return 9
 
         monkeypatch.setattr(send_goal, "run", run)
-        assert verbs.parse(["send-goal", *arguments])(interrupts) == 9
+        assert verbs.parse(["send-goal", *arguments])() == 9
         return orders[0]
 
     return of
@@ -362,10 +360,10 @@ def test_an_embedded_world_is_asked_for(order, option):
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7447", "tcp/127.0.0.1:1,tls/[::]:2"])
-def test_nobody_is_let_in_from_beyond_unasked(endpoint, interrupts):
+def test_nobody_is_let_in_from_beyond_unasked(endpoint):
     job = verbs.parse(["serve", "--listen", endpoint])
     with pytest.raises(UsageError, match="lets in everybody who can reach this machine"):
-        job(interrupts)
+        job()
 
 
 def test_where_to_look_reaches_the_order(order):
@@ -431,7 +429,6 @@ def test_only_the_verb_that_is_asked_for_is_imported(imports_of_verbs, verb):
     assert imports_of_verbs[verb] == {
         "turtleact.commands",
         "turtleact.commands.completion",
-        "turtleact.commands.interrupts",
         "turtleact.commands.settings",
         "turtleact.commands.output",
         "turtleact.commands.verbs",
@@ -591,7 +588,7 @@ def test_there_is_no_daemon_and_no_harm_in_that(turtleact, what):
 def test_programs_of_ros2_are_services_here(turtleact, monkeypatch, program, targets, has_world):
     ran = []
 
-    def run(service, _):
+    def run(service):
         ran.append(service)
         return 0
 

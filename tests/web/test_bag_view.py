@@ -20,7 +20,6 @@ from turtleact import cli, recording
 from turtleact.actions.patrol import Patrol
 from turtleact.app import open_world
 from turtleact.commands import bag_sessions
-from turtleact.commands.interrupts import Interrupts
 from turtleact.interfaces import encode
 from turtleact.interfaces.standard import Point, TurtlePose, Twist
 from turtleact.recording.bag_writer import BagWriter, Split
@@ -257,15 +256,15 @@ async def test_the_page_says_why_a_bag_cannot_be_opened(patrol, tmp_path):
 def test_the_command_prints_the_address_and_ends_at_a_signal(tmp_path, capsys, monkeypatch):
     path = tmp_path / "run.mcap"
     BagWriter(path, Split()).close({})
-    interrupts, opened = Interrupts(), list[str]()
-    monkeypatch.setattr("webbrowser.open", opened.append)
+    opened = list[str]()
     monkeypatch.setattr(bag_sessions, "has_display", lambda: True)
 
-    async def wait(_: int) -> None:
-        interrupts.received.append(signal.SIGINT)
+    def open_tab(address: str) -> None:
+        opened.append(address)
+        signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(interrupts, "wait", wait)
-    assert cli.run(["bag", "view", str(path)], interrupts) == 0
+    monkeypatch.setattr("webbrowser.open", open_tab)
+    assert cli.run(["bag", "view", str(path)]) == 0
     address = capsys.readouterr().out.strip()
     assert address.startswith("http://127.0.0.1:")
     assert opened == [address]

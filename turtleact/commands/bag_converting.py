@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import Any, Final, cast
 
 from turtleact.commands.output import counted, note
 from turtleact.errors import UsageError
@@ -16,9 +16,6 @@ from turtleact.recording import Bag, Selection
 from turtleact.recording.bag_writer import Split
 from turtleact.recording.converting import Output, convert
 from turtleact.recording.metadata import read_yaml
-
-if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
 
 __all__ = ["cut", "outputs_in", "run"]
 
@@ -77,16 +74,16 @@ def outputs_in(path: Path) -> list[Output]:
         raise UsageError(f"'{path}' cannot be understood: {error}") from None
 
 
-def run(inputs: Sequence[Path], outputs: Sequence[Output], interrupts: Interrupts) -> int:
-    """Convert bags, and return the exit status.
+def run(inputs: Sequence[Path], outputs: Sequence[Output]) -> int:
+    """Convert bags, and return the exit status. Ctrl-C removes the bags that are not complete.
 
     Raises:
         BagError: if a bag cannot be read or written.
     """
-    counts = convert(inputs, outputs, lambda: not interrupts.received)
+    counts = convert(inputs, outputs)
     for output, count in zip(outputs, counts, strict=True):
         note(f"{counted(count, 'message')} written to {output.path}")
-    return interrupts.status if interrupts.received else 0
+    return 0
 
 
 def _output(path: Path, said: Mapping[str, Any]) -> Output:

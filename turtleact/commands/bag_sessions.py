@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import anyio
 
-from turtleact.commands import graph, runner
+from turtleact.commands import graph
 from turtleact.commands.bag_contents import messages_told, missing_goals
+from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import counted, duration, note, printable, say
 from turtleact.recording import Bag, Played, Recording, Selection, play, record
 from turtleact.recording.metadata import BagError, read_qos_overrides
@@ -21,7 +22,6 @@ from turtleact.recording.spool import CAPACITY
 from turtleact.tasks import Background
 
 if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.settings import Reach
     from turtleact.node import Node
     from turtleact.recording.mcap_writing import Compression
@@ -32,21 +32,8 @@ __all__ = ["PlayOrder", "RecordOrder", "has_display", "play_bag", "record_graph"
 MOST_NAMED = 5
 """A note about lost messages names at most this many topics."""
 
-PATIENCE = 10.0
-"""How long a command may continue without progress after a signal (s).
-
-`record_graph` gives up if no message was written for this long. `play_bag` may take this long to
-cancel its goals.
-"""
-
-LOOK = 0.5
-"""How often `record_graph` checks, after a signal, whether messages were written (s)."""
-
-TELL = 4
-"""After a signal, this many checks separate two notes on the number of unwritten messages."""
-
-TOGETHER = 1.0
-"""Signals of different kinds within this time count as one (s)."""
+TELL = 2.0
+"""After a signal, this much time separates two notes on the number of unwritten messages (s)."""
 
 FAILED = 1
 """The exit status if nothing could be played, or a topic could not be recorded."""
@@ -74,7 +61,7 @@ class RecordOrder(NamedTuple):
     overrides: Path | None = None
 
 
-def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> int:
+def record_graph(reach: Reach, order: RecordOrder) -> int:
     """Record until a signal comes, and return the exit status.
 
     The exit status is 0 if a signal ends the recording, as for ``ros2 bag record``. The exit status
@@ -84,7 +71,7 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
         BagError: if the bag cannot be created, or the disk is full.
         TurtleactError: if no graph can be reached.
     """
-    interrupts.patience, interrupts.together = PATIENCE, TOGETHER
+    interrupts = Interrupts()
     recorded: list[Recording] = []
     qos = {} if order.overrides is None else read_qos_overrides(order.overrides)
 
@@ -101,7 +88,7 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
                 qos=qos,
             ) as recording:
                 recorded.append(recording)
-                interrupts.last_words = partial(_last_words, recording, interrupts)
+                interrupts.last_words = partial(_last_words, recording)
                 watch = Background(_watch_closing(recording, interrupts), "closing the bag")
                 note(f"recording to {order.path}; Ctrl-C ends it")
                 await tell(recording)
@@ -121,31 +108,20 @@ def record_graph(reach: Reach, order: RecordOrder, interrupts: Interrupts) -> in
 
 
 async def _watch_closing(recording: Recording, interrupts: Interrupts) -> None:
-    """After a signal, extend the command's deadline whenever messages have been written.
-
-    At intervals, print a note about the number of unwritten messages.
-    """
-    await interrupts.wait(1)
-    before, looks = -1, 0
+    """After a signal, print a note about the number of unwritten messages at intervals."""
+    await interrupts.wait()
     while True:
-        left = recording.waiting
-        if left != before:
-            interrupts.extend()
-        if looks and looks % TELL == 0:
-            waiting = counted(left, "message")
-            note(f"closing {recording.path}: {waiting} still to write; Ctrl-C gives them up")
-        before, looks = left, looks + 1
-        await anyio.sleep(LOOK)
+        await anyio.sleep(TELL)
+        waiting = counted(recording.waiting, "message")
+        note(f"closing {recording.path}: {waiting} still to write; Ctrl-C gives them up")
 
 
-def _last_words(recording: Recording, interrupts: Interrupts) -> str:
-    """Return the text to print if the process ends before the bag is closed."""
-    is_forced = len(interrupts.received) > 1
-    cause = "a second signal came" if is_forced else f"nothing was written for {PATIENCE:.0f} s"
+def _last_words(recording: Recording) -> str:
+    """Return the text to print if a second signal ends the process before the bag is closed."""
     lost = counted(recording.waiting + recording.lost, "message")
     path = printable(str(recording.path))
     return (
-        f"turtleact: {path} was not closed, because {cause}: {lost} lost; "
+        f"turtleact: {path} was not closed, because a second signal came: {lost} lost; "
         f"'turtleact bag info {path}' counts the others and says that the file was not closed\n"
     )
 
@@ -179,17 +155,15 @@ class PlayOrder(NamedTuple):
     overrides: Path | None = None
 
 
-def play_bag(reach: Reach, order: PlayOrder, interrupts: Interrupts) -> int:
+def play_bag(reach: Reach, order: PlayOrder) -> int:
     """Play a bag, and return the exit status.
 
     Raises:
         BagError: if there is no bag, or a part of the bag is damaged.
         TurtleactError: if no graph can be reached.
     """
-    interrupts.patience = PATIENCE
-    with interrupts.ending_at_once():  # a bag that was not closed takes long to open
-        bag = Bag(order.path)
-        bag.close()
+    bag = Bag(order.path)
+    bag.close()
     qos = {} if order.overrides is None else read_qos_overrides(order.overrides)
 
     async def play_on(node: Node) -> int:
@@ -199,10 +173,10 @@ def play_bag(reach: Reach, order: PlayOrder, interrupts: Interrupts) -> int:
         options: PlayOptions = {**order.options, "qos": qos}
         return _sum_up_playing(await play(node, order.path, **options))
 
-    return graph.run(reach, play_on, interrupts)
+    return graph.run(reach, play_on)
 
 
-def view_bag(path: Path, port: int, interrupts: Interrupts, *, is_opened: bool) -> int:
+def view_bag(path: Path, port: int, *, is_opened: bool) -> int:
     """Serve a web page that shows a bag, until a signal comes. Return the exit status.
 
     Raises:
@@ -211,19 +185,20 @@ def view_bag(path: Path, port: int, interrupts: Interrupts, *, is_opened: bool) 
     """
     import webbrowser
 
+    interrupts = Interrupts()
     from turtleact.web.bag_view import open_bag_view  # only this verb needs a web server
 
     async def show() -> int:
-        with interrupts.listening(asyncio.get_running_loop()):
-            async with open_bag_view(path, port=port) as shown:
-                say(f"{shown.url}\n")
-                note("Ctrl-C ends it")
-                if is_opened and has_display():
-                    await asyncio.to_thread(webbrowser.open, shown.url)
-                await interrupts.wait(1)
+        async with open_bag_view(path, port=port) as shown:
+            say(f"{shown.url}\n")
+            note("Ctrl-C ends it")
+            interrupts.cancels = False
+            if is_opened and has_display():
+                await asyncio.to_thread(webbrowser.open, shown.url)
+            await interrupts.wait()
         return 0
 
-    return runner.run(show(), interrupts)
+    return interrupts.run(show())
 
 
 def has_display() -> bool:

@@ -129,7 +129,6 @@ def nodes(ctx: typer.Context, incomplete: str) -> Candidates:
 def parameters(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # Typer filters
     """Offer the parameters of the node given earlier on the command line."""
     from turtleact.commands import graph
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.node_parameters import names_of
 
     found: list[str] = []
@@ -138,7 +137,7 @@ def parameters(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG0
         found.extend(await names_of(node, ctx.params["node_name"]))
         return 0
 
-    graph.run(_reach(ctx), look, Interrupts())
+    graph.run(_reach(ctx), look)
     return found
 
 
@@ -152,7 +151,6 @@ def goal_ids(ctx: typer.Context, incomplete: str) -> Candidates:
         return _as_begun(_types_by_name(ctx, "action"), incomplete)
     from turtleact.commands import graph
     from turtleact.commands.held_goals import held_goals, served_actions
-    from turtleact.commands.interrupts import Interrupts
 
     found: dict[str, str] = {}
 
@@ -162,7 +160,7 @@ def goal_ids(ctx: typer.Context, incomplete: str) -> Candidates:
             found[goal.goal_id.hex()] = f"{goal.action} {goal.status.name}"
         return 0
 
-    graph.run(_reach(ctx), look, Interrupts())
+    graph.run(_reach(ctx), look)
     return list(found.items())
 
 

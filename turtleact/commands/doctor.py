@@ -7,14 +7,14 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING
 
-from turtleact.commands import graph, runner
+from turtleact.commands import graph
+from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import say_names
 from turtleact.doctor.checks import Fault, find_faults
 from turtleact.doctor.gathering import take_snapshot
 from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.settings import Reach
     from turtleact.doctor.snapshot import Snapshot
     from turtleact.node import Node
@@ -25,12 +25,11 @@ HEALTHY, FAULTY = 0, 1
 """The exit statuses without and with faults."""
 
 
-def run(reach: Reach, interrupts: Interrupts, *, as_json: bool, verbose: bool) -> int:
+def run(reach: Reach, *, as_json: bool, verbose: bool) -> int:
     """Print the faults of a graph, and return the exit status: 1 if there is a fault.
 
     Args:
         reach: The graph to check.
-        interrupts: The signals that end the command.
         as_json: Whether to print a line of JSON for each fault.
         verbose: Whether to also print facts about the graph, such as its number of nodes.
 
@@ -49,7 +48,7 @@ def run(reach: Reach, interrupts: Interrupts, *, as_json: bool, verbose: bool) -
             else await look(found)
         )
 
-    return runner.run(graph.until_interrupted(_open(reach), act, interrupts), interrupts)
+    return Interrupts().run(graph.use(_open(reach), act))
 
 
 @asynccontextmanager

@@ -10,16 +10,12 @@ actions or domains that are in reach.
 
 from __future__ import annotations
 
-import asyncio
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
-from math import inf
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
-import anyio
-
-from turtleact.commands import runner
+from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.locks import mode_of
 from turtleact.commands.output import ELSEWHERE, note
 from turtleact.errors import (
@@ -37,7 +33,6 @@ from turtleact.node import Node, open_node
 if TYPE_CHECKING:
     from contextlib import AbstractAsyncContextManager
 
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.settings import Reach
     from turtleact.interfaces import Action, Message, Service
     from turtleact.transports import Transport
@@ -58,7 +53,7 @@ __all__ = [
     "open_graph",
     "open_transport",
     "run",
-    "until_interrupted",
+    "use",
     "world_started",
 ]
 
@@ -71,9 +66,6 @@ Look: TypeAlias = Callable[[Node], Awaitable[int]]
 
 ROUTER = "tcp/localhost:7447"
 """The endpoint of the router to which commands connect without ``--connect``."""
-
-PATIENCE = 2.0
-"""How long a verb may take to end after a signal (s), by default; see `Interrupts.patience`."""
 
 MOST_SHOWN = 10
 """How many names an error lists if none of them resembles the unknown name."""
@@ -137,12 +129,10 @@ async def enter_if_there(
         return None
 
 
-def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
+def run(reach: Reach, look: Look, interrupts: Interrupts | None = None) -> int:
     """Run a verb on a graph until it ends or a signal cancels it, and return the exit status.
 
-    Most verbs print nothing if the domain has no nodes, so a note is printed first in that case. If
-    the verb does not end after a signal, for example because its output is blocked, the process
-    ends after `PATIENCE`.
+    Most verbs print nothing if the domain has no nodes, so a note is printed first in that case.
 
     Raises:
         TurtleactError: if no graph can be reached. The verb's exceptions are also raised.
@@ -152,43 +142,13 @@ def run(reach: Reach, look: Look, interrupts: Interrupts) -> int:
         await note_empty(node.transport, reach)
         return await look(node)
 
-    if interrupts.patience == inf:
-        interrupts.patience = PATIENCE
-    return runner.run(until_interrupted(open_graph(reach), tell_and_look, interrupts), interrupts)
+    return (interrupts or Interrupts()).run(use(open_graph(reach), tell_and_look))
 
 
-async def until_interrupted(
-    opened: AbstractAsyncContextManager[T],
-    act: Callable[[T], Awaitable[int]],
-    interrupts: Interrupts,
-) -> int:
-    """Enter a context manager, call ``act`` with the result, and return the exit status.
-
-    Args:
-        opened: The context manager to enter, for example one that opens a node.
-        act: Called with the result of entering ``opened``. It returns the exit status.
-        interrupts: A signal cancels whatever runs: entering ``opened``, ``act``, or leaving
-            ``opened``. If entering ``opened`` ignores the cancellation, the process ends.
-
-    Raises:
-        TurtleactError: if entering ``opened`` fails, unless a signal came first. Errors of ``act``
-            are raised, too.
-    """
-    status: int | None = None
-    with interrupts.listening(asyncio.get_running_loop()):
-        # The task group is around the opening and closing, too, so a signal cancels whichever of
-        # them runs. If the act was cancelled, no status is set.
-        async with anyio.create_task_group() as beside:
-            beside.start_soon(interrupts.cancel_at_signal, beside.cancel_scope)
-            async with AsyncExitStack() as stack:
-                with interrupts.beginning():
-                    it = await stack.enter_async_context(opened)
-                # After a signal, `beginning` may have dropped an error, and then `it` was never
-                # set.
-                if not interrupts.received:
-                    status = await act(it)
-            beside.cancel_scope.cancel()
-    return interrupts.status if status is None else status
+async def use(opened: AbstractAsyncContextManager[T], act: Callable[[T], Awaitable[int]]) -> int:
+    """Enter a context manager, and return what ``act`` returns for the result."""
+    async with opened as it:
+        return await act(it)
 
 
 def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:

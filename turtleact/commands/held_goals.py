@@ -25,9 +25,12 @@ import anyio
 from turtleact.client import Outcome
 from turtleact.client.remote_goals import goal_lost
 from turtleact.clock import within
+from turtleact.commands import graph
 from turtleact.commands.graph import interface_class, not_served
+from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import duration, note, say, say_names, say_table
 from turtleact.commands.pause_requests import follow_paused, paused_goals, set_paused
+from turtleact.commands.send_goal import choose_transcript
 from turtleact.commands.transcript import Followed, after_return, watch_command
 from turtleact.errors import (
     PauseRefused,
@@ -51,7 +54,8 @@ from turtleact.names import action_names, resolve_name
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
-    from turtleact.commands.transcript import Transcript
+    from turtleact.commands.settings import Reach
+    from turtleact.commands.transcript import Transcript, View
     from turtleact.node import Node
     from turtleact.topics import Subscription
 
@@ -67,6 +71,7 @@ __all__ = [
     "goals_in",
     "held_goals",
     "print_goals",
+    "run",
     "served_actions",
     "silence",
     "switch",
@@ -324,6 +329,27 @@ async def cancel_many(node: Node, name: str | None, before: int) -> int:
 
 
 # watch, result
+
+
+def run(reach: Reach, wanted: str, view: View | None, options: str) -> int:
+    """Follow a goal to its end and return the exit status; see `follow`.
+
+    Without a view, only the result is printed.
+    """
+    follows = view is not None
+    transcript = choose_transcript(
+        view or "plain", wants_feedback=follows, wants_feedback_live=False
+    )
+    interrupts = Interrupts()
+    interrupts.restore = transcript.close
+
+    async def look(node: Node) -> int:
+        return await follow(node, wanted, transcript, options, hears_feedback=follows)
+
+    try:
+        return graph.run(reach, look, interrupts)
+    finally:
+        transcript.close()
 
 
 async def follow(

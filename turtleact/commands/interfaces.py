@@ -34,7 +34,6 @@ from turtleact.interfaces.parse import Line, parse_member, without_comment
 from turtleact.workspace import find_interfaces
 
 if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.interfaces import Message
 
 __all__ = [
@@ -173,18 +172,17 @@ def show(type_name: str, *, comments: bool, nested_comments: bool) -> None:
     say("".join(f"{line}\n" for line in lines))
 
 
-def read_type(type_name: str, interrupts: Interrupts) -> str:
+def read_type(type_name: str) -> str:
     """Return the type that the user named: ``type_name``, or the first line of stdin if it is "-".
 
     Raises:
         UsageError: if there is nothing to read.
-        KeyboardInterrupt: if a signal comes while stdin is read.
     """
     if type_name != "-":
         return type_name
     if sys.stdin is None or sys.stdin.isatty():
         raise UsageError("'-' reads the type from a pipe, but stdin is not a pipe")
-    data = interrupts.read(sys.stdin.fileno(), LONGEST_LINE, line=True)
+    data = sys.stdin.buffer.readline(LONGEST_LINE)
     line = data.partition(b"\n")[0].decode(errors="replace").strip()
     if not line:
         raise UsageError("stdin: is empty; expected a type such as std_msgs/msg/String")

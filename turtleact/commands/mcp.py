@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import anyio
 import anyio.to_thread
 
-from turtleact.commands import graph, runner
+from turtleact.commands import graph
 from turtleact.commands.graph import no_router, world_started
+from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import note, say
 from turtleact.commands.send_goal import embedded_world
 from turtleact.errors import InvalidOption, TurtleactError, UsageError
@@ -23,15 +24,11 @@ from turtleact.tasks import Background
 from turtleact.transports.base import find_server
 
 if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.settings import Reach
     from turtleact.mcp import McpServer
     from turtleact.mcp.stdio import Wire
 
 __all__ = ["Order", "run"]
-
-PATIENCE = 10.0
-"""After a signal, goals have this long to end (s, wall clock)."""
 
 FIRST_LINE = 0.02
 """How long to wait for the client's first message before opening the graph (s).
@@ -72,7 +69,7 @@ class Order(NamedTuple):
         return not self.read_only and all(each is not None and not each for each in names)
 
 
-def run(order: Order, interrupts: Interrupts) -> int:
+def run(order: Order) -> int:
     """Serve until the client leaves or a signal comes, and return the exit status.
 
     Raises:
@@ -80,7 +77,6 @@ def run(order: Order, interrupts: Interrupts) -> int:
             the existing actions.
         TurtleactError: if the MCP SDK is not installed, or no graph can be reached.
     """
-    interrupts.patience = PATIENCE
     if not order.is_empty:
         _check_sdk()
 
@@ -92,7 +88,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
             note("waiting for an MCP client on stdin; a client starts this command. Ctrl-C ends it")
         return await _serve(order, node, wire)
 
-    return runner.run(graph.until_interrupted(_open(order), serve, interrupts), interrupts)
+    return Interrupts().run(graph.use(_open(order), serve))
 
 
 def _check_sdk() -> None:

@@ -11,7 +11,6 @@ notation of ``repr``; recordings of ROS 2 Jazzy.
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -23,7 +22,6 @@ from turtleact.interfaces.text import block, flow, listed
 from turtleact.interfaces.types import fields, nested_classes
 
 if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.interfaces import Message
     from turtleact.interfaces.definition import Field, FieldType
 
@@ -60,7 +58,6 @@ class GoalText(NamedTuple):
         *,
         stdin: bool,
         path: str | None,
-        interrupts: Interrupts,
         what: str = "goal",
     ) -> GoalText:
         """Read the text from an argument, stdin or a file.
@@ -71,7 +68,6 @@ class GoalText(NamedTuple):
             given: The text from the command line; None if there is none.
             stdin: Whether to read stdin.
             path: The file to read; None for no file.
-            interrupts: The program's signals. A signal ends the reading.
             what: The kind of text: "goal", "request" or "message".
 
         Raises:
@@ -82,7 +78,7 @@ class GoalText(NamedTuple):
             text, source = "{}" if given is None else given, what
         else:
             source = "stdin" if path is None else path if path.isprintable() else ascii(path)
-            text = _decoded(_read(path, source, interrupts, what), source)
+            text = _decoded(_read(path, source, what), source)
         if not text.strip():  # the program that should have written it failed
             raise UsageError(f"{source}: is empty; the default {what} is {{}}")
         return cls(text, source)
@@ -194,9 +190,9 @@ class Style(NamedTuple):
         return described
 
 
-def _read(path: str | None, source: str, interrupts: Interrupts, what: str) -> bytes:
+def _read(path: str | None, source: str, what: str) -> bytes:
     try:
-        data = _read_stdin(interrupts) if path is None else _read_file(path, interrupts)
+        data = _read_stdin() if path is None else _read_file(path)
     except OSError as error:
         raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
     if len(data) > MOST:
@@ -213,28 +209,20 @@ def _decoded(data: bytes, source: str) -> str:
         ) from None
 
 
-def _read_stdin(interrupts: Interrupts) -> bytes:
+def _read_stdin() -> bytes:
     if sys.stdin is None:
         raise UsageError("stdin: is closed")
-    return interrupts.read(sys.stdin.fileno(), MOST + 1)
+    return sys.stdin.buffer.read(MOST + 1)
 
 
-READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-"""The flags with which a file is opened, on POSIX and on Windows."""
-
-
-def _read_file(path: str, interrupts: Interrupts) -> bytes:
+def _read_file(path: str) -> bytes:
     if not path:
         raise UsageError("--goal-file: the path is empty")
     try:
-        # Otherwise opening a named pipe would wait for a writer.
-        file = os.open(path, READING)
-    except ValueError:  # a null byte in the path
+        with Path(path).open("rb") as file:
+            return file.read(MOST + 1)
+    except ValueError:
         raise UsageError("--goal-file: a path cannot contain a null character") from None
-    try:
-        return interrupts.read(file, MOST + 1)
-    finally:
-        os.close(file)
 
 
 def _value(field: Field, value: object) -> str:

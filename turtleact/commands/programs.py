@@ -19,11 +19,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
-from turtleact.commands.output import note
+from turtleact.commands.output import leave, note
 from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.rclpy.program import Options
 
 __all__ = ["Program", "run_program"]
@@ -81,7 +80,6 @@ class Program(NamedTuple):
 def run_program(
     program: Program,
     arguments: Sequence[str],
-    interrupts: Interrupts,
     options: Options | None = None,
 ) -> int:
     """Run a program to its end in this process, and return its exit status.
@@ -97,8 +95,6 @@ def run_program(
     Args:
         program: What to run.
         arguments: The words that the user typed after the program's name.
-        interrupts: Handles signals until the program starts. The program then has Python's own
-            signal handlers.
         options: Which rclpy the program imports, and which graph it joins. None for the defaults.
 
     Returns:
@@ -114,9 +110,15 @@ def run_program(
 
     here = program.folders if program.file is None else (program.file.parent,)
     prepare(Options() if options is None else options, *here)
-    interrupts.release()
     sys.argv = [program.name, *arguments]
     sys.path[:0] = [str(each) for each in program.folders]
+    status = _run(program)
+    if end_threads():
+        leave(status)
+    return status
+
+
+def _run(program: Program) -> int:
     try:
         if program.file is not None:
             sys.path.insert(0, str(program.file.absolute().parent))
@@ -135,9 +137,6 @@ def run_program(
         raise TurtleactError(f"{place}: {error}") from error
     except BaseException as error:
         return _told(error)
-    finally:
-        if end_threads():
-            interrupts.must_leave = True
 
 
 def is_python(file: Path) -> bool:

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterable
 
     from turtleact.body import BackgroundDeclaration
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.targets import Found, Modules
     from turtleact.goal_journal import OnRestart
     from turtleact.journal import Journal
@@ -106,7 +105,6 @@ class Reloader:
         node: The node that serves the actions.
         modules: The user's modules.
         watch: Watches the files of these modules.
-        interrupts: Receives the signals. A signal during an import ends the program.
         say: A function that prints a line for the user.
 
     Attributes:
@@ -119,13 +117,11 @@ class Reloader:
         node: Node,
         modules: Modules,
         watch: Watch,
-        interrupts: Interrupts,
         say: Callable[[str], object],
     ) -> None:
         self.node = node
         self._modules = modules
         self.watch = watch
-        self._interrupts = interrupts
         self._say = say
         self._found: Found | None = None
         self._servers: list[ActionServer[Any, Any, Any]] = []
@@ -222,14 +218,12 @@ class Reloader:
                 REGISTRY.forget(name)  # it is read again when it is needed
         found = None
         try:
-            # The import blocks the event loop. After a signal, it has a moment to end.
-            with self._interrupts.beginning(0):
-                found = self._modules.find_again()
+            found = self._modules.find_again()
         except TurtleactError as error:
             logger.error("%s; %s", error, UNCHANGED)
         except BaseException as error:  # a module may raise anything, such as SystemExit
             logger.error("%s; %s", summary(error), UNCHANGED)
-        if found is None or self._interrupts.received:
+        if found is None:
             REGISTRY.restore(known)  # the old actions have the old interfaces
             return None
         self._stale.clear()

@@ -8,7 +8,6 @@ Source: ros2cli ``ros2action/verb/send_goal.py`` for the order of the output.
 
 from __future__ import annotations
 
-import asyncio
 import sys
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 
 import anyio
 
-from turtleact.commands import graph, runner
+from turtleact.commands import graph
 from turtleact.commands.graph import (
     no_router,
     none_in_domain,
@@ -24,8 +23,8 @@ from turtleact.commands.graph import (
     not_served,
     world_started,
 )
-from turtleact.commands.interrupts import leave
-from turtleact.commands.output import say
+from turtleact.commands.interrupts import Interrupts
+from turtleact.commands.output import leave, say
 from turtleact.commands.transcript import (
     WAITING,
     JsonTranscript,
@@ -48,7 +47,6 @@ if TYPE_CHECKING:
 
     from turtleact.body import ActionType
     from turtleact.client import Outcome
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.message_text import GoalText
     from turtleact.commands.settings import Place, Reach
     from turtleact.interfaces import Message
@@ -110,7 +108,7 @@ class Order(NamedTuple):
     reattach: float = 0.0
 
 
-def run(order: Order, interrupts: Interrupts) -> int:
+def run(order: Order) -> int:
     """Send the goal, follow it to its end, and return the exit status.
 
     Raises:
@@ -127,10 +125,10 @@ def run(order: Order, interrupts: Interrupts) -> int:
     if order.view != "json":
         say(WAITING)
     transcript = choose_transcript(order.view, wants_feedback=order.feedback)
+    interrupts = Interrupts()
     interrupts.restore = transcript.close
     try:
-        sending = Sending(order, name, goal, transcript, interrupts)
-        return runner.run(sending.run(), interrupts)
+        return Sending(order, name, goal, transcript, interrupts).run()
     finally:
         transcript.close()
 
@@ -191,23 +189,18 @@ class Sending:
         self._is_embedded = False
         self._is_silent = False
 
-    async def run(self) -> int:
+    def run(self) -> int:
         """Open the graph or an embedded world, send the goal, and return the exit status."""
-        order = self._order
-        # The loop may be stuck in a body or in its output, and would never come to the signal.
-        self._interrupts.patience = 2 * CANCEL_TIMEOUT
-        with self._interrupts.listening(asyncio.get_running_loop()):
-            # Everything is opened inside `listening`, so that a second signal is still heard while
-            # it is closed.
-            async with AsyncExitStack() as stack:
-                with self._interrupts.beginning():
-                    node = await stack.enter_async_context(self._find_node())
-                if self._interrupts.received:
-                    return self._interrupted()
-                await _find_served(node, self._name)
-                action_type = self._find_action(node)
-                goal = self._goal or _read_goal(action_type, order.text)
-                return await self._send(node, action_type, goal)
+        self._interrupts.last_words = self._last_words
+        status = self._interrupts.run(self._open_and_send())
+        return self._interrupted() if self._interrupts.received and self._sent is None else status
+
+    async def _open_and_send(self) -> int:
+        async with self._find_node() as node:
+            await _find_served(node, self._name)
+            action_type = self._find_action(node)
+            goal = self._goal or _read_goal(action_type, self._order.text)
+            return await self._send(node, action_type, goal)
 
     @asynccontextmanager
     async def _find_node(self) -> AsyncIterator[Node]:
@@ -252,7 +245,7 @@ class Sending:
         due = anyio.current_time() + patience
         there, has_told = None, False
         while True:
-            is_late = anyio.current_time() >= due or bool(self._interrupts.received)
+            is_late = anyio.current_time() >= due
             if there is None:
                 there = await self._try_graph(stack, reach, is_last=is_late)
             if is_late or (there is not None and self._name in there.graph().actions):
@@ -261,8 +254,7 @@ class Sending:
                 waiting = f"waiting for a server for up to {patience:g} s"
                 self._transcript.note(f"nobody serves '{self._name}' yet: {waiting}")
                 has_told = True
-            with anyio.move_on_after(AGAIN):
-                await self._interrupts.wait(1)
+            await anyio.sleep(AGAIN)
 
     async def _try_graph(
         self, stack: AsyncExitStack, reach: Reach, *, is_last: bool
@@ -303,18 +295,19 @@ class Sending:
             cast("ActionType[Message, Message, Message]", action_type), self._name
         )
         status = None
-        # There are two scopes. `sending` is only around the request and the goal: `_withdraw`
-        # cancels it if a signal comes before the goal is accepted. The scope of `beside` is around
-        # the tasks that watch for signals, silence and time: it is cancelled once the goal has
-        # ended.
+        # There are two scopes. `sending` is only around the request and the goal: it is cancelled
+        # if no server takes the goal in time. The scope of `beside` is around the tasks that watch
+        # for signals, silence and time: it is cancelled once the goal has ended. A signal before
+        # the acceptance cancels this task itself. The client then withdraws the goal.
         async with anyio.create_task_group() as beside:
             sending = anyio.CancelScope()
-            beside.start_soon(self._heed_interrupts, sending, beside)
+            beside.start_soon(self._heed_signal, beside)
             beside.start_soon(self._heed_silence, sending)
             try:
                 with sending:
                     await client.wait_for_server(PATIENCE)
                     async with client.send_goal(goal, reattach=self._order.reattach) as handle:
+                        self._interrupts.cancels = False
                         self._sent = Sent(node, self._name, action_type.type_name, goal, handle)
                         status = await self._follow(self._sent, beside)
             # Before the goal was accepted, this is the answer to the command. Afterwards the goal
@@ -349,7 +342,6 @@ class Sending:
             return SUCCEEDED
         if self._order.timeout is not None:
             beside.start_soon(self.time_out, sent, self._order.timeout)
-            self._interrupts.end_within(self._order.timeout + PATIENCE, TIMEOUT)
         beside.start_soon(transcript.animate)
         if not self._is_embedded:
             beside.start_soon(self._tell_of_pause, sent.node)
@@ -406,40 +398,24 @@ class Sending:
 
     # signals, timeouts and servers that do not answer
 
-    async def _heed_interrupts(self, sending: anyio.CancelScope, beside: TaskGroup) -> None:
-        """At the first signal, cancel the goal or stop sending it. At the second, stop waiting.
+    async def _heed_signal(self, beside: TaskGroup) -> None:
+        """At a signal, cancel the goal, and wait for its end for a limited time.
 
         The server may never answer, and the goal may never end: a body may ignore its cancellation,
-        and a server may refuse to cancel, hang, or be gone. Therefore this method stops waiting
-        after `CANCEL_TIMEOUT` seconds, even without a second signal.
+        and a server may refuse to cancel, hang, or be gone.
         """
-        await self._interrupts.wait(1)
+        await self._interrupts.wait()
         if self._sent is None:
-            await self._withdraw(sending)
+            self._transcript.note("waiting for the server's answer; Ctrl-C again exits at once")
+            await anyio.sleep(CANCEL_TIMEOUT)
+            self._is_silent = True
             return
         sent, status = self._sent, self._interrupts.status
         beside.start_soon(self._obey, sent, status)
-        with anyio.move_on_after(CANCEL_TIMEOUT) as waiting:
-            await self._interrupts.wait(2)
-        if waiting.cancelled_caught:
-            what = "the goal has not ended" if self._has_server(sent) else "the server is not back"
-            self._transcript.note(f"{what} within {CANCEL_TIMEOUT:g} s")
-        self._let_go(sent, self._interrupts.status)
-
-    async def _withdraw(self, sending: anyio.CancelScope) -> None:
-        """Stop sending the goal.
-
-        The server may have accepted the goal already. The client therefore waits for the server's
-        answer, and cancels a goal that was accepted.
-        """
-        sending.cancel()
-        self._transcript.note("waiting for the server's answer; Ctrl-C again exits at once")
-        with anyio.move_on_after(CANCEL_TIMEOUT):
-            await self._interrupts.wait(2)
-        self._is_silent = True
-        if len(self._interrupts.received) > 1:
-            self._transcript.close()
-            leave(self._interrupted())
+        await anyio.sleep(CANCEL_TIMEOUT)
+        what = "the goal has not ended" if self._has_server(sent) else "the server is not back"
+        self._transcript.note(f"{what} within {CANCEL_TIMEOUT:g} s")
+        self._let_go(sent, status)
 
     async def _heed_silence(self, sending: anyio.CancelScope) -> None:
         """Tell the user if no server has accepted the goal in time.
@@ -517,11 +493,21 @@ class Sending:
         return self._is_embedded or graph.is_served(sent.node, self._name, sent.type_name)
 
     def _interrupted(self) -> int:
-        may_come = self._is_silent and not self._is_embedded
-        rest = "the server may still accept it" if may_come else "it does not run"
         how = "interrupted" if self._interrupts.received else "given up"
-        self._transcript.note(f"{how} before the goal was accepted; {rest}")
+        self._transcript.note(f"{how} before the goal was accepted; {self._rest()}")
         return self._interrupts.status if self._interrupts.received else TIMEOUT
+
+    def _rest(self) -> str:
+        """Return a phrase that says what becomes of a goal that was not accepted."""
+        may_come = self._is_silent and not self._is_embedded
+        return "the server may still accept it" if may_come else "it does not run"
+
+    def _last_words(self) -> str:
+        """Return what to print when a second signal ends the process."""
+        self._is_silent = True
+        if self._sent is None:
+            return f"turtleact: interrupted before the goal was accepted; {self._rest()}\n"
+        return f"turtleact: {self._way_back(self._sent)}\n"
 
 
 async def _find_served(node: Node, name: str | None = None) -> bool:

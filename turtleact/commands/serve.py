@@ -8,10 +8,9 @@ shows a dashboard instead of lines. The server runs until a signal comes.
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager, contextmanager
 from datetime import datetime
 from functools import partial
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Unpack, cast
 import anyio
 
 from turtleact.body import ActionDeclaration
-from turtleact.commands import runner
+from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.node_parameters import of_node, unheard
 from turtleact.commands.observing import json_line, observing, set_up_logging
 from turtleact.commands.output import abandon, note, printable
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
     from contextlib import AbstractAsyncContextManager
 
     from turtleact.clock import Clock
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.live import Dashboard
     from turtleact.commands.settings import Page, Service
     from turtleact.node import ActionServer, ServerGoalHandle
@@ -69,7 +67,7 @@ MOST_LISTED = 12
 """The ready line names at most this many actions."""
 
 
-def run(service: Service, interrupts: Interrupts) -> int:
+def run(service: Service) -> int:
     """Serve until a signal comes, then end the running goals, and return the exit status.
 
     Raises:
@@ -82,18 +80,17 @@ def run(service: Service, interrupts: Interrupts) -> int:
     modules = Modules(service.targets)
     work = Work(modules, Watch(modules), Found([], []))
     log = ServerLog(_dashboard(service), is_json=service.watched.log_format == "json")
-    with interrupts.beginning(0):  # a module of the user's may take any time
-        work = work._replace(found=_find(modules, service, log))
-    if interrupts.received:
-        return 0
+    work = work._replace(found=_find(modules, service, log))
     work.watch.follow()
-    if log.board is None:
-        return runner.run(_serve(service, work, log, interrupts), interrupts)
-    interrupts.restore = log.board.close
+    interrupts = Interrupts()
+    interrupts.forced = 0
+    if log.board is not None:
+        interrupts.restore = log.board.close
     try:
-        return runner.run(_serve(service, work, log, interrupts), interrupts)
+        status = interrupts.run(_serve(service, work, log, interrupts))
     finally:
-        log.board.close()
+        interrupts.restore()
+    return 0 if interrupts.received else status
 
 
 def _dashboard(service: Service) -> Dashboard | None:
@@ -142,49 +139,43 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
     opened: list[tuple[ZenohTransport, str]] = []
     # The stack closes in reverse. First the goals, the background tasks and the reloads end, all at
     # the same time. The web page, the node, the journal, the exporters and the dashboard close
-    # after that, because they tell of the ends of goals. `listening` is outside, so that a second
-    # signal is heard during all of this.
-    with interrupts.listening(asyncio.get_running_loop()):
-        async with AsyncExitStack() as stack:
-            if log.board is not None:
-                stack.enter_context(log.board.listening())
-                stack.enter_context(log.hearing_reloads())
-                drawing = Background(log.board.run(), "the dashboard")
-                await stack.enter_async_context(aclosing(drawing))
-            graph = partial(_open_graph, service, opened)
-            with interrupts.beginning(0):
-                on_node = await stack.enter_async_context(observing(service.watched, log.say))
-                options = await stack.enter_async_context(_open_journal(service, log))
-                nodes: list[Node] = []
-                opening = _open_node(service, graph, log, options, _both(nodes.append, on_node))
-                node = await stack.enter_async_context(opening)
-            if interrupts.received:
-                return 0
-            # The web page is opened last, once there is something to show, but the goals end while
-            # it is still there. So its place in the stack is taken here.
-            pages = await stack.enter_async_context(AsyncExitStack())
-            reloader = Reloader(node, work.modules, work.watch, interrupts, log.reload)
-            stack.push_async_callback(_end_goals, nodes, reloader)
-            await _until_signal(interrupts, _begin(service, work.found, reloader, options, log))
-            if interrupts.received:
-                return 0
-            if service.page is not None:
-                url = await pages.enter_async_context(_open_web(service.page, node))
-                log.say(f"web page, and rosbridge, at {url}")
-            (transport, where), *_ = opened
-            if service.keeping is not None:
-                from turtleact.fault_reports import watching_disk
+    # after that, because they tell of the ends of goals.
+    async with AsyncExitStack() as stack:
+        if log.board is not None:
+            stack.enter_context(log.board.listening())
+            stack.enter_context(log.hearing_reloads())
+            drawing = Background(log.board.run(), "the dashboard")
+            await stack.enter_async_context(aclosing(drawing))
+        graph = partial(_open_graph, service, opened)
+        on_node = await stack.enter_async_context(observing(service.watched, log.say))
+        options = await stack.enter_async_context(_open_journal(service, log))
+        nodes: list[Node] = []
+        opening = _open_node(service, graph, log, options, _both(nodes.append, on_node))
+        node = await stack.enter_async_context(opening)
+        # The web page is opened last, once there is something to show, but the goals end while it
+        # is still there. So its place in the stack is taken here.
+        pages = await stack.enter_async_context(AsyncExitStack())
+        reloader = Reloader(node, work.modules, work.watch, log.reload)
+        stack.push_async_callback(_end_goals, nodes, reloader)
+        await _begin(service, work.found, reloader, options, log)
+        if service.page is not None:
+            url = await pages.enter_async_context(_open_web(service.page, node))
+            log.say(f"web page, and rosbridge, at {url}")
+        (transport, where), *_ = opened
+        if service.keeping is not None:
+            from turtleact.fault_reports import watching_disk
 
-                at, file = node.fully_qualified_name, Path(service.keeping.path)
-                check = options["journal"].problem
-                watching = watching_disk(transport, at, file, "journal", check)
-                await stack.enter_async_context(watching)
-            await transport.flush()
-            log.ready(partial(_ready_line, transport, where, service.reach.domain))
-            if service.reload:
-                reloader.start()
-            await interrupts.wait(1)
-            log.note(f"no more goals are accepted; running goals {_fate(service, options)}")
+            at, file = node.fully_qualified_name, Path(service.keeping.path)
+            check = options["journal"].problem
+            watching = watching_disk(transport, at, file, "journal", check)
+            await stack.enter_async_context(watching)
+        await transport.flush()
+        log.ready(partial(_ready_line, transport, where, service.reach.domain))
+        if service.reload:
+            reloader.start()
+        interrupts.cancels = False
+        await interrupts.wait()
+        log.note(f"no more goals are accepted; running goals {_fate(service, options)}")
     return 0
 
 
@@ -338,14 +329,6 @@ def _refused(taken: ActionConflict) -> TurtleactError:
         f"action '{taken.action}' is served by node {taken.node} already: choose another name, or "
         "give --wait to serve it once that node has gone"
     )
-
-
-async def _until_signal(interrupts: Interrupts, running: Awaitable[None]) -> None:
-    """Await ``running``, but cancel it when a signal comes."""
-    async with anyio.create_task_group() as beside:
-        beside.start_soon(interrupts.cancel_at_signal, beside.cancel_scope)
-        await running
-        beside.cancel_scope.cancel()
 
 
 @asynccontextmanager

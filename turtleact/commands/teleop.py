@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import anyio
 
-from turtleact.commands import graph, runner
+from turtleact.commands import graph
 from turtleact.commands.graph import no_router, none_in_domain, world_started
+from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import note, say
 from turtleact.commands.send_goal import embedded_world
 from turtleact.commands.terminal import LogLines, Region, can_move, keep_drawing, typed_keys
@@ -32,7 +33,6 @@ from turtleact.transports import QoS
 if TYPE_CHECKING:
     from turtleact import render
     from turtleact.client import ClientGoalHandle
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.settings import Reach
 
 __all__ = ["Order", "run"]
@@ -108,7 +108,7 @@ class Order(NamedTuple):
     reach: Reach | None
 
 
-def run(order: Order, interrupts: Interrupts) -> int:
+def run(order: Order) -> int:
     """Drive a turtle until the user presses Q or a signal arrives, and return the exit status.
 
     Raises:
@@ -119,6 +119,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
         raise UsageError("teleop reads keys, but stdin is not a terminal: run it in a terminal")
     is_live = not order.is_plain and can_move(sys.stdout)
     region = Region(sys.stdout if is_live else sys.stdin, sys.stdin)
+    interrupts = Interrupts()
     interrupts.restore = region.restore
 
     async def drive(found: tuple[Node, str]) -> int:
@@ -126,8 +127,7 @@ def run(order: Order, interrupts: Interrupts) -> int:
         return OK
 
     try:
-        driving = graph.until_interrupted(_find_node(order), drive, interrupts)
-        return runner.run(driving, interrupts)
+        return interrupts.run(graph.use(_find_node(order), drive))
     finally:
         region.restore()
 

@@ -37,7 +37,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, TextIO
 import anyio
 
 from turtleact.commands.console import console
-from turtleact.commands.interrupts import signals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -59,10 +58,12 @@ __all__ = [
     "typed_keys",
 ]
 
-STOPPING: Final = signals("SIGTSTP", "SIGQUIT")
+STOPPING: Final = [
+    getattr(signal, each) for each in ("SIGTSTP", "SIGQUIT") if hasattr(signal, each)
+]
 """The signals that stop or end the process."""
 
-CONTINUING: Final = signals("SIGCONT")
+CONTINUING: Final = [signal.SIGCONT] if hasattr(signal, "SIGCONT") else []
 """The signal that continues a stopped process.
 
 While the process is stopped, another process may use the terminal.

@@ -24,7 +24,6 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from turtleact.commands import GROUPS, VERBS
-from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import printable
 from turtleact.errors import UsageError
 
@@ -40,7 +39,7 @@ __all__ = [
     "without_daemon",
 ]
 
-Job: TypeAlias = Callable[[Interrupts], int]
+Job: TypeAlias = Callable[[], int]
 """A function that does the work of a verb and returns the exit status."""
 
 SETTINGS: Final[dict[str, Any]] = {
@@ -347,7 +346,7 @@ def _without_type(params: list[Any]) -> list[Any]:
     return params
 
 
-def _exit_status(status: int, _: Interrupts) -> int:
+def _exit_status(status: int) -> int:
     return status
 
 

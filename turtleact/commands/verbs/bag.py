@@ -27,7 +27,6 @@ from turtleact.commands.verbs.options import (
 from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.settings import Reach
     from turtleact.recording import Selection
 
@@ -413,14 +412,14 @@ def _recording(
 ) -> Job:
     """Return the job that records messages to a bag; see `bag_sessions.RecordOrder`."""
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.interfaces import make_known
 
         sessions = _work("bag_sessions")
         make_known(folder(interfaces))
         path, *limits = files
         order = sessions.RecordOrder(path, _selection(**named), *limits)
-        status: int = sessions.record_graph(where, order, interrupts)
+        status: int = sessions.record_graph(where, order)
         return status
 
     return job
@@ -436,12 +435,11 @@ def info(
 ) -> Job:
     """Print what is in a bag, and what is missing from it."""
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         contents = _work("bag_contents")
-        with interrupts.ending_at_once():
-            status: int = contents.print_info(
-                bag, verbose=verbose, names_only=names_only and not verbose
-            )
+        status: int = contents.print_info(
+            bag, verbose=verbose, names_only=names_only and not verbose
+        )
         return status
 
     return job
@@ -497,14 +495,14 @@ def play(
     }
     where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.interfaces import make_known
 
         sessions = _work("bag_sessions")
         make_known(folder(interfaces))
         taken = {**options, "selection": _selection(**named)}
         order = sessions.PlayOrder(bag, taken, delay, overrides)
-        status: int = sessions.play_bag(where, order, interrupts)
+        status: int = sessions.play_bag(where, order)
         return status
 
     return job
@@ -520,13 +518,12 @@ def goals(
 ) -> Job:
     """List the goals in a bag."""
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.interfaces import make_known
 
         contents = _work("bag_contents")
         make_known(folder(interfaces))
-        with interrupts.ending_at_once():
-            status: int = contents.print_goals(bag, action, as_json=as_json)
+        status: int = contents.print_goals(bag, action, as_json=as_json)
         return status
 
     return job
@@ -561,13 +558,12 @@ def convert(
     named |= dict.fromkeys(("all_topics", "all_services", "all_actions"), is_all)
     inputs = [Path(each) for each in bags if each not in ("mcap", "sqlite3")]  # ids of storages
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         converting = _work("bag_converting")
         if output.suffix in (".yaml", ".yml"):
             outputs = converting.outputs_in(output)
         else:
-            with interrupts.ending_at_once():  # a bag that was not closed takes long to open
-                start, end = converting.cut(inputs[0], offset, duration)
+            start, end = converting.cut(inputs[0], offset, duration)
             split = converting.Split(
                 max_size=max_size,
                 max_duration=round(max_duration * 1e9),
@@ -579,7 +575,7 @@ def convert(
                     path=output, selection=selection, start=start, end=end, split=split
                 )
             ]
-        status: int = converting.run(inputs, outputs, interrupts)
+        status: int = converting.run(inputs, outputs)
         return status
 
     return job
@@ -589,8 +585,8 @@ def convert(
 def view(bag: BagPath, *, port: Port = 0, no_open: NoOpen = False) -> Job:
     """Show a bag in a browser, with a time line."""
 
-    def job(interrupts: Interrupts) -> int:
-        status: int = _work("bag_sessions").view_bag(bag, port, interrupts, is_opened=not no_open)
+    def job() -> int:
+        status: int = _work("bag_sessions").view_bag(bag, port, is_opened=not no_open)
         return status
 
     return job

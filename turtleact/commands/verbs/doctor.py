@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import Annotated, TypeAlias
 
 import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs import SETTINGS, Job, Verb
 from turtleact.commands.verbs.options import Config, Connect, Domain, Interfaces, folder, reach
-
-if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
 
 __all__ = ["app", "doctor"]
 
@@ -41,11 +38,11 @@ def doctor(
     """``doctor``."""
     where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands import doctor
         from turtleact.commands.interfaces import make_known
 
         make_known(folder(interfaces))
-        return doctor.run(where, interrupts, as_json=as_json, verbose=verbose)
+        return doctor.run(where, as_json=as_json, verbose=verbose)
 
     return job

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from turtleact.commands import VERBS, completion
-from turtleact.commands.settings import Place, quoted
+from turtleact.commands.settings import Place, Reach, quoted
 from turtleact.commands.verbs import SETTINGS, Job, Verb, new_group
 from turtleact.commands.verbs.options import (
     Config,
@@ -51,9 +51,8 @@ from turtleact.commands.verbs.options import (
 from turtleact.errors import InvalidName, UsageError
 
 if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.transcript import View
-    from turtleact.commands.verbs.options import Look, Plan
+    from turtleact.commands.verbs.options import Look
     from turtleact.node import Node
 
 __all__ = ["action", "app", "moment"]
@@ -280,16 +279,16 @@ def send_goal(
         _written(connect=connect, domain=domain, config=config, interfaces=interfaces),
     )
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.interfaces import make_known
         from turtleact.commands.message_text import GoalText
         from turtleact.commands.send_goal import Order, run
 
         path = None if goal_file is None else str(goal_file)
-        text = GoalText.read(goal, stdin=stdin, path=path, interrupts=interrupts)
+        text = GoalText.read(goal, stdin=stdin, path=path)
         make_known(place.interfaces)
         order = Order(name, type_name, text, place, feedback, timeout, view, reattach)
-        return run(order, interrupts)
+        return run(order)
 
     return job
 
@@ -414,8 +413,8 @@ def watch(
             "give the id of a goal, or an action with one running goal; 'turtleact goals' lists all"
         )
     options = _written(connect=connect, domain=domain, config=config, interfaces=interfaces)
-    plan = _follow(_watched(what), "plain" if plain else "auto", options, hears_feedback=True)
-    return on_known_graph(reach(connect, domain, config), interfaces, plan)
+    where, view = reach(connect, domain, config), _view(plain=plain)
+    return _follow(where, interfaces, _watched(what), view, options)
 
 
 @app.command(cls=Verb, help=VERBS["result"])
@@ -435,8 +434,7 @@ def result(
     if journal is not None:
         return _read(lambda goals: goals.print_result(journal, wanted, folder(interfaces)))
     options = _written(connect=connect, domain=domain, config=config, interfaces=interfaces)
-    plan = _follow(wanted, "plain", options, hears_feedback=False)
-    return on_known_graph(reach(connect, domain, config), interfaces, plan)
+    return _follow(reach(connect, domain, config), interfaces, wanted, None, options)
 
 
 action.command("send_goal", cls=MessageVerb, help=VERBS["send-goal"], epilog=EXAMPLES)(send_goal)
@@ -537,7 +535,7 @@ def echo(
     return on_known_graph(
         reach(connect, domain, config),
         Path(interfaces) if interfaces is not None and parts is None else None,
-        lambda _: lambda node: event_echo.echo_action(node, order),
+        lambda: lambda node: event_echo.echo_action(node, order),
     )
 
 
@@ -611,7 +609,7 @@ def _parts(text: str, known: tuple[str, ...]) -> list[str] | None:
 def _read(look: Callable[[ModuleType], int]) -> Job:
     """Return a job that imports `turtleact.commands.journaled_goals` and passes it to ``look``."""
 
-    def job(_: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands import journaled_goals
 
         return look(journaled_goals)
@@ -642,23 +640,20 @@ def _watched(text: str) -> str:
         return _goal_id(text)  # raises an error
 
 
-def _follow(wanted: str, view: View, options: str, *, hears_feedback: bool) -> Plan:
-    def plan(interrupts: Interrupts) -> Look:
-        from turtleact.commands import held_goals, send_goal
+def _view(*, plain: bool) -> View:
+    return "plain" if plain else "auto"
 
-        telling = send_goal.choose_transcript(
-            view, wants_feedback=hears_feedback, wants_feedback_live=False
-        )
-        interrupts.restore = telling.close
 
-        async def look(node: Node) -> int:
-            try:
-                return await held_goals.follow(
-                    node, wanted, telling, options, hears_feedback=hears_feedback
-                )
-            finally:
-                telling.close()
+def _follow(
+    where: Reach, interfaces: Path | None, wanted: str, view: View | None, options: str
+) -> Job:
+    """Return the job that follows a goal. Without a view, it only waits for the result."""
 
-        return look
+    def job() -> int:
+        from turtleact.commands import held_goals
+        from turtleact.commands.interfaces import make_known
 
-    return plan
+        make_known(folder(interfaces))
+        return held_goals.run(where, wanted, view, options)
+
+    return job

@@ -9,7 +9,6 @@ from typing import Annotated, TypeAlias
 import typer
 
 from turtleact.commands import completion
-from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.verbs import Job, Verb, new_group
 from turtleact.commands.verbs.options import Interfaces, folder, only_one
 
@@ -82,7 +81,7 @@ def list_(
     from turtleact.commands.interfaces import print_list
 
     kinds = _kinds(msgs=msgs, srvs=srvs, actions=actions)
-    return _when_known(interfaces, lambda _: print_list(kinds))
+    return _when_known(interfaces, lambda: print_list(kinds))
 
 
 @app.command(cls=Verb)
@@ -98,7 +97,7 @@ def package(
     from turtleact.commands.interfaces import print_package
 
     kinds = _kinds(msgs=msgs, srvs=srvs, actions=actions)
-    return _when_known(interfaces, lambda _: print_package(name, kinds))
+    return _when_known(interfaces, lambda: print_package(name, kinds))
 
 
 @app.command(cls=Verb)
@@ -113,7 +112,7 @@ def packages(
     from turtleact.commands.interfaces import print_packages
 
     kinds = _kinds(msgs=msgs, srvs=srvs, actions=actions)
-    return _when_known(interfaces, lambda _: print_packages(kinds))
+    return _when_known(interfaces, lambda: print_packages(kinds))
 
 
 @app.command(cls=Verb)
@@ -121,7 +120,7 @@ def proto(type_name: Type, *, no_quotes: NoQuotes = False, interfaces: Interface
     """Print a message with its default values, as YAML."""
     from turtleact.commands.interfaces import print_prototype
 
-    return _when_known(interfaces, lambda _: print_prototype(type_name, quotes=not no_quotes))
+    return _when_known(interfaces, lambda: print_prototype(type_name, quotes=not no_quotes))
 
 
 @app.command("python", cls=Verb)
@@ -130,7 +129,7 @@ def python_(
 ) -> Job:
     """Write the interfaces of packages as typed Python classes."""
 
-    def job(_: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.interfaces import make_known, write_python
 
         make_known(folder(interfaces))
@@ -150,10 +149,10 @@ def show(
     """Print the definition of an interface."""
     only_one("what to do with comments", all_comments=all_comments, no_comments=no_comments)
 
-    def act(interrupts: Interrupts) -> None:
+    def act() -> None:
         from turtleact.commands import interfaces
 
-        name = interfaces.read_type(type_name, interrupts)
+        name = interfaces.read_type(type_name)
         interfaces.show(name, comments=not no_comments, nested_comments=all_comments)
 
     return _when_known(interfaces, act)
@@ -164,14 +163,14 @@ def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
     return [kind for kind, is_wanted in given.items() if is_wanted]
 
 
-def _when_known(interfaces: Path | None, act: Callable[[Interrupts], None]) -> Job:
+def _when_known(interfaces: Path | None, act: Callable[[], None]) -> Job:
     """Make a job that loads the interfaces, then calls ``act``."""
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.interfaces import make_known
 
         make_known(folder(interfaces))
-        act(interrupts)
+        act()
         return 0
 
     return job

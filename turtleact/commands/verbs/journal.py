@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import Annotated, TypeAlias
 
 import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.verbs import Job, Verb, new_group
 from turtleact.commands.verbs.options import span
-
-if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
 
 __all__ = ["app"]
 
@@ -34,7 +31,7 @@ app = new_group("journal", VERBS["journal"])
 def prune(file: File, *, keep: Keep) -> Job:
     """Delete goals that ended long ago. A server may be writing the journal meanwhile."""
 
-    def job(_: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.journaled_goals import prune_goals
 
         return prune_goals(file, round(keep * 1e9))

@@ -7,7 +7,6 @@ from typing import Annotated, TypeAlias
 import typer
 
 from turtleact.commands import VERBS
-from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.settings import quoted
 from turtleact.commands.verbs import SETTINGS, Job, Verb
 from turtleact.commands.verbs.options import (
@@ -140,7 +139,7 @@ def mcp(
     address = None if http is None else _address(http)
     everything = all or (read_only and actions is None)
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.interfaces import make_known
         from turtleact.commands.mcp import Order, run
 
@@ -156,7 +155,7 @@ def mcp(
             read_only=read_only,
             confirm=confirm,
         )
-        return run(order, interrupts)
+        return run(order)
 
     return job
 

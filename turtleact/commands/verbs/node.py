@@ -43,7 +43,6 @@ from turtleact.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Awaitable
 
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.verbs.options import Look
     from turtleact.node import Node
 
@@ -320,11 +319,9 @@ def load_(
     owner = node_parameters.Owner(node_name, hidden, timeout)
     where = reach(connect, domain, config)
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         found = node_parameters.read_file(str(path), use_wildcard=not no_wildcard)
-        return graph.run(
-            where, lambda node: node_parameters.load(node, owner, found, str(path)), interrupts
-        )
+        return graph.run(where, lambda node: node_parameters.load(node, owner, found, str(path)))
 
     return job
 
@@ -408,11 +405,11 @@ def call(
     type_name, values = type_and_text(type_name, values, "request")
     only_one("the request", VALUES=values is not None, stdin=stdin)
 
-    def plan(interrupts: Interrupts) -> Look:
+    def plan() -> Look:
         from turtleact.commands import user_messages
         from turtleact.commands.message_text import GoalText
 
-        text = GoalText.read(values, stdin=stdin, path=None, interrupts=interrupts, what="request")
+        text = GoalText.read(values, stdin=stdin, path=None, what="request")
         return lambda node: user_messages.call(node, name, type_name, text, rate=rate)
 
     return on_known_graph(reach(connect, domain, config), interfaces, plan)
@@ -443,5 +440,5 @@ def echo(
     return on_known_graph(
         reach(connect, domain, config),
         interfaces,
-        lambda _: lambda node: event_echo.echo_service(node, order),
+        lambda: lambda node: event_echo.echo_service(node, order),
     )

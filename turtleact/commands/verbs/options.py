@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import typer
 
 from turtleact.commands import completion
-from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.settings import Reach, quoted
 from turtleact.commands.verbs import Job, Verb
 from turtleact.errors import UsageError
@@ -57,7 +56,7 @@ __all__ = [
 Look: TypeAlias = Callable[["Node"], Awaitable[int]]
 """A function that runs a verb with a node on the graph, and returns the exit status."""
 
-Plan: TypeAlias = Callable[[Interrupts], Look]
+Plan: TypeAlias = Callable[[], Look]
 """A function that prepares the work before the graph is opened, and may read stdin.
 
 The function returns a `Look`.
@@ -234,10 +233,10 @@ def journal_in(panel: str | None, text: str) -> Any:  # noqa: ANN401  # as typer
 def on_graph(where: Reach, look: Look) -> Job:
     """Make a job that opens a graph and calls ``look`` on it."""
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands import graph
 
-        return graph.run(where, look, interrupts)
+        return graph.run(where, look)
 
     return job
 
@@ -245,12 +244,12 @@ def on_graph(where: Reach, look: Look) -> Job:
 def on_known_graph(where: Reach, interfaces: Path | None, plan: Plan) -> Job:
     """Return a job that finds the interfaces and runs the function from ``plan`` on a graph."""
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands import graph
         from turtleact.commands.interfaces import make_known
 
         make_known(folder(interfaces))
-        return graph.run(where, plan(interrupts), interrupts)
+        return graph.run(where, plan())
 
     return job
 

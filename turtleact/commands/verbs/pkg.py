@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import Annotated, TypeAlias
 
 import typer
 
 from turtleact.commands import completion
 from turtleact.commands.verbs import Job, Verb, new_group
 from turtleact.errors import TurtleactError
-
-if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
 
 __all__ = ["app", "spread"]
 
@@ -142,7 +139,7 @@ def create(
     )
     check(package, has_node_name=node_name is not None)
 
-    def job(_: Interrupts) -> int:
+    def job() -> int:
         write(package)
         return 0
 
@@ -153,7 +150,7 @@ def create(
 def list_() -> Job:
     """List all packages: in the working directory, in a sourced workspace, and built in."""
 
-    def job(_: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.output import say_names
         from turtleact.commands.packages import runnable_here
 
@@ -167,7 +164,7 @@ def list_() -> Job:
 def executables(package: Package = None) -> Job:
     """List the executables of packages, one package and executable per line."""
 
-    def job(_: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.output import say_names
         from turtleact.commands.packages import runnable_here
         from turtleact.interfaces.definition import did_you_mean

@@ -28,7 +28,6 @@ from turtleact.commands.verbs.options import (
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.programs import Program
 
 __all__ = ["app", "run"]
@@ -191,7 +190,7 @@ def _file(name: str) -> Program:
 def _running(program: Program, arguments: Sequence[str], how: How) -> Job:
     """Make the job that runs a user's program."""
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.interfaces import make_found
         from turtleact.commands.programs import run_program
         from turtleact.rclpy.impl.settings import Place
@@ -201,7 +200,7 @@ def _running(program: Program, arguments: Sequence[str], how: How) -> Job:
         os.environ["ROS_DOMAIN_ID"] = str(how.reach.domain)  # the program reads it, as in ROS
         config = how.reach.locks().settings()
         place = Place(how.reach.connect, config, is_embedded=how.embedded)
-        return run_program(program, arguments, interrupts, Options(how.face, place))
+        return run_program(program, arguments, Options(how.face, place))
 
     return job
 
@@ -226,7 +225,7 @@ def _built_in(package: str, executable: str, arguments: Sequence[str], where: Re
         raise UsageError(_not_taken(package, executable, arguments))
     targets = () if package == "turtlesim" else (FIBONACCI,)
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.interfaces import make_known
         from turtleact.commands.serve import run
 
@@ -242,7 +241,7 @@ def _built_in(package: str, executable: str, arguments: Sequence[str], where: Re
             turtlesim_only=True,
             node_name=executable if targets else "turtleact",
         )
-        return run(service, interrupts)
+        return run(service)
 
     return job
 

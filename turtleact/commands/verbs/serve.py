@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import typer
 
@@ -38,9 +38,6 @@ from turtleact.commands.verbs.options import (
 )
 from turtleact.commands.verbs.options import speed as speed_factor
 from turtleact.errors import UsageError
-
-if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
 
 __all__ = ["app", "serve"]
 
@@ -336,12 +333,12 @@ def serve(
     return partial(_serve, folder(interfaces), service)
 
 
-def _serve(known: str | None, service: Callable[[], Service], interrupts: Interrupts) -> int:
+def _serve(known: str | None, service: Callable[[], Service]) -> int:
     from turtleact.commands.interfaces import make_known
     from turtleact.commands.serve import run
 
     make_known(known)
-    return run(service(), interrupts)
+    return run(service())
 
 
 def _overrides(files: list[Path] | None, assignments: list[str] | None) -> tuple[Override, ...]:

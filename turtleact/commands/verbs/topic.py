@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable
     from types import CodeType
 
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.verbs.options import Look
     from turtleact.node import Node
 
@@ -207,7 +206,7 @@ def info(
     return on_known_graph(
         reach(connect, domain, config),
         interfaces,
-        lambda _: lambda node: listing.print_topic_info(node, name, verbose=verbose),
+        lambda: lambda node: listing.print_topic_info(node, name, verbose=verbose),
     )
 
 
@@ -287,7 +286,7 @@ def echo(
     return on_known_graph(
         reach(connect, domain, config),
         interfaces,
-        lambda _: lambda node: topic_reading.echo(node, order),
+        lambda: lambda node: topic_reading.echo(node, order),
     )
 
 
@@ -307,7 +306,7 @@ def hz(
     return on_known_graph(
         reach(connect, domain, config),
         interfaces,
-        lambda _: lambda node: topic_reading.measure(node, name, topic_reading.Rate(window)),
+        lambda: lambda node: topic_reading.measure(node, name, topic_reading.Rate(window)),
     )
 
 
@@ -327,7 +326,7 @@ def bw(
     return on_known_graph(
         reach(connect, domain, config),
         interfaces,
-        lambda _: lambda node: topic_reading.measure(node, name, topic_reading.Bandwidth(window)),
+        lambda: lambda node: topic_reading.measure(node, name, topic_reading.Bandwidth(window)),
     )
 
 
@@ -347,7 +346,7 @@ def delay(
     return on_known_graph(
         reach(connect, domain, config),
         interfaces,
-        lambda _: lambda node: topic_reading.measure(node, name, topic_reading.Delay(window)),
+        lambda: lambda node: topic_reading.measure(node, name, topic_reading.Delay(window)),
     )
 
 
@@ -379,11 +378,11 @@ def pub(
     count = 1 if once else times or 0
     asked = policies(profile, reliability, durability, depth)
 
-    def plan(interrupts: Interrupts) -> Look:
+    def plan() -> Look:
         from turtleact.commands import user_messages
         from turtleact.commands.message_text import GoalText
 
-        text = GoalText.read(values, stdin=stdin, path=None, interrupts=interrupts, what="message")
+        text = GoalText.read(values, stdin=stdin, path=None, what="message")
         order = user_messages.Order(
             name,
             type_name,

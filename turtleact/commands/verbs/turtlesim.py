@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import Annotated, TypeAlias
 
 import typer
 
@@ -22,9 +22,6 @@ from turtleact.commands.verbs.options import (
     reach,
 )
 from turtleact.errors import UsageError
-
-if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
 
 __all__ = ["app", "ros_arguments", "teleop", "turtle_teleop_key"]
 
@@ -158,13 +155,13 @@ def _driving(
             raise UsageError(f"{name} is a number, not '{value}'")
     linear, angular = speeds.values()
 
-    def job(interrupts: Interrupts) -> int:
+    def job() -> int:
         from turtleact.commands.teleop import Order, run
 
         order = Order(
             turtle, remaps, linear=linear, angular=angular, is_plain=is_plain, reach=where
         )
-        return run(order, interrupts)
+        return run(order)
 
     return job
 
