@@ -7,7 +7,7 @@ Prints:
     target 2 reached, 9.4 m to go
     target 3 reached, 2.2 m to go
     target 4 reached, 0.0 m to go
-    4 targets, 20.9 m, 10.6 s
+    4 targets, 21.1 m, 10.7 s
 """
 
 import asyncio

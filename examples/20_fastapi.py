@@ -15,7 +15,7 @@ Prints:
     GET /goals/…/feedback:
         data: {"reached": 0, "left": 4.7}
         data: {"reached": 1, "left": 3.0}
-        data: {"reached": 1, "left": 1.0}
+        data: {"reached": 1, "left": 1.1}
         data: {"reached": 2, "left": 0.0}
         event: result
         data: "SUCCEEDED"

@@ -9,9 +9,9 @@ Prints:
     patrol: to be sent
     patrol: 16.2 m to go
     go home: to be sent
-    go home: 6.5 m to go
-    go home: 4.5 m to go
-    go home: 2.5 m to go
+    go home: 6.6 m to go
+    go home: 4.6 m to go
+    go home: 2.6 m to go
     go home: SUCCEEDED
     [o] turtle [o]
         [-] at last [o]

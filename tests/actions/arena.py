@@ -22,7 +22,7 @@ from turtleact.transports import MemoryTransport, QoS
 
 from ..lab import other_tasks
 
-STYLES = ["natural", "fastest", "forward", "rotate_then_drive"]
+STYLES = ["natural", "rotate_then_drive"]
 MARK = 9.0
 """The ``linear.y`` of a command that is not of an action; a turtle ignores it."""
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from contextlib import aclosing
 
-import anyio.lowlevel
 import pytest
 
 from turtleact.actions.driving import PATIENCE
-from turtleact.actions.robots import Sighting
-from turtleact.actions.steering import Steering, shortest_time, time_bound
+from turtleact.actions.steering import Limits, time_limit
 from turtleact.errors import Abort
 from turtleact.interfaces.standard import Point, TurtlePose, Twist
 from turtleact.tasks import Background
@@ -37,71 +35,48 @@ async def test_of_several_poses_the_newest_counts():
         assert drive.travelled == drive.pose.x - seen
 
 
-async def test_a_tick_sends_one_twist_and_waits_for_the_pose_after_it():
-    async with yard() as place, telling(place), place.drive() as drive:
-        seen = drive.pose.x
-        await drive.towards(FAR)
-        assert [twist.linear.x for twist in place.twists.drain()] == [2.0]
-        assert drive.pose.x == seen + 1
-
-
-async def test_a_turtle_is_told_only_what_is_new():
-    async with yard() as place, obeying(place), place.drive() as drive:
-        begun = place.clock.time()
-        await drive.towards(FAR)
-        assert place.clock.time() - begun == pytest.approx(38 * 0.016)
-        assert drive.travelled == pytest.approx(38 * 0.032, abs=1e-5)
-        assert drive.pose.x == pytest.approx(drive.travelled)
-        assert len(place.twists.drain()) == 1
-
-
-async def test_a_turtle_whose_ticks_come_late_is_told_no_more_than_that():
-    async with yard() as place, obeying(place, pace=0.1), place.drive() as drive:
-        for _ in range(3):
-            await drive.towards(FAR)
-        assert drive.travelled > 80 * 0.032
-        assert len(place.twists.drain()) == 3
-
-
-async def test_a_command_that_holds_ends_with_the_tick_that_comes_at_a_time():
-    async with yard() as place, obeying(place), place.drive() as drive:
-        await drive.towards(FAR)
-        begun = place.clock.time()
-        await drive.towards(FAR, until=begun + 0.04)
-        assert place.clock.time() - begun == pytest.approx(3 * 0.016)
-
-
-async def test_whatever_moves_the_turtle_is_answered_at_the_next_pose():
-    async with yard() as place, obeying(place), place.drive() as drive:
-        await drive.towards(FAR)
-        begun = place.clock.time()
-        place.at[1] += 1.0
-        await drive.towards(FAR)
-        assert place.clock.time() - begun == pytest.approx(0.016)
-        assert drive.pose.y == 1.0
-
-
-async def test_where_both_ways_are_as_good_it_turns_on_the_way_it_has_begun():
-    async with yard() as place, telling(place), place.drive() as drive:
-        for aside in (-0.1, 0.1):
-            drive.seen = Sighting((5.0, 5.0, math.pi / 2))
-            await drive.towards(Point(x=9.0, y=5.0 + aside))
-        turns = [twist.angular.z for twist in place.twists.drain()]
-    assert turns == [2.0, 2.0]
-
-
-async def test_the_distance_is_counted_in_straight_lines():
-    async with yard() as place, telling(place), place.drive() as drive:
-        drive.seen = Sighting((0.0, 0.0, 0.0))
-        assert drive.distance_to([Point(x=3.0, y=4.0), Point(x=3.0, y=0.0)]) == 9.0
-
-
 async def test_a_target_has_a_deadline_that_leaves_patience():
     async with yard() as place, telling(place), place.drive() as drive:
         here = (drive.pose.x, drive.pose.y, drive.pose.theta)
-        bound = time_bound(here, [(5.0, 5.0)], Steering())
+        limit = time_limit(here, [(5.0, 5.0)], Limits(dt=4 * 0.016))
         deadline = drive.deadline(Point(x=5.0, y=5.0))
-        assert deadline - place.clock.time() == pytest.approx(PATIENCE * bound)
+        assert deadline - place.clock.time() == pytest.approx(PATIENCE * limit)
+
+
+async def test_a_command_is_held_for_four_poses():
+    async with yard() as place, obeying(place), place.drive() as drive:
+        for _ in range(5):
+            begun = place.clock.time()
+            await drive.towards(FAR)
+            assert place.clock.time() - begun == pytest.approx(4 * 0.016)
+        assert drive.travelled == pytest.approx(20 * 0.032, abs=1e-5)
+        assert drive.pose.x == pytest.approx(drive.travelled)
+        assert len(place.twists.drain()) == 5
+
+
+async def test_a_held_command_ends_with_the_first_pose_after_a_deadline():
+    async with yard() as place, obeying(place), place.drive() as drive:
+        begun = place.clock.time()
+        await drive.towards(FAR, until=begun + 0.02)
+        assert place.clock.time() - begun == pytest.approx(2 * 0.016)
+
+
+async def test_a_held_command_ends_at_the_target():
+    async with yard() as place, obeying(place), place.drive() as drive:
+        begun = place.clock.time()
+        await drive.towards(Point(x=0.15))
+        assert place.clock.time() - begun == pytest.approx(2 * 0.016)
+        assert drive.has_reached(Point(x=0.15))
+
+
+@pytest.mark.parametrize(
+    "limits", [{"max_angular": 20.0}, {"tolerance": 0.01}, {"max_acceleration": 1.0}]
+)
+async def test_a_turtle_that_is_fast_or_eased_is_told_at_each_pose(limits):
+    async with yard() as place, obeying(place), place.drive(limits=Limits(**limits)) as drive:
+        begun = place.clock.time()
+        await drive.towards(FAR)
+        assert place.clock.time() - begun == pytest.approx(0.016)
 
 
 # Silence
@@ -230,22 +205,3 @@ async def test_nobody_watches_a_turtle_that_is_driven_no_more():
             assert tasks_alive() == before + 1
         await settle()
         assert tasks_alive() == before
-
-
-async def test_others_have_their_turn_while_the_shortest_time_is_found_out():
-    turns, stops = [], [(0.0, 1.0), (1.0, 1.0), (0.5, 1.5), (0.0, 0.0)]
-
-    async def take_turns():
-        while True:
-            await anyio.lowlevel.checkpoint()
-            turns.append(1)
-
-    async with (
-        yard() as place,
-        obeying(place),
-        place.drive() as drive,
-        aclosing(Background(take_turns(), "the others")),
-    ):
-        least = await drive.shortest_time([Point(*stop) for stop in stops])
-    assert least == shortest_time((0.0, 0.0, 0.0), stops, Steering())
-    assert len(turns) > 20

@@ -68,16 +68,20 @@ async def test_a_target_outside_is_rejected_by_its_coordinate(target, problem):
 async def test_the_law_of_steering_gets_the_options_of_the_goal_and_the_area():
     async with yard() as place:
         steering = place.turtles.steering(
-            style="forward", max_linear=1.0, max_angular=0.5, tolerance=0.25
+            style="rotate_then_drive", max_linear=1.0, max_angular=0.5, tolerance=0.25
         )
     limits = steering.limits
-    assert (steering.style, limits.max_linear, limits.max_angular) == ("forward", 1.0, 0.5)
+    assert (steering.style, limits.max_linear, limits.max_angular) == (
+        "rotate_then_drive",
+        1.0,
+        0.5,
+    )
     assert (limits.tolerance, limits.area) == (0.25, AREA)
 
 
 async def test_the_fastest_turn_is_the_last_that_the_law_of_steering_takes():
     async with yard() as place:
-        steering = partial(place.turtles.steering, style="arc", max_linear=2.0, tolerance=0.1)
+        steering = partial(place.turtles.steering, style="natural", max_linear=2.0, tolerance=0.1)
         steering(max_angular=Robot().fastest)
         with pytest.raises(Reject, match=r"^max_angular: must be 98\.17 rad/s at most, not 98\.2$"):
             steering(max_angular=98.2)

@@ -8,7 +8,7 @@ from contextlib import aclosing, asynccontextmanager
 from typing import NamedTuple
 
 from turtleact.actions.driving import Turtles
-from turtleact.actions.steering import Area, Steering
+from turtleact.actions.steering import Area, Limits, Steering
 from turtleact.clock import VirtualClock
 from turtleact.interfaces.standard import Point, TurtlePose, Twist
 from turtleact.node import Node, open_node
@@ -46,8 +46,8 @@ class Yard(NamedTuple):
         twist = self.twists.latest
         return None if twist is None else twist.linear.x
 
-    def drive(self, robot="robot"):
-        return self.turtles.drive(robot, Steering())
+    def drive(self, robot="robot", limits=Limits()):  # noqa: B008  # it is frozen
+        return self.turtles.drive(robot, Steering(limits=limits))
 
     def endpoints(self, name=""):
         """The topics that are open on the driving node."""

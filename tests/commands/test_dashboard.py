@@ -163,9 +163,9 @@ async def test_targets_have_the_colour_of_the_turtle_that_heads_for_them(monkeyp
 
 async def test_a_turtle_that_reverses_is_said_to_in_its_row():
     async with served() as (board, node):
-        goal = Patrol.Goal(targets=[Point(x=2.0, y=5.5)], style="fastest")
+        goal = Patrol.Goal(targets=[Point(x=4.1, y=5.5)])
         async with node.action_client(Patrol, "/patrol").send_goal(goal):
-            await node.clock.sleep(0.5)
+            await node.clock.sleep(0.3)
             assert any(line.endswith("turtle1 1  reversing") for line in shown(board))
 
 

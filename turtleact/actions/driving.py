@@ -14,9 +14,9 @@ What can go wrong on the way:
 - If poses arrive faster or slower than ``Robot.dt`` says, commands are calculated for the measured
   time between two poses.
 
-If a robot keeps its commands (see `Robot.keeps_commands`), the drive publishes a command only if it
-differs from the last one, or if the last one would soon expire. While a command is held (see
-`Helm`), poses that match the prediction do not wake the task that drives the robot.
+If a robot keeps its commands (see `Robot.keeps_commands`), the drive steers only with every few
+poses, and checks in between whether the turtle has reached its target. A fleet needs a third of the
+processor time then.
 
 While a goal is paused, its turtle stands still, the turtle's poses are ignored, and `Drive.time`
 does not advance. A pause therefore delays the goal, but uses up none of the goal's time limits.
@@ -25,24 +25,16 @@ does not advance. A pause therefore delays the goal, but uses up none of the goa
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, cast
 
-import anyio.lowlevel
+import anyio
 from msgspec.structs import replace
 
 from turtleact.actions.robots import Robot, Sighting
-from turtleact.actions.steering import (
-    STILL,
-    Area,
-    Helm,
-    Limits,
-    Steering,
-    rising_times,
-    time_bound,
-)
+from turtleact.actions.steering import STILL, Area, Limits, Steering, time_limit
 from turtleact.errors import Abort, InvalidMessage, InvalidName, Reject
 from turtleact.geometry import distance
 from turtleact.interfaces.standard import Point, TurtlePose
@@ -71,10 +63,19 @@ A drive checks for poses only every `PAUSE` seconds, so the failure may come up 
 """
 
 PATIENCE: Final = 2.0
-"""A drive gives up a target after `time_bound`, multiplied by this factor."""
+"""A drive gives up a target after `time_limit`, multiplied by this factor."""
 
 LEARNING: Final = 0.3
 """The weight of the newest pose interval in the moving average of the pose intervals."""
+
+MOST_HELD: Final = 4
+"""A command is held for at most this many poses."""
+
+_TURN_HELD: Final = 0.25
+"""While a command is held, the turtle turns by at most this angle (rad)."""
+
+_WAY_HELD: Final = 2.0
+"""While a command is held, the turtle drives at most this many tolerances far."""
 
 
 class Drive:
@@ -84,45 +85,39 @@ class Drive:
         travelled: The distance that the turtle has driven (m).
     """
 
-    def __init__(
-        self, node: Node, robot: Robot, turtle: str, steering: Steering, proving: anyio.Lock
-    ) -> None:
+    def __init__(self, node: Node, robot: Robot, turtle: str, steering: Steering) -> None:
         self.travelled = 0.0
-        self._proving = proving
-        self._seen = Sighting((0.0, 0.0, 0.0))
-        self._taken: TurtlePose | None = None
-        self._taken_since = 0
         self._node = node
         self._clock = node.clock
-        self._pace = robot.dt
-        self._decided: float | None = None
         self._robot = robot
         self._turtle = turtle
-        self._helm = Helm(steering) if robot.keeps_commands else Helm(steering, longest=1)
-        self._until = math.inf
-        self._held: anyio.Event | None = None  # set when the turtle is released
-        self._is_standing = False
+        self._steering = steering
+        self._speeds: Speeds = STILL
+        self._seen = Sighting((0.0, 0.0, 0.0))
+        self._unread: TurtlePose | None = None  # newer than `_seen`
+        self._pace = robot.dt
+        self._steered: float | None = None
+        self._poses_since = 0
+        self._held_for = _poses_to_hold(robot, steering.limits)
+        self._target = (math.inf, math.inf)
+        self._until = -math.inf  # the first pose wakes the drive
+        self._paused: anyio.Event | None = None  # set when the turtle is released
         self._passed_over = 0.0
         self._heard = self._clock.time()  # when the last pose came
         self._pose_topic, self._twist_topic = robot.topics(turtle)
         self._nothing_heard = f"nothing was heard of {self._pose_topic} for {SILENCE:g} s"
         self._why = self._nothing_heard
         self._poses: Subscription[Message] = node.subscription(robot.pose_class, self._pose_topic)
-        if robot.keeps_commands:
-            self._poses.taker = cast("Callable[[Message], bool]", self._take)
+        self._poses.taker = self._take
         self._twists: Publisher[Message] = node.publisher(robot.twist_class, self._twist_topic)
         self._watch = Background(self._keep_watch(), f"the watch over {self._pose_topic}")
 
     @property
     def seen(self) -> Sighting:
         """The turtle's place and speed according to its newest pose."""
-        if self._taken is not None:
-            self._seen, self._taken = self._robot.read(self._taken), None
+        if self._unread is not None:
+            self._seen, self._unread = self._robot.read(self._unread), None
         return self._seen
-
-    @seen.setter
-    def seen(self, sighting: Sighting) -> None:
-        self._seen, self._taken = sighting, None
 
     @property
     def pose(self) -> TurtlePose:
@@ -131,7 +126,7 @@ class Drive:
 
     def has_reached(self, target: Point, *, theta: float | None = None) -> bool:
         """Whether the turtle is at a target and, if ``theta`` is given, has that heading (rad)."""
-        return self._helm.steering.is_reached(self.seen.pose, (target.x, target.y), theta=theta)
+        return self._steering.is_reached(self.seen.pose, (target.x, target.y), theta=theta)
 
     def distance_to(self, targets: Sequence[Point]) -> float:
         """Return the length (m) of straight lines from the turtle through all targets in order."""
@@ -150,10 +145,9 @@ class Drive:
 
     def hold(self) -> None:
         """Stop the turtle from the next tick on, until `release` is called."""
-        if self._held is None:
-            self._held = anyio.Event()
-            if self._helm.steering.limits.is_eased:
-                self._helm.stop()
+        if self._paused is None:
+            self._paused = anyio.Event()
+            self._forget_speeds()
             self._publish(STILL)
 
     def release(self) -> None:
@@ -162,39 +156,16 @@ class Drive:
         With limited accelerations, the turtle starts from rest. Otherwise it continues at once at
         the speeds that it had before `hold`.
         """
-        if self._held is None:
-            return
-        self._held.set()
-        self._held = None
-        if self._helm.steering.limits.is_eased:
-            self._helm.stop()  # the law starts from rest, with the next pose
-        elif not self._is_standing:  # else a pose has come that needs a new command
-            self._publish(self._helm.speeds)
-
-    async def checkpoint(self) -> None:
-        """Let other tasks run. After `hold`, also wait for `release`."""
-        await anyio.lowlevel.checkpoint()
-        await self._stand()
+        if self._paused is not None:
+            self._paused.set()
+            self._paused = None
+            self._publish(self._speeds)
 
     def deadline(self, target: Point, *, theta: float | None = None) -> float:
         """Return when to give up a target, in seconds on the drive's clock (see `time`)."""
         stops = [(target.x, target.y)]
-        bound = time_bound(self.seen.pose, stops, self._helm.steering, theta=theta)
-        return self.time() + PATIENCE * bound
-
-    async def shortest_time(self, targets: Sequence[Point], *, theta: float | None = None) -> float:
-        """Return a lower bound of the time (s) that the turtle needs to visit the targets in order.
-
-        The calculation runs in small steps, so that other tasks can run in between. Only one drive
-        at a time runs this calculation.
-        """
-        stops, least = [(target.x, target.y) for target in targets], 0.0
-        async with self._proving:
-            for time in rising_times(self.seen.pose, stops, self._helm.steering, theta=theta):
-                least = max(least, time)
-                await anyio.lowlevel.checkpoint()
-        await self._stand()
-        return least
+        limit = time_limit(self.seen.pose, stops, self._steering.limits, theta=theta)
+        return self.time() + PATIENCE * limit
 
     def too_late(self, target: str) -> Abort:
         """Return the error for a target that was not reached in time, with a possible reason."""
@@ -210,21 +181,22 @@ class Drive:
         theta: float | None = None,
         until: float = math.inf,
     ) -> None:
-        """Drive for one tick, or for several ticks that need the same command.
+        """Steer once, and wait for the pose with which to steer again.
 
         Args:
             target: The target to drive to (m).
             next_target: The target after ``target`` (m).
             theta: The wanted heading at the target (rad); None for any heading.
-            until: A deadline on the clock of `time` (s). The method returns no later than the first
-                tick at or after this deadline.
+            until: A deadline on the clock of `time` (s). The method returns no later than with the
+                first pose at or after this deadline.
 
         Raises:
             Abort: if no pose of the turtle arrives.
         """
         after = None if next_target is None else (next_target.x, next_target.y)
-        self._tell(self._helm.command(self.seen.pose, (target.x, target.y), after, theta=theta))
-        self._until = until
+        # Hold no command across a silence: the watch may have stopped the turtle meanwhile.
+        self._target, self._until = (target.x, target.y), min(until, self.time() + PAUSE)
+        self._steer(self._target, after, theta=theta)
         await self.wait_for_pose()
 
     async def rest(self) -> None:
@@ -235,18 +207,17 @@ class Drive:
         Raises:
             Abort: if no pose of the turtle arrives.
         """
-        while self._helm.steering.limits.is_eased and self._helm.speeds != STILL:
+        while self._steering.limits.is_eased and self._speeds != STILL:
             await self.stay()
 
     async def stay(self) -> None:
-        """Brake, or stand still, for one tick.
+        """Brake, or stand still, until the next pose.
 
         Raises:
             Abort: if no pose of the turtle arrives.
         """
-        here = self.seen.pose
-        self._tell(self._helm.command(here, here[:2]))
         self._until = -math.inf
+        self._steer(self.seen.pose[:2])
         await self.wait_for_pose()
 
     async def wait_for_pose(self) -> None:
@@ -267,85 +238,75 @@ class Drive:
             for message in self._poses.drain():  # noqa: B007
                 pass
             seen = self._read(message)
-            if self._objection(seen):
-                continue
-            if self._robot.keeps_commands:  # `_take` ignores poses and notes when they come
+            if not self._objection(seen):
                 break
-            if self._held is None:
-                self._heard = self._clock.time()
-                break
-            self._pass_over()
-            self._publish(STILL)
         self.travelled += distance(*self.seen.pose[:2], *seen.pose[:2])
         self._seen = seen
-        self._keep_pace(is_a_tick=self._robot.keeps_commands and self._helm.foresees(seen.pose))
-        await self._stand()
+        self._keep_pace()
+        while self._paused is not None:
+            await self._paused.wait()
 
     async def aclose(self) -> None:
         """Stop the turtle where it is, and close its topics."""
         # Before the first await: a cancelled task may not get another turn, and a turtle that keeps
         # its commands would drive on for a second.
-        self._stop()
+        self._tell(STILL)
         await self._watch.aclose()
         await self._twists.aclose()
         await self._poses.aclose()
 
-    def _take(self, message: TurtlePose) -> bool:
+    def _steer(
+        self,
+        target: tuple[float, float],
+        after: tuple[float, float] | None = None,
+        *,
+        theta: float | None = None,
+    ) -> None:
+        self._tell(self._steering.command(self.seen.pose, target, after, self._speeds, theta=theta))
+
+    def _take(self, message: Message) -> bool:
         """Return False to wake the drive for a new command, or True to let the drive wait.
 
         While the last command is held, record the pose. While the goal is paused, ignore the pose.
         """
         # This is called while a pose is being published, 62 times a second for each turtle. It must
         # be short and must not await. It reads the whole message only if somebody asks for it.
-        if self._held is not None:
-            self._pass_over()
+        before, self._heard = self._heard, self._clock.time()
+        if self._paused is not None:
+            self._passed_over += self._heard - before
+            if not self._robot.keeps_commands:
+                self._publish(STILL)
             return True
-        helm, x, y = self._helm, message.x, message.y
-        before, self._heard = helm.at, self._clock.time()
-        if not helm.holds((x, y, message.theta)) or self.time() >= self._until:
+        self._poses_since += 1
+        if self._poses_since >= self._held_for or self.time() >= self._until:
             return False
-        self.travelled += math.hypot(x - before[0], y - before[1])
-        self._taken = message
-        self._taken_since += 1
+        pose = cast("TurtlePose", message)  # only a turtle of turtlesim keeps its commands
+        if distance(pose.x, pose.y, *self._target) <= self._steering.limits.tolerance:
+            return False
+        self.travelled += distance(*self._place, pose.x, pose.y)
+        self._unread = pose
         return True
 
-    def _pass_over(self) -> None:
-        """During a pause, exclude the time since the last pose from `Drive.time`."""
-        now = self._clock.time()
-        self._passed_over += now - self._heard
-        self._heard = now
+    @property
+    def _place(self) -> tuple[float, float]:
+        if self._unread is not None:
+            return self._unread.x, self._unread.y
+        return self._seen.pose[:2]
 
-    async def _stand(self) -> None:
-        """If `hold` has stopped the turtle, wait for `release`."""
-        self._is_standing = True
-        try:
-            while self._held is not None:
-                await self._held.wait()
-        finally:
-            self._is_standing = False
-
-    def _keep_pace(self, *, is_a_tick: bool) -> None:
-        """Measure the time between poses, which may differ from ``Robot.dt``.
-
-        If the turtle has moved by exactly one tick, the interval counts as ``Robot.dt``, even if
-        the pose is late.
-        """
-        before, self._decided = self._decided, self.time()
-        poses, self._taken_since = 1 + self._taken_since, 0
-        if before is None:
-            return
-        # One pose may be late by chance. Each pose moves the estimate by the share `LEARNING`. A
-        # time longer than twice the estimate counts as twice the estimate.
-        lasted = self._robot.dt if is_a_tick else (self._decided - before) / poses
-        change = min(lasted, 2.0 * self._pace) - self._pace
-        self._pace += (1.0 - (1.0 - LEARNING) ** poses) * change
-        limits = self._helm.steering.limits
-        dt = min(max(self._robot.dt / 8.0, self._pace), math.pi / 2.0 / limits.max_angular)
-        # A new law drops the command that the helm holds, so a small change of the pace does not
-        # make a new law.
+    def _keep_pace(self) -> None:
+        """Measure the time between poses, which may differ from ``Robot.dt``."""
+        before, self._steered = self._steered, self.time()
+        poses, self._poses_since = max(1, self._poses_since), 0
+        if before is not None:
+            # One pose may be late by chance: a time longer than twice the estimate counts as twice
+            # the estimate.
+            lasted = min((self._steered - before) / poses, 2.0 * self._pace)
+            self._pace += LEARNING * (lasted - self._pace)
+        limits = self._steering.limits
+        dt = max(self._robot.dt / 8.0, self._pace) * self._held_for
+        dt = min(dt, math.pi / 2.0 / limits.max_angular)
         if abs(dt - limits.dt) > limits.dt / 4.0:
-            limits = replace(limits, dt=dt)
-            self._helm.steering = replace(self._helm.steering, limits=limits)
+            self._steering = replace(self._steering, limits=replace(limits, dt=dt))
 
     def _read(self, message: Message) -> Sighting:
         try:
@@ -353,12 +314,14 @@ class Drive:
         except InvalidMessage as error:
             raise Abort(f"{self._pose_topic}: {error}") from None
 
-    def _stop(self) -> None:
-        self._helm.stop()
-        self._tell(STILL)
+    def _forget_speeds(self) -> None:
+        """If the accelerations are limited, let the law start from rest."""
+        if self._steering.limits.is_eased:
+            self._speeds = STILL
 
     def _tell(self, speeds: Speeds) -> None:
-        if self._held is None:
+        self._speeds = speeds
+        if self._paused is None:
             self._publish(speeds)
 
     def _publish(self, speeds: Speeds) -> None:
@@ -384,9 +347,9 @@ class Drive:
                 self._why = f"turtle '{self._turtle}' is gone: {what}"
                 break
             if silence == PAUSE:
-                self._stop()
+                self._tell(STILL)
         await self._poses.aclose()
-        self._helm.stop()
+        self._speeds = STILL
         self.release()  # a driver that waits for the release gives up, too
 
     def _is_heard(self, message: Message) -> bool:
@@ -411,6 +374,14 @@ class Drive:
         return f"the stamps of {self._pose_topic} went back by {back:.3g} s" if back > 0.0 else ""
 
 
+def _poses_to_hold(robot: Robot, limits: Limits) -> int:
+    """Return the number of poses for which each command is held."""
+    if limits.is_eased or not robot.keeps_commands:
+        return 1
+    longest = min(_TURN_HELD / limits.turn, _WAY_HELD * limits.tolerance / limits.step)
+    return max(1, min(MOST_HELD, int(longest)))
+
+
 class Turtles:
     """The turtles of a graph, and the drives of these turtles.
 
@@ -426,7 +397,6 @@ class Turtles:
         self._robot = robot or Robot()
         self._driven: set[str] = set()
         self._drives: dict[bytes, Drive] = {}
-        self._proving = anyio.Lock()
 
     def steering(
         self,
@@ -520,7 +490,7 @@ class Turtles:
         # Two goals may have been accepted before either has begun: `check_turtle` saw neither.
         if topic in self._driven:
             raise Abort(_taken(turtle))
-        drive = Drive(self._node, self._robot, turtle, steering, self._proving)
+        drive = Drive(self._node, self._robot, turtle, steering)
         self._driven.add(topic)
         if goal is not None:
             self._drives[goal.goal_id] = drive

@@ -38,7 +38,7 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
             tolerance: How far from the place the turtle may stop (m), above zero.
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
-            style: ``natural``, ``fastest``, ``forward`` or ``rotate_then_drive``.
+            style: ``natural`` or ``rotate_then_drive``.
             theta: The wanted heading at the place (rad): 0 is to the right, 1.5708 is up. If
                 ``heading_tolerance`` is 0, any heading will do.
             heading_tolerance: How far the final heading may be from ``theta`` (rad); 0 for any
@@ -46,8 +46,6 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         """
 
         STYLE_NATURAL: ClassVar[string] = "natural"
-        STYLE_FASTEST: ClassVar[string] = "fastest"
-        STYLE_FORWARD: ClassVar[string] = "forward"
         STYLE_ROTATE_THEN_DRIVE: ClassVar[string] = "rotate_then_drive"
         x: float64 = 0.0
         y: float64 = 0.0
@@ -65,12 +63,10 @@ class GoTo(Action, type_name="turtleact_interfaces/action/GoTo"):
         Attributes:
             distance: How far the turtle went (m).
             duration: How long the turtle took (s), by the clock of the graph. Pauses do not count.
-            bound: A lower bound of the time (s) with the goal's style and highest speeds.
         """
 
         distance: float64 = 0.0
         duration: float64 = 0.0
-        bound: float64 = 0.0
 
     class Feedback(Message):
         """Where the turtle is and how far it still has to go, sent once a second and at the end.
@@ -140,7 +136,7 @@ class _GoTo:
         theta = goal.theta if goal.heading_tolerance else None
         async with self._turtles.drive(goal.turtle, self._steering(goal), handle) as drive:
             deadline, due = drive.deadline(target, theta=theta), drive.time()
-            result, has_told = GoTo.Result(bound=before.bound), False
+            result, has_told = GoTo.Result(), False
 
             def note() -> None:
                 result.distance = before.distance + drive.travelled
@@ -152,8 +148,6 @@ class _GoTo:
                 handle.publish_feedback(GoTo.Feedback(drive.pose, drive.distance_to([target])))
 
             try:
-                if not result.bound:
-                    result.bound = await drive.shortest_time([target], theta=theta)
                 while not drive.has_reached(target, theta=theta):
                     if drive.time() > deadline:
                         raise drive.too_late(_missed(goal, is_there=drive.has_reached(target)))

@@ -29,19 +29,6 @@ __all__ = ["Patrol", "serve"]
 PERIOD = 1.0
 """Seconds between two feedback messages on the way to a target."""
 
-WHOLE = 24
-"""A patrol's lower bound of the time includes the turns at this many targets at most.
-
-The bound ignores the turns at later targets. Computing a bound with this many targets takes about
-10 ms.
-"""
-
-AT_ONCE = 16
-"""The most targets that a turtle can reach without a new pose.
-
-Each round of a patrol also waits for a new pose.
-"""
-
 
 class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
     """Visit places, one after the other."""
@@ -59,12 +46,10 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
             tolerance: How close to a target the turtle must come (m), above zero.
             max_linear: Highest speed (m/s), above zero.
             max_angular: Highest turn rate (rad/s), above zero.
-            style: ``natural``, ``fastest``, ``forward`` or ``rotate_then_drive``.
+            style: ``natural`` or ``rotate_then_drive``.
         """
 
         STYLE_NATURAL: ClassVar[string] = "natural"
-        STYLE_FASTEST: ClassVar[string] = "fastest"
-        STYLE_FORWARD: ClassVar[string] = "forward"
         STYLE_ROTATE_THEN_DRIVE: ClassVar[string] = "rotate_then_drive"
         targets: list[Point] = []
         loops: int32 = 0
@@ -84,15 +69,12 @@ class Patrol(Action, type_name="turtleact_interfaces/action/Patrol"):
                 target that was missed in several rounds appears several times.
             distance: How far the turtle went (m).
             duration: How long the patrol took (s), by the clock of the graph. Pauses do not count.
-            bound: A lower bound of the time (s) to visit all targets with the goal's style and
-                highest speeds.
         """
 
         reached: int32 = 0
         missed: list[int32] = []
         distance: float64 = 0.0
         duration: float64 = 0.0
-        bound: float64 = 0.0
 
     class Feedback(Message):
         """The progress of a patrol, sent at each target and once a second between targets.
@@ -172,27 +154,9 @@ class _Tour:
 
     def length_from(self, stop: int) -> float:
         """Return the distance from a stop through all later stops (m)."""
-        return self._sum_from(stop, self._legs)
-
-    async def bound(self, drive: Drive, goal: Patrol.Goal) -> float:
-        """Return a lower bound of the time (s) for the patrol.
-
-        The method computes two bounds and returns the higher one. One bound includes the turns of
-        the first round. The other bound includes the turns of all rounds. Each bound includes the
-        turns at no more than `WHOLE` stops. The bound for the first round may be higher, because
-        `Drive.shortest_time` searches more finely if there are fewer stops.
-        """
-        straight = [max(0.0, leg - 2.0 * goal.tolerance) for leg in self._legs]
-        least = 0.0
-        for count in {min(len(self._targets), WHOLE), min(self.stops, WHOLE)}:
-            first = [self._targets[self.index(stop)] for stop in range(count)]
-            others = self._sum_from(count - 1, straight) / goal.max_linear
-            least = max(least, await drive.shortest_time(first) + others)
-        return least
-
-    def _sum_from(self, stop: int, legs: Sequence[float]) -> float:
-        rounds, left = divmod(self.stops - 1 - stop, len(legs))
-        return rounds * sum(legs) + sum(legs[self.index(stop + leg)] for leg in range(left))
+        rounds, left = divmod(self.stops - 1 - stop, len(self._legs))
+        rest = sum(self._legs[self.index(stop + leg)] for leg in range(left))
+        return rounds * sum(self._legs) + rest
 
 
 class _Patrol:
@@ -276,18 +240,7 @@ class _Patrol:
                 note(result)
 
             try:
-                if not result.bound:
-                    result.bound = await tour.bound(drive, goal)
-                seen = None
                 for stop in range(first, tour.stops):
-                    # A turtle that stands on its targets reaches all of them without waiting for
-                    # a pose: a long list of such stops must not block the event loop,
-                    await drive.checkpoint()
-                    # nor may endless rounds of them pass without time passing.
-                    if tour.index(stop) % AT_ONCE == 0:
-                        if drive.seen is seen:  # no pose has come since
-                            await drive.stay()
-                        seen = drive.seen
                     leg = _Leg(tour, stop, drive, result, tell)
                     if await leg.run():
                         result.reached += 1
@@ -338,6 +291,11 @@ class _Leg:
         after = self._tour.target(self._stop + 1)
         deadline = drive.deadline(target)
         due = drive.time() + PERIOD
+        # A turtle that stands on all of its targets reaches one with each pose, so that endless
+        # rounds do not block the event loop.
+        if drive.has_reached(target):
+            await drive.stay()
+            return True
         while not drive.has_reached(target):
             if drive.time() > deadline:
                 return False
