@@ -131,7 +131,8 @@ async def test_a_goal_of_the_former_patrol_in_a_journal_is_aborted_with_the_reas
         turtleact.open_journal(tmp_path / "goals.db") as journal,
         turtleact.open_node("former") as node,
     ):
-        node.action_server(FormerPatrol, "/patrol", wait, journal=journal)
+        # The journal tells goals of built-in actions from goals of the user's own.
+        node.action_server(FormerPatrol, "/patrol", wait, journal=journal, on_conflict="withdraw")
         client = node.action_client(FormerPatrol, "/patrol")
         async with client.send_goal(FormerPatrol.Goal(targets=TARGETS), goal_id=ID):
             crashed = await crash(journal)
