@@ -32,7 +32,8 @@ from turtleact.clock import VirtualClock
 from turtleact.geometry import bearing, distance, shortest_turn
 from turtleact.interfaces.standard import Point
 from turtleact.node import Node, open_node
-from turtleact.sim.kinematics import DT, SIDE, Hits
+from turtleact.sim.fleet import Hits
+from turtleact.sim.kinematics import DT, SIDE
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
 from turtleact.tasks import Background

@@ -38,8 +38,8 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from turtleact import ClientGoalHandle, testing
 from turtleact.actions.patrol import Patrol
-from turtleact.app import open_world
 from turtleact.interfaces import from_dict, to_dict
+from turtleact.sim.world_node import open_world
 from turtleact.web import add_error_handlers
 
 Handle: TypeAlias = ClientGoalHandle[Patrol.Result, Patrol.Feedback]

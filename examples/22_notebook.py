@@ -20,8 +20,8 @@ import asyncio
 from contextlib import AsyncExitStack
 
 from turtleact.actions.patrol import Patrol
-from turtleact.app import open_world
 from turtleact.interfaces.standard import Point
+from turtleact.sim.world_node import open_world
 
 # %% Not in a notebook: an event loop that lasts
 runner = asyncio.Runner()

@@ -21,8 +21,8 @@ ROOT = Path(__file__).parents[1]
 BANDS: Final = (
     ("Command line", "main", "cli"),
     ("Doors", "main", "web"),
-    ("Whole programs", "fill", "app"),
-    ("What acts", "fill", "actions"),
+    ("What watches", "fill", "render"),
+    ("What acts", "fill", "sim"),
     ("A participant", "main", "node"),
     ("Goals", "main", "server"),
     ("Parts of a node", "fill", "body"),

@@ -10,7 +10,6 @@ import anyio
 import pytest
 
 from turtleact import CancelResponse, GoalResponse, GoalStatus, QoS
-from turtleact.app import open_world
 from turtleact.errors import (
     GoalAborted,
     GoalRejected,
@@ -20,6 +19,7 @@ from turtleact.errors import (
 )
 from turtleact.goal import CancelCode
 from turtleact.interfaces.standard import GoalStatusArray
+from turtleact.sim.world_node import open_world
 
 from .lab import (
     ON_ASYNCIO,

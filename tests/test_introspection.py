@@ -14,7 +14,6 @@ import pytest
 
 import turtleact
 from turtleact import CancelResponse, GoalCanceled, GoalRejected, GoalResponse, GoalStatus
-from turtleact.app import open_world
 from turtleact.errors import InvalidOption, ServiceError, TurtleactError
 from turtleact.interfaces import implied
 from turtleact.interfaces.classes import event_message
@@ -23,6 +22,7 @@ from turtleact.interfaces.standard.std_srvs.srv import SetBool
 from turtleact.introspection import EVENT_QOS, ServiceEvents
 from turtleact.names import event_topic
 from turtleact.node import Node
+from turtleact.sim.world_node import open_world
 from turtleact.tasks import Background
 from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport, open_zenoh

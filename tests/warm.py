@@ -46,7 +46,12 @@ if TYPE_CHECKING:
 PRELOADED = (
     *("asyncio", "numpy", "rich.live", "typer.rich_utils", "yaml", "zenoh"),
     *("turtleact.actions.go_to", "turtleact.actions.patrol", "turtleact.actions.fibonacci"),
-    *("turtleact.app", "turtleact.cli", "turtleact.commands.graph", "turtleact.commands.live"),
+    *(
+        "turtleact.sim.world_node",
+        "turtleact.cli",
+        "turtleact.commands.graph",
+        "turtleact.commands.live",
+    ),
     *("turtleact.commands.send_goal", "turtleact.commands.serve", "turtleact.sim.turtlesim"),
     *("turtleact.commands.verbs.goals", "turtleact.commands.verbs.serve"),
     *("turtleact.interfaces.text", "turtleact.transports.rmw_zenoh.transport"),

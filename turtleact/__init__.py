@@ -24,7 +24,6 @@ from __future__ import annotations
 
 TYPE_CHECKING = False  # as in `typing`, which is slow to import
 if TYPE_CHECKING:
-    from turtleact.app import WorldNode, open_world
     from turtleact.body import action, background
     from turtleact.client import (
         Accepted,
@@ -85,6 +84,7 @@ if TYPE_CHECKING:
     from turtleact.node.parameters import Parameter
     from turtleact.parameters import parameter
     from turtleact.services import ServiceClient, ServiceServer
+    from turtleact.sim.world_node import WorldNode, open_world
     from turtleact.topics import Publisher, Subscription
     from turtleact.transports import QoS, open_zenoh
 
@@ -171,7 +171,7 @@ __all__ = [
 __version__ = "0.1.0"
 
 _HOMES = {
-    "app": ("WorldNode", "open_world"),
+    "sim.world_node": ("WorldNode", "open_world"),
     "body": ("action", "background"),
     "client": (
         "Accepted",

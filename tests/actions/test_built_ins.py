@@ -10,10 +10,10 @@ import pytest
 
 from turtleact import open_node
 from turtleact.actions import serve_built_ins
-from turtleact.app import open_world
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.sim.kinematics import SIDE
+from turtleact.sim.world_node import open_world
 from turtleact.transports import open_zenoh
 
 from ..lab import settle

@@ -461,7 +461,7 @@ def test_what_is_said_of_the_world_reaches_it(turtleact, monkeypatch):
         asked.update(options)
         raise TurtleactError("enough")
 
-    monkeypatch.setattr("turtleact.app.open_world", open_world)
+    monkeypatch.setattr("turtleact.sim.world_node.open_world", open_world)
     said = "--speed 2 --turtles 3 --placing ring --seed 5 --collide --paused"
     assert turtleact("serve", *said.split()).err == "turtleact: enough\n"
     del asked["graph"], asked["on_transition"], asked["on_start"], asked["on_node"]
@@ -528,7 +528,7 @@ def test_turtlesim_node_serves_what_turtlesim_serves_and_nothing_else(turtleact,
         asked.update(options)
         raise TurtleactError("enough")
 
-    monkeypatch.setattr("turtleact.app.open_world", open_world)
+    monkeypatch.setattr("turtleact.sim.world_node.open_world", open_world)
     assert turtleact("run", "turtlesim", "turtlesim_node").err == "turtleact: enough\n"
     assert (asked["turtlesim_only"], asked["turtles"]) == (True, 1)
 

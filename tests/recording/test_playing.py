@@ -11,7 +11,6 @@ import pytest
 
 import turtleact
 from turtleact import InvalidOption, QoS, TurtleactError, open_node, recording
-from turtleact.app import open_world
 from turtleact.clock import VirtualClock
 from turtleact.interfaces import encode, int32, nanoseconds, stamp_of
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
@@ -24,6 +23,7 @@ from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.converting import Output, convert
 from turtleact.recording.schemas import Schema
 from turtleact.recording.storage import Channel
+from turtleact.sim.world_node import open_world
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import STATUS_QOS

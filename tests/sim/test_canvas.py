@@ -5,11 +5,13 @@ from __future__ import annotations
 import cmath
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from turtleact.sim.canvas import CLEAR, SIZE, Canvas, Colour
+from turtleact.sim.canvas import CLEAR, Canvas
+from turtleact.sim.paint import SIZE, Colour, Pen
 
 RED, BLUE = Colour(255, 0, 0), Colour(0, 0, 255)
 
@@ -22,9 +24,13 @@ def drawn(canvas):
     return {(at % SIZE, at // SIZE) for at, pixel in enumerate(canvas.pixels) if pixel}
 
 
-def line(start, end, width=3.0):
+def draw(canvas, start, end, width, colour=RED):
+    canvas.draw(np.array([start], complex), np.array([end], complex), Pen(colour, width))
+
+
+def line(start, end, width=3):
     canvas = Canvas()
-    canvas.line(start, end, width, RED)
+    draw(canvas, start, end, width)
     return drawn(canvas)
 
 
@@ -96,22 +102,15 @@ def test_a_line_outside_draws_nothing():
 
 def test_the_later_line_covers_the_earlier():
     canvas = Canvas()
-    canvas.line(0 + 10j, 20 + 10j, 3.0, RED)
-    canvas.line(10 + 0j, 10 + 20j, 3.0, BLUE)
+    draw(canvas, 0 + 10j, 20 + 10j, 3, RED)
+    draw(canvas, 10 + 0j, 10 + 20j, 3, BLUE)
     assert [canvas.colour(x, 10) for x in (5, 10)] == [RED, BLUE]
 
 
 def test_black_is_a_colour():
     canvas = Canvas()
-    canvas.line(10 + 10j, 10 + 10j, 3.0, Colour(0, 0, 0))
+    draw(canvas, 10 + 10j, 10 + 10j, 3, Colour(0, 0, 0))
     assert canvas.colour(10, 10) == (0, 0, 0)
-
-
-def test_a_cleared_canvas_is_clear():
-    canvas = Canvas()
-    canvas.line(0j, 400 + 400j, 9.0, RED)
-    canvas.clear()
-    assert drawn(canvas) == set()
 
 
 def test_a_slanted_line_has_the_area_of_its_rectangle():
@@ -120,3 +119,15 @@ def test_a_slanted_line_has_the_area_of_its_rectangle():
     assert math.isclose(
         sum(x for x, _ in pixels) / len(pixels) + 0.5, 100 + 100 * math.cos(0.6), rel_tol=0.01
     )
+
+
+@pytest.mark.parametrize("count", [0, 1, 1024, 1025, 3000])
+def test_any_number_of_lines_has_the_pixels_of_each(count):
+    generator = np.random.default_rng(1)
+    starts = generator.uniform(-10.0, 510.0, (count, 2)).view(np.complex128)[:, 0]
+    ends = starts + generator.normal(0.0, 2.0, (count, 2)).view(np.complex128)[:, 0]
+    one_by_one, at_once = Canvas(), Canvas()
+    for start, end in zip(starts, ends, strict=True):
+        draw(one_by_one, start, end, 3)
+    at_once.draw(starts, ends, Pen(RED, 3))
+    assert (at_once.pixels == one_by_one.pixels).all()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.sim.canvas import METER, Colour, Pen
 from turtleact.sim.drawing import Pens
+from turtleact.sim.paint import METER, Colour, Pen
 from turtleact.sim.world import World
 
 RED, GREEN = Colour(255, 0, 0), Colour(0, 255, 0)

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from turtleact.sim import drawing as drawing_module
-from turtleact.sim.canvas import SIZE, Colour, Pen
 from turtleact.sim.drawing import Drawing
+from turtleact.sim.paint import SIZE, Colour, Pen
 from turtleact.sim.pictures import (
     BACKGROUND,
     Figure,

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from turtleact.sim.kinematics import DT, StepRule, half_turn, wrap
+from turtleact.sim.kinematics import DT, wrap
 from turtleact.sim.turtle import Rotation
 
 PI = 3.14159265
@@ -29,7 +29,7 @@ def run(target, theta=0.0, ticks=1000):
         remaining.append(rotation.remaining)
         if omega is None:
             break
-        theta = wrap(theta + omega * DT, half_turn(StepRule.EULER))
+        theta = wrap(theta + omega * DT)
     return remaining, rotation.delta, theta
 
 

@@ -12,8 +12,8 @@ import anyio
 import pytest
 
 from turtleact.actions.go_to import GoTo
-from turtleact.app import open_world
 from turtleact.interfaces.standard import TeleportAbsolute, Twist, Vector3
+from turtleact.sim.world_node import open_world
 from turtleact.sim.world_services import Poses
 from turtleact.transports import QoS
 

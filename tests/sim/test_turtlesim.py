@@ -20,7 +20,7 @@ from turtleact.interfaces.standard import (
     RotateAbsolute,
     SetParameters,
 )
-from turtleact.sim.canvas import Pen
+from turtleact.sim.paint import Pen
 from turtleact.sim.pictures import to_png
 from turtleact.sim.turtle import Turtle
 from turtleact.sim.world_services import Poses

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from turtleact.errors import SimError
-from turtleact.sim.kinematics import DT, SIDE, Hit, StepRule
+from turtleact.sim.kinematics import DT, SIDE, Hit
 from turtleact.sim.world import World
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -185,13 +185,6 @@ def test_commands_for_all_ignore_linear_y_too():
     world = World(FEW)
     world.set_velocities(np.zeros(FEW), np.ones(FEW), 0.0)
     assert not run(world, 1).poses()[:, 3].any()
-
-
-def test_arcs_are_an_option():
-    world = World(rule=StepRule.ARC)
-    world.set_velocity("turtle1", 1.0, 0.0, 1.0)
-    world.step()
-    assert world.pose("turtle1").x == pytest.approx(SIDE / 2 + math.sin(DT))
 
 
 def test_a_speed_beyond_float32_is_reported_as_infinite():

@@ -18,7 +18,6 @@ import pytest
 
 from turtleact import cli, recording
 from turtleact.actions.patrol import Patrol
-from turtleact.app import open_world
 from turtleact.commands import bag_sessions
 from turtleact.interfaces import encode
 from turtleact.interfaces.standard import Point, TurtlePose, Twist
@@ -26,6 +25,7 @@ from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.schemas import schema_of
 from turtleact.recording.storage import Channel
 from turtleact.sim.pictures import hue_of
+from turtleact.sim.world_node import open_world
 from turtleact.web.bag_view import open_bag_view
 
 from .browser import CHROMIUM, open_tab, running_browser

@@ -11,7 +11,6 @@ import pytest
 
 import turtleact
 from turtleact import Abort, GoalResponse, GoalStatus
-from turtleact.app import open_world
 from turtleact.errors import ServerUnavailable, UnknownGoal
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import (
@@ -26,6 +25,7 @@ from turtleact.interfaces.standard import (
     TurtlePose,
 )
 from turtleact.sim.pictures import hue_of
+from turtleact.sim.world_node import open_world
 from turtleact.transports import MemoryTransport, QoS, open_zenoh
 from turtleact.transports.base import STATUS_QOS, Endpoint
 from turtleact.web import open_bridge

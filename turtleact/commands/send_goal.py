@@ -162,7 +162,7 @@ def embedded_world(speed: float | str, seed: int) -> AbstractAsyncContextManager
 
     Only this function imports modules that load slowly, such as numpy.
     """
-    from turtleact.app import open_world
+    from turtleact.sim.world_node import open_world
 
     return open_world(speed=speed, seed=seed)
 

@@ -370,7 +370,7 @@ async def _open_node(
     """
     async with AsyncExitStack() as stack:
         if service.fleet is not None:
-            from turtleact.app import open_world
+            from turtleact.sim.world_node import open_world
 
             world = open_world(
                 **service.fleet._asdict(),

@@ -88,7 +88,7 @@ class Place(NamedTuple):
     """Where to send a goal: to a server on a graph, or to an embedded world.
 
     Attributes:
-        speed: The speed of the embedded world; see `turtleact.app.open_world`.
+        speed: The speed of the embedded world; see `turtleact.sim.world_node.open_world`.
         seed: The seed of the embedded world.
         reach: The graph on which to look for a server first; None to use only the embedded world.
         interfaces: A folder with more interface files.

@@ -11,46 +11,33 @@ Source: turtlesim 1.8.2, ``path_image_`` in ``turtle_frame.cpp``; Qt 5, ``QPen``
 
 from __future__ import annotations
 
-from array import array
-from math import ceil, inf
-from typing import Final, NamedTuple
+from typing import Final, TypeAlias
 
-__all__ = ["FLAT", "METER", "MIDDLE", "SIZE", "Canvas", "Colour", "Pen", "ink"]
+import numpy as np
+import numpy.typing as npt
 
-SIZE: Final = 500
-"""Width and height (pixels)."""
+from turtleact.sim.paint import SIZE, Colour, Pen
 
-METER: Final = 45.0
-"""Pixels per metre. In turtlesim, one metre is the height of the picture of a turtle."""
+__all__ = ["Canvas", "Places"]
 
-
-class Colour(NamedTuple):
-    """Red, green and blue, 0 to 255 each."""
-
-    red: int
-    green: int
-    blue: int
-
-
-class Pen(NamedTuple):
-    """A turtle's pen: a colour, and a width in pixels (1 to 255)."""
-
-    colour: Colour = Colour(179, 184, 255)
-    width: int = 3
+Places: TypeAlias = npt.NDArray[np.complex128]
+_Floats: TypeAlias = npt.NDArray[np.float64]
+_Whole: TypeAlias = npt.NDArray[np.int64]
 
 
 CLEAR: Final = Colour(255, 255, 255)
 """The colour of a pixel on which nothing was drawn. turtlesim clears to a transparent white."""
 
-MIDDLE: Final = complex(SIZE, SIZE) / 2.0
+_MIDDLE: Final = complex(SIZE, SIZE) / 2.0
 _OPAQUE: Final = 255 << 24
-FLAT: Final = 1e-9
+_FLAT: Final = 1e-9
 """A component of a line's direction (a unit vector) counts as 0 if it is smaller than this.
 
 The difference is too small to change a pixel.
 """
 
-_NOTHING: Final = array("I", [0]) * (SIZE * SIZE)
+_MOST: Final = 1024
+"""How many lines are converted to pixels at a time. A higher number would only use more memory."""
 
 
 class Canvas:
@@ -63,11 +50,7 @@ class Canvas:
     """
 
     def __init__(self) -> None:
-        self.pixels = array("I", _NOTHING)
-
-    def clear(self) -> None:
-        """Erase everything."""
-        self.pixels[:] = _NOTHING
+        self.pixels = np.zeros(SIZE * SIZE, "<u4")
 
     def colour(self, x: int, y: int) -> Colour:
         """The colour of a pixel: `CLEAR` where nothing was drawn.
@@ -76,64 +59,80 @@ class Canvas:
             x: Column, 0 to `SIZE` - 1.
             y: Row, 0 to `SIZE` - 1.
         """
-        pixel = self.pixels[y * SIZE + x]
+        pixel = int(self.pixels[y * SIZE + x])
         return Colour(pixel & 255, pixel >> 8 & 255, pixel >> 16 & 255) if pixel else CLEAR
 
-    def line(self, start: complex, end: complex, width: float, colour: Colour) -> None:
-        """Draw a straight line; parts outside the picture are left out.
+    def draw(self, start: Places, end: Places, pen: Pen) -> None:
+        """Draw straight lines with one pen; parts outside the picture are left out.
 
         Args:
-            start: Where the line begins, ``x + 1j * y`` (pixels).
-            end: Where the line ends. If ``end`` equals ``start``, a square is drawn.
-            width: The width of the line (pixels), above zero.
-            colour: The colour of the line.
+            start: Array of shape (N,): where each line begins, ``x + 1j * y`` (pixels).
+            end: Array of shape (N,): where each line ends (pixels). If it ends where it begins, a
+                square is drawn.
+            pen: The pen.
         """
-        if abs(start - MIDDLE) > abs(end - MIDDLE):  # so that rounding moves no pixel
-            start, end = end, start
-        length, half = abs(end - start), width / 2.0
-        along = (end - start) / length if length else 1.0 + 0.0j
-        reach = abs(along.imag) * (length / 2.0 + half) + abs(along.real) * half
-        middle = (start.imag + end.imag) / 2.0
-        first, last = _within(middle - reach, middle + reach)
-        # The rectangle is where two strips cross: one between its long sides, one between its ends.
-        side, side_low, side_high = _strip(-along.imag, along.real, -half, half)
-        top, top_low, top_high = _strip(along.real, along.imag, -half, length + half)
-        pixel = array("I", [ink(colour)])
-        pixels, x = self.pixels, start.real
-        for row in range(first, last):
-            y = row + 0.5 - start.imag
-            low = max(side * y + side_low, top * y + top_low)
-            high = min(side * y + side_high, top * y + top_high)
-            begin, stop = _within(x + low, x + high)
-            if begin < stop:
-                at = row * SIZE
-                pixels[at + begin : at + stop] = pixel * (stop - begin)
+        red, green, blue = pen.colour
+        for at in range(0, len(start), _MOST):
+            some = slice(at, at + _MOST)
+            found = _pixels(start[some], end[some], pen.width / 2.0)
+            self.pixels[found] = _OPAQUE | blue << 16 | green << 8 | red
 
 
-def ink(colour: Colour) -> int:
-    """Return the number of a pixel with this colour; see `Canvas.pixels`."""
-    return _OPAQUE | colour.blue << 16 | colour.green << 8 | colour.red
+def _pixels(start: Places, end: Places, half: float) -> _Whole:
+    """Return the indices of the pixels that the lines cover."""
+    # So that rounding moves no pixel, a line begins at its end that is nearer to the middle.
+    is_turned = np.abs(start - _MIDDLE) > np.abs(end - _MIDDLE)
+    start, end = np.where(is_turned, end, start), np.where(is_turned, start, end)
+    length, way = np.abs(end - start), end - start
+    has_way = length > 0.0
+    divisor = np.where(has_way, length, 1.0)
+    along_x = np.where(has_way, way.real / divisor, 1.0)
+    along_y = np.where(has_way, way.imag / divisor, 0.0)
+    reach = np.abs(along_y) * (length / 2.0 + half) + np.abs(along_x) * half
+    middle = (start.imag + end.imag) / 2.0
+    first, last = _within(middle - reach, middle + reach)
+    rows = np.repeat(first - np.cumsum(last - first) + (last - first), last - first)
+    rows += np.arange(len(rows))
+    which = np.repeat(np.arange(len(start)), last - first)
+    # The rectangle is where two strips cross: one between its long sides, one between its ends.
+    side, side_low, side_high = _strip(-along_y, along_x, np.full_like(length, -half), half)
+    top, top_low, top_high = _strip(along_x, along_y, np.full_like(length, -half), length + half)
+    x, y = start.real[which], rows + 0.5 - start.imag[which]
+    side, top = side[which] * y, top[which] * y
+    low = np.maximum(side + side_low[which], top + top_low[which])
+    high = np.minimum(side + side_high[which], top + top_high[which])
+    begin, stop = _within(x + low, x + high)
+    count = stop - begin
+    found = np.repeat(rows * SIZE + begin - np.cumsum(count) + count, count)
+    found += np.arange(len(found))
+    return found
 
 
-def _within(low: float, high: float) -> tuple[int, int]:
-    """The range of pixels (first, last + 1) whose centres ``c`` meet ``low <= c < high``."""
-    if low >= high or low >= SIZE or high <= 0.0:
-        return 0, 0
-    begin = ceil(low - 0.5) if low > 0.0 else 0
-    return begin, ceil(high - 0.5) if high < SIZE else SIZE
+def _within(low: _Floats, high: _Floats) -> tuple[_Whole, _Whole]:
+    """The ranges of pixels (first, last + 1) whose centres ``c`` meet ``low <= c < high``."""
+    begin = np.where(low > 0.0, np.ceil(np.clip(low, 0.0, SIZE) - 0.5), 0.0)
+    stop = np.where(high < SIZE, np.ceil(np.clip(high, 0.0, SIZE) - 0.5), float(SIZE))
+    is_none = (low >= high) | (low >= SIZE) | (high <= 0.0)
+    stop = np.where(is_none, begin, np.maximum(begin, stop))
+    return begin.astype(np.int64), stop.astype(np.int64)
 
 
-def _strip(dx: float, dy: float, low: float, high: float) -> tuple[float, float, float]:
+def _strip(
+    dx: _Floats, dy: _Floats, low: _Floats, high: _Floats | float
+) -> tuple[_Floats, _Floats, _Floats]:
     """Solve ``low <= dx * x + dy * y < high`` for x.
 
-    If ``dx`` is nearly 0, the condition depends only on y, and the bounds of x are infinite. The
-    caller must then skip each row with a y that does not meet the condition.
+    Where ``dx`` is nearly 0, the condition depends only on y, and the bounds of x are infinite.
 
     Returns:
-        The growth of both bounds of x when y grows by 1, the lower bound at y = 0, and the upper
-        bound at y = 0.
+        The growth of both bounds of x when y grows by 1, the lower bounds at y = 0, and the upper
+        bounds at y = 0.
     """
-    if abs(dx) < FLAT:
-        return 0.0, -inf, inf
-    one, other = low / dx, high / dx
-    return -dy / dx, min(one, other), max(one, other)
+    is_flat = np.abs(dx) < _FLAT
+    divisor = np.where(is_flat, 1.0, dx)
+    one, other = low / divisor, high / divisor
+    return (
+        np.where(is_flat, 0.0, -dy / divisor),
+        np.where(is_flat, -np.inf, np.minimum(one, other)),
+        np.where(is_flat, np.inf, np.maximum(one, other)),
+    )

@@ -6,10 +6,9 @@ names. Each turtle draws its teleports, senses the colour under it, and then dra
 turtle therefore senses the new lines of turtles with earlier names. A turtle does not sense the
 line of its own step.
 
-`Drawing` stores new lines, and converts the lines to pixels and polylines when somebody reads the
-drawing. An unread drawing therefore costs little. When `UNREAD` lines are stored, the drawing
-converts the oldest lines without waiting for a reader. The lines of a fleet arrive as arrays, tick
-by tick; `rasterising` joins and draws these lines.
+`Drawing` joins the straight steps of a turtle into one line, and stores lines until somebody reads
+the drawing, or until `UNREAD` lines are stored. Then it converts them to pixels and polylines. An
+unread drawing therefore costs little.
 
 - Pixels show every line, and later lines cover earlier lines.
 - A polyline omits a point only if the polyline passes within `TOLERANCE` of the point.
@@ -28,18 +27,19 @@ chooses the points that a polyline omits.
 from __future__ import annotations
 
 import math
-import sys
-from array import array
-from functools import lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple, cast
+from itertools import groupby
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
 
 from turtleact.geometry import phase
-from turtleact.sim.canvas import METER, Canvas, Colour, Pen
+from turtleact.sim.canvas import Canvas, Places
+from turtleact.sim.paint import METER, Colour, Pen
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection
 
-    from turtleact.sim.rasterising import Lines, Numbers, Places, Runs
     from turtleact.sim.world import World
 
 __all__ = ["MOST_POINTS", "TOLERANCE", "Drawing", "Pens", "Polyline"]
@@ -56,28 +56,22 @@ This many points take about a megabyte.
 LONGEST: Final = 500
 """The maximum number of points in one polyline."""
 
-UNREAD: Final = 4096
-"""The maximum number of lines that are stored and not yet converted (200 kB).
+UNREAD: Final = 1024
+"""The maximum number of lines that are stored and not yet converted.
 
-When this many lines are stored, the drawing converts the oldest lines.
+The conversion of so many lines takes a few milliseconds.
 """
-
-UNREAD_OF_FLEET: Final = 1024
-"""The maximum number of a fleet's lines that are stored and not yet converted.
-
-When this many lines are stored, the drawing converts all lines at once, in a few milliseconds.
-"""
-
-_PORTION: Final = 64
-"""How many stored lines are converted at a time. The conversion takes about a millisecond."""
 
 _STRAIGHT: Final = 1e-6
 """Lines that bend by less than this (pixels) become one line, because no pixel shows the bend."""
 
-_FIELDS: Final = 6
-
 THINNEST: Final = 1
 """The actual width (pixels) of a pen with the width 0."""
+
+
+Numbers: TypeAlias = npt.NDArray[np.intp]
+_Lines: TypeAlias = tuple[Numbers, Places, Places]
+"""Three arrays of shape (N,): the number of the turtle, the start and the end of each line (m)."""
 
 
 class Polyline(NamedTuple):
@@ -91,63 +85,54 @@ class Drawing:
     """Everything drawn since the drawing was made or cleared."""
 
     def __init__(self) -> None:
-        self._fleet: Runs | None = None
+        self._pen = Pen()
+        self._runs = _Runs(_STRAIGHT / METER)  # of `_pen`
         self.clear()
 
     def line(self, turtle: int, pen: Pen, start: complex, end: complex) -> None:
-        """Draw a straight line.
-
-        Args:
-            turtle: The number of the turtle. The lines of a turtle are joined into polylines.
-            pen: The pen.
-            start: Where the line begins, ``x + 1j * depth`` (m).
-            end: Where the line ends (m). If ``end`` equals ``start``, a dot is drawn.
-        """
-        # Finish the fleet's unfinished lines first: they are older, and later lines cover them.
-        self._end_fleet()
-        self._unread.extend((turtle, _packed(pen), start.real, start.imag, end.real, end.imag))
-        if len(self._unread) >= UNREAD * _FIELDS:
-            self._read(_PORTION)
+        """Draw a straight line, as `lines` does for several turtles."""
+        self.lines(pen, np.array([turtle]), np.array([start]), np.array([end]))
 
     def lines(self, pen: Pen, who: Numbers, start: Places, end: Places) -> None:
-        """Draw a straight line for each of several turtles, as `line` does for one turtle.
+        """Draw a straight line for each of several turtles with one pen.
 
         Args:
-            pen: The pen of all these turtles.
-            who: Array of shape (N,): the numbers of the turtles, without duplicates.
-            start: Array of shape (N,): where each line begins (m).
-            end: Array of shape (N,): where each line ends (m).
+            pen: The pen.
+            who: Array of shape (N,): the numbers of the turtles, without duplicates. The lines of a
+                turtle are joined into polylines.
+            start: Array of shape (N,): where each line begins, ``x + 1j * depth`` (m).
+            end: Array of shape (N,): where each line ends (m). If it equals ``start``, a dot is
+                drawn.
         """
-        from turtleact.sim.rasterising import Runs  # imports numpy, which only fleets need
-
-        if self._fleet is None or self._fleet.pen != pen:
-            self._end_fleet()
-            self._fleet = Runs(pen, _STRAIGHT / METER)
-        self._note(pen, self._fleet.take(who, start, end))
+        if pen != self._pen:  # later lines cover earlier ones, so these are finished first
+            self._store(self._runs.take_all())
+            self._pen = pen
+        self._store(self._runs.take(who, start, end))
 
     def clear(self) -> None:
         """Erase everything."""
-        self._unread = array("d")
-        self._fleet = None
-        self._canvas: Canvas | None = None  # created when needed, since it takes a megabyte
+        self._runs.take_all()
+        self._unread: list[tuple[Pen, _Lines]] = []
+        self._unread_count = 0
+        self._canvas = Canvas()
         self._base: bytes | None = None
         self._strokes: list[_Stroke] = []
         self._open: dict[int, _Stroke] = {}
-        self._runs: dict[int, _Run] = {}
-        self._colour: Colour | None = None
         self._points = 0
 
     def colour_at(self, place: complex) -> Colour:
         """Return the colour of the pixel nearest to a place (m) inside the walls."""
         x, y = (math.floor(part * METER + 0.5) for part in (place.real, place.imag))
-        return self._pixels().colour(x, y)
+        self._read()
+        return self._canvas.colour(x, y)
 
     def pixels(self) -> bytes:
         """All pixels, row by row from the top: four bytes each, red, green, blue and alpha.
 
         Alpha is 255 where something was drawn, otherwise 0.
         """
-        return _rgba(self._pixels().pixels)
+        self._read()
+        return self._canvas.pixels.tobytes()
 
     def base(self) -> bytes | None:
         """Return the pixels of the lines that `polylines` no longer has; None if there are none."""
@@ -159,91 +144,28 @@ class Drawing:
         self._read()
         return [stroke.polyline() for stroke in self._strokes]
 
-    def _pixels(self) -> Canvas:
-        self._read()
-        return self._made_canvas()
+    def _store(self, lines: _Lines) -> None:
+        if len(lines[0]):
+            self._unread.append((self._pen, lines))
+            self._unread_count += len(lines[0])
+            if self._unread_count >= UNREAD:
+                self._convert()
 
-    def _made_canvas(self) -> Canvas:
-        if self._canvas is None:
-            self._canvas = Canvas()
-        return self._canvas
+    def _read(self) -> None:
+        self._store(self._runs.take_all())
+        self._convert()
 
-    def _read(self, most: int | None = None) -> None:
-        """Convert the stored lines, or only the ``most`` oldest lines, to pixels and polylines."""
-        if most is None:
-            self._end_fleet()
-        if not self._unread and not self._runs:
-            return
-        end = len(self._unread) if most is None else most * _FIELDS
-        numbers = iter(self._unread[:end])
-        del self._unread[:end]
-        for turtle, packed, x0, y0, x1, y1 in zip(*[numbers] * _FIELDS, strict=True):
-            pen, who = _unpacked(packed), int(turtle)
-            start, stop = complex(x0, y0) * METER, complex(x1, y1) * METER
-            if pen.colour != self._colour:  # lines of one colour may be drawn in any order
-                self._draw_runs()
-                self._colour = pen.colour
-            run = self._runs.get(who)
-            if run is None or not run.takes(pen, start, stop):
-                if run is not None:
-                    self._draw(run)
-                self._runs[who] = _Run(pen, start, stop)
-            self._extend(who, pen, start, stop)
-        if most is None:
-            self._draw_runs()
-
-    def _end_fleet(self) -> None:
-        """Store the fleet's unfinished lines, although later steps could have extended them."""
-        if self._fleet is not None:
-            self._note(self._fleet.pen, self._fleet.take_all())
-
-    def _note(self, pen: Pen, lines: Lines) -> None:
-        import numpy as np
-
-        who, start, end = lines
-        if not len(who):
-            return
-        noted = np.empty((len(who), _FIELDS))
-        noted[:, 0], noted[:, 1] = who, _packed(pen)
-        noted[:, 2], noted[:, 3] = start.real, start.imag
-        noted[:, 4], noted[:, 5] = end.real, end.imag
-        self._unread.frombytes(noted.tobytes())
-        if len(self._unread) >= UNREAD_OF_FLEET * _FIELDS:
-            self._read_fleet()
-
-    def _read_fleet(self) -> None:
-        """Convert all stored lines, as `_read` does.
-
-        If all lines have the same pen, this method is faster than `_read`.
-        """
-        import numpy as np
-
-        from turtleact.sim.rasterising import draw_lines
-
-        noted = np.frombuffer(self._unread).reshape(-1, _FIELDS).copy()
-        # With more than one pen the order counts, and only `_read` keeps it.
-        if (noted[:, 1] != noted[0, 1]).any():
-            self._read(len(noted))
-            return
-        self._unread = array("d")
-        # Runs of single turtles are older than what was noted, so they are drawn first.
-        self._draw_runs()
-        pen = _unpacked(noted[0, 1])
-        start = noted[:, 2:4].copy().view(np.complex128)[:, 0] * METER
-        end = noted[:, 4:6].copy().view(np.complex128)[:, 0] * METER
-        draw_lines(self._made_canvas(), start, end, pen.width, pen.colour)
-        for who, here, there in zip(
-            noted[:, 0].tolist(), start.tolist(), end.tolist(), strict=True
-        ):
-            self._extend(int(who), pen, here, there)
-
-    def _draw_runs(self) -> None:
-        for run in self._runs.values():
-            self._draw(run)
-        self._runs.clear()
-
-    def _draw(self, run: _Run) -> None:
-        self._made_canvas().line(run.start, run.end, run.pen.width, run.pen.colour)
+    def _convert(self) -> None:
+        """Convert the stored lines to pixels and polylines."""
+        unread, self._unread, self._unread_count = self._unread, [], 0
+        for pen, group in groupby(unread, lambda stored: stored[0]):
+            numbers, starts, ends = zip(*(lines for _, lines in group), strict=True)
+            who = np.concatenate(numbers)
+            start: Places = np.concatenate(starts) * complex(METER)
+            end: Places = np.concatenate(ends) * complex(METER)
+            self._canvas.draw(start, end, pen)
+            for turtle, here, there in zip(who.tolist(), start.tolist(), end.tolist(), strict=True):
+                self._extend(turtle, pen, here, there)
 
     def _extend(self, turtle: int, pen: Pen, start: complex, end: complex) -> None:
         stroke = self._open.get(turtle)
@@ -257,8 +179,7 @@ class Drawing:
 
     def _settle(self) -> None:
         """Keep everything drawn so far only as pixels, and drop the polylines."""
-        self._draw_runs()
-        self._base = _rgba(self._made_canvas().pixels)
+        self._base = self._canvas.pixels.tobytes()
         self._strokes.clear()
         self._open.clear()
         self._points = 0
@@ -280,9 +201,10 @@ class Pens:
         self._count = 0
         self._holders: dict[str, _Holder] = {}
         self._jumps: dict[str, list[tuple[complex, complex]]] = {}
-        self._fleet: _Fleet | None = None
         self._names: tuple[str, ...] = ()
-        self._places: Sequence[complex] = ()
+        self._numbers: Numbers = np.zeros(0, np.intp)
+        self._shared: Pen | None = None
+        self._places: Places = np.zeros(0, np.complex128)
         world.on_jump = self._jump
         self._provide_all()
 
@@ -297,10 +219,10 @@ class Pens:
                 change.
         """
         holder = self._holders[turtle]
-        self._fleet = None
         holder.is_on = not is_off
         if not is_off:
             holder.pen = Pen(colour, width or THINNEST)
+        self._compare_pens()
 
     def colour(self, turtle: str) -> Colour:
         """Return the colour of a turtle's pen, whether the pen is on or off."""
@@ -335,21 +257,25 @@ class Pens:
         """
         before, now = self._places, self._world.places()
         self._places = now
-        if not sensed and not self._jumps and self._follow_fleet(before, now):
-            return {}
-        moved = _indices_of_changes(before, now)
-        if not sensed and not self._jumps:
-            for index in moved:
-                self._draw(self._names[index], before[index], now[index])
-            return {}
-        # Somebody senses a colour, or a turtle was teleported. The order within the tick now
-        # matters, so the turtles draw one after the other, in name order, as in turtlesim.
+        (moved,) = (now != before).nonzero()
+        if sensed or self._jumps or self._shared is None:
+            return self._follow_each(sensed, moved, before)
+        if len(moved):
+            self.drawing.lines(self._shared, self._numbers[moved], before[moved], now[moved])
+        return {}
+
+    def _follow_each(
+        self, sensed: Collection[str], moved: Numbers, before: Places
+    ) -> dict[str, Colour]:
+        # Somebody senses a colour, a turtle was teleported, or the pens differ. The order within
+        # the tick now matters, so the turtles draw one after the other, in name order, as in
+        # turtlesim.
         index_of = {name: index for index, name in enumerate(self._names)}
         colours: dict[str, Colour] = {}
-        wanted = {*sensed, *self._jumps, *(self._names[index] for index in moved)}
+        wanted = {*sensed, *self._jumps, *(self._names[index] for index in moved.tolist())}
         for name in sorted(wanted):
             index = index_of[name]
-            start, end = before[index], now[index]
+            start, end = complex(before[index]), complex(self._places[index])
             for here, there in self._jumps.pop(name, ()):
                 self._draw(name, here, there)
                 start = there
@@ -370,27 +296,14 @@ class Pens:
 
     def _take_stock(self) -> None:
         self._names, self._places = self._world.names, self._world.places()
-        self._fleet = None
+        self._numbers = np.array([self._holders[name].number for name in self._names], np.intp)
+        self._compare_pens()
 
-    def _follow_fleet(self, before: Sequence[complex], now: Sequence[complex]) -> bool:
-        """Draw the lines of all turtles at once. Return False if they must be drawn one by one.
-
-        Lines can be drawn at once if there are many turtles, their pens are equal, and no pen is
-        off.
-        """
-        if isinstance(now, list):  # a few turtles: see `World.places`
-            return False
-        if self._fleet is None:
-            self._fleet = _Fleet.of([self._holders[name] for name in self._names])
-        if self._fleet.pen is None:
-            return False
-        there = cast("Places", now)
-        here = cast("Places", before)
-        (moved,) = (there != here).nonzero()
-        if len(moved):
-            who = self._fleet.numbers[moved]
-            self.drawing.lines(self._fleet.pen, who, here[moved], there[moved])
-        return True
+    def _compare_pens(self) -> None:
+        """Find out whether all turtles have the same pen, and all pens are on."""
+        holders = self._holders.values()
+        pens = {holder.pen if holder.is_on else None for holder in holders}
+        self._shared = pens.pop() if len(pens) == 1 else None
 
     def _draw(self, turtle: str, start: complex, end: complex) -> None:
         holder = self._holders[turtle]
@@ -412,52 +325,58 @@ class _Holder:
         self.is_on = True
 
 
-class _Fleet(NamedTuple):
-    """The pens of many turtles.
+class _Runs:
+    """The unfinished lines of one pen, at most one per turtle.
 
-    Attributes:
-        numbers: The numbers of the turtles (see `_Holder`), by index.
-        pen: The pen that all turtles share; None if their pens differ or a pen is off.
+    Args:
+        bend: How far a line may deviate and still count as straight (m).
     """
 
-    numbers: Numbers
-    pen: Pen | None
+    def __init__(self, bend: float) -> None:
+        self._bend = bend
+        self._is_held = np.zeros(0, np.bool_)
+        self._start = np.zeros(0, np.complex128)
+        self._end = np.zeros(0, np.complex128)
 
-    @classmethod
-    def of(cls, holders: Sequence[_Holder]) -> _Fleet:
-        import numpy as np
+    def take(self, who: Numbers, start: Places, end: Places) -> _Lines:
+        """Add a straight segment to the lines of some turtles. Return the lines that have ended.
 
-        numbers = np.array([holder.number for holder in holders], np.intp)
-        pens = {holder.pen if holder.is_on else None for holder in holders}
-        return cls(numbers, pens.pop() if len(pens) == 1 else None)
+        A segment extends its turtle's line if the segment begins at the line's end and has the same
+        direction. Otherwise, the line ends, and the segment begins a new line.
 
-
-class _Run:
-    """A straight line that replaces consecutive lines of one turtle and sets the same pixels."""
-
-    __slots__ = ("end", "pen", "start")
-
-    def __init__(self, pen: Pen, start: complex, end: complex) -> None:
-        self.pen = pen
-        self.start = start
-        self.end = end
-
-    def takes(self, pen: Pen, start: complex, end: complex) -> bool:
-        """Append a line if it has the same pen and direction, and begins at the end of this line.
-
-        Return whether the line was appended.
+        Args:
+            who: Array of shape (N,): the numbers of the turtles, without duplicates.
+            start: Array of shape (N,): where each segment begins (m).
+            end: Array of shape (N,): where each segment ends (m).
         """
-        if start != self.end or pen != self.pen:
-            return False
-        way, step = self.end - self.start, end - start
-        length, more = abs(way), abs(step)
-        if not length or not more:  # a dot has no direction
-            return False
-        turned = step * way.conjugate() / length
-        if turned.real < 0.0 or abs(turned.imag) > _STRAIGHT * min(1.0, more / length):
-            return False
-        self.end = end
-        return True
+        self._make_room(int(who.max()) + 1)
+        is_held, way, step = self._is_held[who], self._end[who] - self._start[who], end - start
+        length, more = np.abs(way), np.abs(step)
+        with np.errstate(divide="ignore", invalid="ignore"):  # a dot has no direction
+            turned = step * way.conj() / length
+            is_straight = np.abs(turned.imag) <= self._bend * np.minimum(1.0, more / length)
+        goes_on = is_held & is_straight & (turned.real >= 0.0) & (more > 0.0)
+        goes_on &= self._end[who] == start
+        over = who[is_held & ~goes_on]
+        ended = over, self._start[over], self._end[over]
+        new = who[~goes_on]
+        self._start[new] = start[~goes_on]
+        self._is_held[new] = True
+        self._end[who] = end
+        return ended
+
+    def take_all(self) -> _Lines:
+        """Return all unfinished lines, and forget them."""
+        (who,) = self._is_held.nonzero()
+        self._is_held[:] = False
+        return who, self._start[who], self._end[who]
+
+    def _make_room(self, count: int) -> None:
+        more = count - len(self._is_held)
+        if more > 0:
+            self._is_held = np.append(self._is_held, np.zeros(more, np.bool_))
+            self._start = np.append(self._start, np.zeros(more, np.complex128))
+            self._end = np.append(self._end, np.zeros(more, np.complex128))
 
 
 class _Stroke:
@@ -516,29 +435,3 @@ class _Stroke:
             self._axis, self._low, self._high = phase(way), -half, half
         self._reach = distance
         return True
-
-
-def _packed(pen: Pen) -> int:
-    (red, green, blue), width = pen
-    return red << 24 | green << 16 | blue << 8 | width
-
-
-@lru_cache(maxsize=64)
-def _unpacked(number: float) -> Pen:
-    packed = int(number)
-    colour = Colour(packed >> 24, packed >> 16 & 255, packed >> 8 & 255)
-    return Pen(colour, packed & 255)
-
-
-def _rgba(pixels: array[int]) -> bytes:
-    if sys.byteorder == "big":
-        pixels = array("I", pixels)
-        pixels.byteswap()
-    return pixels.tobytes()
-
-
-def _indices_of_changes(before: Sequence[complex], now: Sequence[complex]) -> list[int]:
-    if isinstance(now, list):
-        return [i for i, (a, b) in enumerate(zip(before, now, strict=True)) if a != b]
-    changed = now != before  # an array of flags
-    return changed.nonzero()[0].tolist()  # type: ignore[attr-defined,no-any-return]  # see above

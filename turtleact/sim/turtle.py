@@ -35,8 +35,8 @@ from turtleact.interfaces.standard import (
     TurtlePose,
     Twist,
 )
-from turtleact.sim.canvas import Colour
-from turtleact.sim.kinematics import StepRule, half_turn, wrap
+from turtleact.sim.kinematics import wrap
+from turtleact.sim.paint import Colour
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
@@ -59,8 +59,6 @@ TURN_SPEED: Final = 1.0
 
 TOLERANCE: Final = 0.02
 """A turtle stops turning when its heading is less than this angle from the target (rad)."""
-
-_HALF: Final = half_turn(StepRule.EULER)
 
 
 class Habitat(NamedTuple):
@@ -314,7 +312,7 @@ class Rotation:
         self.remaining = 0.0
         self.delta = 0.0
         (wanted,) = array("f", (target,))
-        self._target = wrap(wanted, _HALF)
+        self._target = wrap(wanted)
         self._start = theta
 
     def tick(self, theta: float) -> float | None:
@@ -327,10 +325,10 @@ class Rotation:
             still.
         """
         now, turned = array("f", (theta, self._start - theta))
-        remaining = wrap(self._target - now, _HALF)
-        self.remaining, self.delta = array("f", (remaining, wrap(turned, _HALF)))
+        remaining = wrap(self._target - now)
+        self.remaining, self.delta = array("f", (remaining, wrap(turned)))
         # As in turtlesim, the difference is taken the other way round here.
-        if abs(wrap(now - self._target, _HALF)) < TOLERANCE:
+        if abs(wrap(now - self._target)) < TOLERANCE:
             return None
         return -TURN_SPEED if remaining < 0.0 else TURN_SPEED
 

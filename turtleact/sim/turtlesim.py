@@ -25,11 +25,10 @@ from turtleact.errors import InvalidName, SimError
 from turtleact.interfaces import stamp_of
 from turtleact.interfaces.standard import Empty, Kill, Spawn, TurtlePose
 from turtleact.names import resolve_name
-from turtleact.sim.canvas import Colour
 from turtleact.sim.drawing import Pens
-from turtleact.sim.pictures import BACKGROUND, Figure, Snapshot, thumbnail
+from turtleact.sim.paint import BACKGROUND, Colour
+from turtleact.sim.pictures import Figure, Snapshot, thumbnail
 from turtleact.sim.turtle import TOPIC_QOS, Habitat, Turtle
-from turtleact.sim.world import FEW
 from turtleact.sim.world_services import Pictures, Poses, Simulation, Ticking, poses_of
 from turtleact.topics import publish_unchecked
 
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
 
     from turtleact.node import Node
     from turtleact.node.parameters import Parameter
-    from turtleact.sim.kinematics import Hits
+    from turtleact.sim.fleet import Hits
     from turtleact.sim.world import Pose, World
     from turtleact.topics import Publisher
 
@@ -139,7 +138,7 @@ class Turtlesim:
         """Return how the world looks now, as input for `turtleact.sim.pictures`."""
         drawing, world = self._pens.drawing, self._world
         colour = (channel.value for channel in self._background)
-        places = map(complex, world.places())
+        places = world.places().tolist()
         figures = [
             Figure(place, world.heading(index), name)
             for index, (place, name) in enumerate(zip(places, world.names, strict=True))
@@ -215,16 +214,11 @@ class Turtlesim:
 
     def _tell_poses(self) -> None:
         """After a tick, publish the poses of the turtles whose pose topic has readers."""
-        if len(self._told) > FEW:
-            # Column by column: a list for each turtle would call the garbage collector.
-            x, y, theta, linear, angular = self._world.poses().T.tolist()
-            for i, publisher in self._told:
-                pose = TurtlePose(x[i], y[i], theta[i], linear[i], angular[i])
-                publish_unchecked(publisher, pose)
-            return
-        for index, publisher in self._told:
-            if publisher.has_subscriptions:
-                publish_unchecked(publisher, TurtlePose(*self._world.pose(index)))
+        # Column by column: a list for each turtle would call the garbage collector.
+        x, y, theta, linear, angular = self._world.poses().T.tolist()
+        for i, publisher in self._told:
+            pose = TurtlePose(x[i], y[i], theta[i], linear[i], angular[i])
+            publish_unchecked(publisher, pose)
 
     # turtles that come and go
 

@@ -18,32 +18,20 @@ from array import array
 from bisect import bisect
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from turtleact.errors import SimError
-from turtleact.sim.kinematics import (
-    COMMAND_TICKS,
-    DT,
-    NEVER,
-    SIDE,
-    Command,
-    Handful,
-    Place,
-    StepRule,
-)
+from turtleact.sim.fleet import Fleet, Hits, stopped
+from turtleact.sim.kinematics import DT, SIDE, Command, Place
 from turtleact.sim.start_poses import MIDDLE, Absolute, Relative, Spawn, check_finite, starts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable
 
-    import numpy as np
-    import numpy.typing as npt
-
-    from turtleact.sim.kinematics import Hits, Turtles
     from turtleact.sim.start_poses import Teleport
 
-__all__ = ["FEW", "Names", "Pose", "World"]
-
-FEW = 16
-"""Up to this many turtles are computed in plain floats, which saves the import of numpy (0.1 s)."""
+__all__ = ["Names", "Pose", "World"]
 
 
 class Pose(NamedTuple):
@@ -68,17 +56,12 @@ class World:
     are spread over the square, in places that depend on the seed. With another ``placing``, all
     turtles start in a grid or on a ring.
 
-    Up to 16 turtles are computed in plain floats, and their poses equal turtlesim's to the last
-    bit. If there are more than 16 turtles, they are computed with arrays. On a curve, a position
-    computed with arrays may differ from turtlesim's by about 1e-13 m (see `turtleact.sim.fleet`).
-
     Args:
         turtles: How many turtles there are, at least one: ``turtle1``, ``turtle2``, …
         seed: With ``placing="random"``, determines where all turtles except the first start.
         placing: How the turtles are placed at the start: ``"random"``, ``"grid"`` or ``"ring"``.
         holonomic: Whether turtles can move sideways. If turtles cannot move sideways, ``vy`` is
             ignored, as in turtlesim.
-        rule: How a step turns speeds into motion.
         collide: Whether turtles that meet stop each other (`turtleact.sim.fleet`).
 
     Attributes:
@@ -107,7 +90,6 @@ class World:
         *,
         placing: str = "random",
         holonomic: bool = False,
-        rule: StepRule = StepRule.EULER,
         collide: bool = False,
     ) -> None:
         if turtles < 1:
@@ -117,14 +99,13 @@ class World:
         self._first = {f"turtle{number}": places[number - 1] for number in numbers}
         self.holonomic = holonomic
         self.on_jump: Callable[[str, complex, complex], None] | None = None
-        self._rule = rule
         self._collide = collide
         self._tick = 0
         self._is_asked = False
         self._commands: dict[int, Command] = {}
         self._fleet_command: npt.NDArray[np.float64] | None = None
         self._teleports: list[tuple[int, Teleport]] = []
-        self._turtles: Turtles
+        self._turtles: Fleet
         self._begin(self._first)
 
     @property
@@ -179,8 +160,6 @@ class World:
         Raises:
             SimError: if a speed is not finite, or an array does not have one number per turtle.
         """
-        import numpy as np
-
         speeds = np.empty((3, len(self._turtles)))
         for row, what, values in zip(speeds, Command._fields, (vx, vy, omega), strict=True):
             given = np.asarray(values, dtype=np.float64)
@@ -255,7 +234,6 @@ class World:
         # So they are taken up first, as the next step would.
         self.take_up()
         self._turtles.insert(self._names.add(name), where.place)
-        self._turtles = _fitting(self._turtles, self._rule)
         return name
 
     def kill(self, turtle: str) -> None:
@@ -268,7 +246,6 @@ class World:
         self.take_up()  # as in `spawn`: indices are about to change
         self._names.remove(index)
         self._turtles.remove(index)
-        self._turtles = _fitting(self._turtles, self._rule)
 
     def reset(self) -> None:
         """Replace all turtles by a single ``turtle1`` in the middle.
@@ -300,11 +277,13 @@ class World:
         """
         if self._is_asked:
             self._take_up()
-        before = self._turtles.places() if self._collide else ()
-        hits = self._turtles.step(self._tick)
-        self._tick += 1
-        if self._collide:
+        if not self._collide:
+            hits = self._turtles.step(self._tick)
+        else:
+            before = self._turtles.places()
+            hits = self._turtles.step(self._tick)
             self._keep_apart(before)
+        self._tick += 1
         return hits
 
     def pose(self, turtle: str | int) -> Pose:
@@ -326,8 +305,8 @@ class World:
         """
         return self._turtles.state(self._names.index(turtle)).theta
 
-    def places(self) -> Sequence[complex]:
-        """Return the places of all turtles by index, in a list or an array.
+    def places(self) -> npt.NDArray[np.complex128]:
+        """Return a copy of the places of all turtles, by index.
 
         A place is ``x + 1j * depth`` (m), where ``depth`` is the distance from the upper edge.
         """
@@ -340,9 +319,7 @@ class World:
             A new array of shape (N, 5): one row per turtle, in the order of the indices, with the
             columns of `Pose`.
         """
-        import numpy as np
-
-        x, depth, theta, vx, vy, omega = map(np.asarray, self._turtles.columns())
+        x, depth, theta, vx, vy, omega = self._turtles.columns()
         poses = np.empty((len(self._turtles), 5), np.float32)
         with np.errstate(over="ignore"):  # beyond float32 a speed is infinite
             poses[:, 0] = x
@@ -365,14 +342,13 @@ class World:
         self._commands.clear()
         self._teleports.clear()
         self._names = Names(turtles)
-        self._turtles = _turtles(list(turtles.values()), self._rule)
+        self._turtles = Fleet(list(turtles.values()))
 
-    def _keep_apart(self, before: Sequence[complex]) -> None:
-        from turtleact.sim.fleet import stopped
-
+    def _keep_apart(self, before: npt.NDArray[np.complex128]) -> None:
         for index in stopped(before, self._turtles.places()):
             theta = self._turtles.state(index).theta
-            self._turtles.place(index, Place(before[index].real, before[index].imag, theta))
+            x, depth = before[index].real, before[index].imag
+            self._turtles.place(index, Place(float(x), float(depth), theta))
 
     def _teleport(self, turtle: str | int, teleport: Teleport) -> None:
         index = self._names.index(turtle)
@@ -462,23 +438,3 @@ class Names:
     def _note(self, names: tuple[str, ...]) -> None:
         self.names = names
         self._index = dict(zip(names, range(len(names)), strict=True))
-
-
-def _turtles(places: list[Place], rule: StepRule) -> Turtles:
-    if len(places) <= FEW:
-        return Handful(places, rule)
-    from turtleact.sim.fleet import Fleet  # numpy costs 0.1 s: only a fleet waits for it
-
-    return Fleet(places, rule)
-
-
-def _fitting(turtles: Turtles, rule: StepRule) -> Turtles:
-    """Return the same turtles as a `Handful` or a ``Fleet``, whichever suits their number."""
-    if (len(turtles) <= FEW) == isinstance(turtles, Handful):
-        return turtles
-    orders = turtles.orders()
-    fitting = _turtles([Place(*state[:3]) for state, _ in orders], rule)
-    for index, (state, expiry) in enumerate(orders):
-        if expiry != NEVER:
-            fitting.drive({index: Command(*state[3:])}, expiry - COMMAND_TICKS)
-    return fitting

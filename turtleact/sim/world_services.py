@@ -40,7 +40,6 @@ from turtleact.interfaces.standard import (
 )
 from turtleact.sim.kinematics import DT
 from turtleact.sim.pictures import Snapshot, to_png, to_svg
-from turtleact.sim.world import FEW
 from turtleact.tasks import Background, current_tasks
 
 if TYPE_CHECKING:
@@ -361,11 +360,7 @@ class Poses(Message, type_name="turtleact_interfaces/msg/Poses"):
 def poses_of(world: World, stamp: Time) -> Poses:
     """Return the poses of a world's turtles as one message."""
     names = list(world.names)
-    if len(names) > FEW:
-        columns = world.poses().T.tolist()
-    else:
-        columns = [list(column) for column in zip(*map(world.pose, names), strict=True)]
-    return Poses(stamp, names, *columns)
+    return Poses(stamp, names, *world.poses().T.tolist())
 
 
 class TakeSnapshot(Service, type_name="turtleact_interfaces/srv/TakeSnapshot"):

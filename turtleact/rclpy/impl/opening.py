@@ -46,7 +46,7 @@ async def open_chosen(domain: int) -> AsyncIterator[Transport]:
     place = SETTINGS.place
     async with AsyncExitStack() as stack:
         if place.is_embedded:
-            from turtleact.app import open_world
+            from turtleact.sim.world_node import open_world
 
             world = open_world(graph=partial(_open, place, domain))
             await stack.enter_async_context(world)

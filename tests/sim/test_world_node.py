@@ -11,15 +11,15 @@ import anyio
 import pytest
 
 from turtleact.actions.patrol import Patrol
-from turtleact.app import open_world
 from turtleact.clock import ScaledClock, VirtualClock, WallClock
 from turtleact.errors import SimError
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import Point, TurtlePose, Twist, Vector3
+from turtleact.sim.world_node import open_world
 from turtleact.tasks import wait_until_idle
 
-from .actions.arena import tasks_alive
-from .lab import ON_ASYNCIO, settle
+from ..actions.arena import tasks_alive
+from ..lab import ON_ASYNCIO, settle
 
 TARGETS = [Point(x=9.0, y=7.0), Point(x=5.0, y=1.0)]
 

@@ -1,4 +1,4 @@
-"""Puts everything together: transport, clock, world and built-in actions in one context manager.
+"""Opens a world: transport, clock, turtles and built-in actions in one context manager.
 
 Only this module imports both the simulator and the actions.
 """
