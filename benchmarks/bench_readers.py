@@ -31,8 +31,8 @@ from typing import Any
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.sync.client import connect as connect_patiently
 
+from turtleact import open_world
 from turtleact.interfaces import get_interface
-from turtleact.sim.world_node import open_world
 from turtleact.web import open_web
 
 READERS = 40

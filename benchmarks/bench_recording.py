@@ -39,7 +39,7 @@ from zenoh.handlers import RingChannel
 
 import turtleact
 from benchmarks.bench_rclpy import installed
-from turtleact import recording
+from turtleact import open_world, recording
 from turtleact.interfaces import encode, get_message, type_hash
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.introspection import Introspection
@@ -48,7 +48,6 @@ from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import schema_of
 from turtleact.recording.spool import Spool
 from turtleact.recording.storage import Channel
-from turtleact.sim.world_node import open_world
 
 ROUNDS = 3
 MESSAGES = 50_000

@@ -20,13 +20,13 @@ import time
 import numpy as np
 
 from benchmarks.bench_sim import machine, versions
+from turtleact import open_world
 from turtleact.actions.go_to import GoTo
 from turtleact.actions.patrol import Patrol
 from turtleact.interfaces.standard import Point
 from turtleact.sim.drawing import Pens
 from turtleact.sim.kinematics import DT
 from turtleact.sim.world import World
-from turtleact.sim.world_node import open_world
 from turtleact.sim.world_services import Poses
 
 FLEETS = (10, 1_000, 10_000)

@@ -9,8 +9,8 @@ Prints:
 
 import asyncio
 
+from turtleact import open_world
 from turtleact.interfaces.standard import TurtlePose, Twist, Vector3
-from turtleact.sim.world_node import open_world
 
 
 def show(pose: TurtlePose) -> None:

@@ -12,9 +12,9 @@ Prints:
 
 import asyncio
 
+from turtleact import open_world
 from turtleact.actions.patrol import Patrol
 from turtleact.interfaces.standard import Point
-from turtleact.sim.world_node import open_world
 
 TARGETS = [Point(x=9.0, y=7.0), Point(x=5.0, y=1.0), Point(x=1.0, y=7.0), Point(x=2.0, y=9.0)]
 

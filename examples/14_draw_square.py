@@ -12,10 +12,9 @@ Prints:
 import asyncio
 import math
 
-from turtleact import Node
+from turtleact import Node, open_world
 from turtleact.geometry import distance, wrap_angle
 from turtleact.interfaces.standard import RotateAbsolute, TurtlePose, Twist, Vector3
-from turtleact.sim.world_node import open_world
 
 SIDE = 2.0
 

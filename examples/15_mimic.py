@@ -11,9 +11,8 @@ Prints:
 
 import asyncio
 
-from turtleact import Node
+from turtleact import Node, open_world
 from turtleact.interfaces.standard import Spawn, TurtlePose, Twist, Vector3
-from turtleact.sim.world_node import open_world
 
 
 async def mimic(node: Node, leader: str, follower: str) -> None:

@@ -36,10 +36,9 @@ import httpx
 from fastapi import Depends, FastAPI, HTTPException, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from turtleact import ClientGoalHandle, testing
+from turtleact import ClientGoalHandle, open_world, testing
 from turtleact.actions.patrol import Patrol
 from turtleact.interfaces import from_dict, to_dict
-from turtleact.sim.world_node import open_world
 from turtleact.web import add_error_handlers
 
 Handle: TypeAlias = ClientGoalHandle[Patrol.Result, Patrol.Feedback]

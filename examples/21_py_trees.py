@@ -31,12 +31,11 @@ from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 from py_trees.display import ascii_tree
 
-from turtleact import ActionClient, ClientGoalHandle, GoalRejected, GoalStatus, Message
+from turtleact import ActionClient, ClientGoalHandle, GoalRejected, GoalStatus, Message, open_world
 from turtleact.actions.go_to import GoTo
 from turtleact.actions.patrol import Patrol
 from turtleact.clock import Clock
 from turtleact.interfaces.standard import Point
-from turtleact.sim.world_node import open_world
 
 TARGETS = [Point(x=9.0, y=7.0), Point(x=5.0, y=1.0), Point(x=1.0, y=7.0)]
 

@@ -19,9 +19,9 @@ Prints:
 import asyncio
 from contextlib import AsyncExitStack
 
+from turtleact import open_world
 from turtleact.actions.patrol import Patrol
 from turtleact.interfaces.standard import Point
-from turtleact.sim.world_node import open_world
 
 # %% Not in a notebook: an event loop that lasts
 runner = asyncio.Runner()

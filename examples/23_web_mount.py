@@ -28,7 +28,7 @@ import uvicorn
 from fastapi import FastAPI, Request
 from websockets.asyncio.client import connect
 
-from turtleact.sim.world_node import open_world
+from turtleact import open_world
 from turtleact.web import open_bridge
 
 

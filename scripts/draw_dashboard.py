@@ -12,12 +12,11 @@ import os
 import sys
 from typing import Any
 
-from turtleact import render
+from turtleact import open_world, render
 from turtleact.actions.patrol import Patrol
 from turtleact.commands.live import Dashboard
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import Point, RotateAbsolute
-from turtleact.sim.world_node import open_world
 
 WIDTH, HEIGHT = 59, 17
 TARGETS = [Point(x=9.0, y=7.0), Point(x=5.0, y=1.0), Point(x=2.0, y=9.0)]

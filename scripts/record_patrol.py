@@ -16,13 +16,12 @@ from itertools import accumulate, pairwise
 
 import msgspec
 
-from turtleact import QoS
+from turtleact import QoS, open_world
 from turtleact.actions.patrol import Patrol
 from turtleact.geometry import shortest_turn
 from turtleact.interfaces.standard import Point, TurtlePose
 from turtleact.sim.kinematics import DT
 from turtleact.sim.pictures import SVG_TURTLE, svg_shades
-from turtleact.sim.world_node import open_world
 
 TARGETS = ((9.0, 7.0), (5.0, 1.0), (1.0, 7.0), (2.0, 9.0))
 TOLERANCE = 0.1

@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
-from turtleact import CancelResponse, GoalResponse, GoalStatus, QoS
+from turtleact import CancelResponse, GoalResponse, GoalStatus, QoS, open_world
 from turtleact.errors import (
     GoalAborted,
     GoalRejected,
@@ -19,7 +19,6 @@ from turtleact.errors import (
 )
 from turtleact.goal import CancelCode
 from turtleact.interfaces.standard import GoalStatusArray
-from turtleact.sim.world_node import open_world
 
 from .lab import (
     ON_ASYNCIO,

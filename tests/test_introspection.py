@@ -13,7 +13,14 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact import CancelResponse, GoalCanceled, GoalRejected, GoalResponse, GoalStatus
+from turtleact import (
+    CancelResponse,
+    GoalCanceled,
+    GoalRejected,
+    GoalResponse,
+    GoalStatus,
+    open_world,
+)
 from turtleact.errors import InvalidOption, ServiceError, TurtleactError
 from turtleact.interfaces import implied
 from turtleact.interfaces.classes import event_message
@@ -22,7 +29,6 @@ from turtleact.interfaces.standard.std_srvs.srv import SetBool
 from turtleact.introspection import EVENT_QOS, ServiceEvents
 from turtleact.names import event_topic
 from turtleact.node import Node
-from turtleact.sim.world_node import open_world
 from turtleact.tasks import Background
 from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport, open_zenoh

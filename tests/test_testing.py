@@ -24,13 +24,12 @@ import pytest
 import trio
 
 import turtleact
-from turtleact import testing
+from turtleact import open_world, testing
 from turtleact.actions.patrol import Patrol
 from turtleact.clock import EPOCH, ScaledClock, WallClock
 from turtleact.errors import SimError
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import Fibonacci, Point, Twist, Vector3
-from turtleact.sim.world_node import open_world
 from turtleact.testing import FaultyTransport, run_goal, virtual_backend, wait_until_idle
 from turtleact.testing.plugin import anyio_backend  # noqa: F401  # all of this module is virtual
 from turtleact.transports import MemoryTransport, QoS

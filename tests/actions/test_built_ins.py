@@ -8,12 +8,11 @@ from contextlib import AsyncExitStack
 import anyio
 import pytest
 
-from turtleact import open_node
+from turtleact import open_node, open_world
 from turtleact.actions import serve_built_ins
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.sim.kinematics import SIDE
-from turtleact.sim.world_node import open_world
 from turtleact.transports import open_zenoh
 
 from ..lab import settle

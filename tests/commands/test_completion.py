@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from turtleact import open_world
 from turtleact.commands import VERBS, completion, graph, verbs
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import get_interface, type_hash
 from turtleact.interfaces.types import REGISTRY
-from turtleact.sim.world_node import open_world
 from turtleact.testing import run
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint, EndpointKind

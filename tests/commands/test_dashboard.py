@@ -12,14 +12,13 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact import render
+from turtleact import open_world, render
 from turtleact.actions.patrol import Patrol
 from turtleact.commands import live, terminal
 from turtleact.commands.live import Dashboard
 from turtleact.commands.serve import ServerLog
 from turtleact.commands.terminal import GIVE_BACK
 from turtleact.interfaces.standard import Fibonacci, Point, RotateAbsolute, SetPen, Twist, Vector3
-from turtleact.sim.world_node import open_world
 
 ESCAPE = re.compile(r"\x1b(\[[0-9;?]*[A-Za-z]|[78])")
 READY = "ready at tcp/127.0.0.1:7447, domain 0: /patrol"

@@ -10,7 +10,7 @@ import anyio.lowlevel
 import pytest
 
 import turtleact
-from turtleact import InvalidOption, QoS, TurtleactError, open_node, recording
+from turtleact import InvalidOption, QoS, TurtleactError, open_node, open_world, recording
 from turtleact.clock import VirtualClock
 from turtleact.interfaces import encode, int32, nanoseconds, stamp_of
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
@@ -23,7 +23,6 @@ from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.converting import Output, convert
 from turtleact.recording.schemas import Schema
 from turtleact.recording.storage import Channel
-from turtleact.sim.world_node import open_world
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import STATUS_QOS

@@ -4,7 +4,7 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact import TurtleactError, open_node, recording
+from turtleact import TurtleactError, open_node, open_world, recording
 from turtleact.clock import VirtualClock
 from turtleact.errors import UsageError
 from turtleact.interfaces import WireFormat, encode
@@ -14,7 +14,6 @@ from turtleact.interfaces.standard.std_msgs.msg import Int32, String
 from turtleact.recording import BagError, Selection
 from turtleact.recording.bag_writer import BagWriter
 from turtleact.recording.metadata import read_qos_overrides
-from turtleact.sim.world_node import open_world
 from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport, QoS
 from turtleact.transports.base import STATUS_QOS, Endpoint, RawFormat

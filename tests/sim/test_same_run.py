@@ -11,9 +11,9 @@ import sys
 import anyio
 import pytest
 
+from turtleact import open_world
 from turtleact.actions.go_to import GoTo
 from turtleact.interfaces.standard import TeleportAbsolute, Twist, Vector3
-from turtleact.sim.world_node import open_world
 from turtleact.sim.world_services import Poses
 from turtleact.transports import QoS
 

@@ -10,12 +10,12 @@ from types import SimpleNamespace
 import anyio
 import pytest
 
+from turtleact import open_world
 from turtleact.actions.patrol import Patrol
 from turtleact.clock import ScaledClock, VirtualClock, WallClock
 from turtleact.errors import SimError
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import Point, TurtlePose, Twist, Vector3
-from turtleact.sim.world_node import open_world
 from turtleact.tasks import wait_until_idle
 
 from ..actions.arena import tasks_alive

@@ -16,7 +16,7 @@ import anyio
 import anyio.to_thread
 import pytest
 
-from turtleact import cli, recording
+from turtleact import cli, open_world, recording
 from turtleact.actions.patrol import Patrol
 from turtleact.commands import bag_sessions
 from turtleact.interfaces import encode
@@ -25,7 +25,6 @@ from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.schemas import schema_of
 from turtleact.recording.storage import Channel
 from turtleact.sim.pictures import hue_of
-from turtleact.sim.world_node import open_world
 from turtleact.web.bag_view import open_bag_view
 
 from .browser import CHROMIUM, open_tab, running_browser

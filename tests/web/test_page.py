@@ -12,12 +12,11 @@ from typing import Any
 import pytest
 
 import turtleact
-from turtleact import GoalResponse, Reject
+from turtleact import GoalResponse, Reject, open_world
 from turtleact.actions.patrol import Patrol
 from turtleact.interfaces import load_action, load_message
 from turtleact.interfaces.standard import Fibonacci, Point, Twist
 from turtleact.sim.pictures import shades_of
-from turtleact.sim.world_node import open_world
 from turtleact.web import open_web
 from turtleact.web.bridge import FILES
 

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from turtleact import recording
+from turtleact import open_world, recording
 from turtleact.actions.patrol import Patrol
 from turtleact.interfaces.standard import Point
 from turtleact.interfaces.text import to_json
-from turtleact.sim.world_node import open_world
 
 READER = Path(__file__).with_name("bag_reader.mjs")
 

@@ -10,7 +10,7 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact import Abort, GoalResponse, GoalStatus
+from turtleact import Abort, GoalResponse, GoalStatus, open_world
 from turtleact.errors import ServerUnavailable, UnknownGoal
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import (
@@ -25,7 +25,6 @@ from turtleact.interfaces.standard import (
     TurtlePose,
 )
 from turtleact.sim.pictures import hue_of
-from turtleact.sim.world_node import open_world
 from turtleact.transports import MemoryTransport, QoS, open_zenoh
 from turtleact.transports.base import STATUS_QOS, Endpoint
 from turtleact.web import open_bridge
