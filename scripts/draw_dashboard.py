@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import sys
 from typing import Any
 
 from turtleact import open_world, render
@@ -18,7 +17,7 @@ from turtleact.commands.live import Dashboard
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import Point, RotateAbsolute
 
-WIDTH, HEIGHT = 59, 17
+WIDTH, HEIGHT = 59, 14
 TARGETS = [Point(x=9.0, y=7.0), Point(x=5.0, y=1.0), Point(x=2.0, y=9.0)]
 READY = "ready at tcp/127.0.0.1:7447, domain 0: /command_turtle, /fibonacci, /go_to, /patrol"
 IDS = "0ea56cbca5434d8bb0c0c6494ccfcbd8", "1bf42122964e4a0f8c8a1c6c2f1e7a55"
@@ -26,13 +25,14 @@ IDS = "0ea56cbca5434d8bb0c0c6494ccfcbd8", "1bf42122964e4a0f8c8a1c6c2f1e7a55"
 
 async def draw() -> list[str]:
     """The lines of the dashboard, without colours."""
-    board = Dashboard(sys.stdout)
+    board = Dashboard()
+    log: list[str] = []
     board.say(READY)
 
     def tell(goal: Any, _old: GoalStatus, new: GoalStatus) -> None:  # noqa: ANN401  # any goal
-        time = f"12:00:{int(goal.node.clock.time()) % 60:02}.000000"
-        line = f"{time} {goal.action_name} {goal.goal_id.hex()} {new.name}"
-        board.tell(goal, new, line, time)
+        board.tell(goal, new)
+        time = f"12:00:{int(goal.node.clock.time()) % 60:02}"
+        log.append(f"{time} {goal.action_name} {goal.goal_id.hex()[:8]} {new.name}")
 
     world = open_world(speed="max", turtles=2, on_start=board.begin, on_transition=tell)
     async with world as node:
@@ -46,7 +46,7 @@ async def draw() -> list[str]:
             await node.clock.sleep(2.0)
             goal.detach()
             content = board.compose(width=WIDTH, height=HEIGHT)
-            return render.lines(content, width=WIDTH, height=HEIGHT)
+            return [*log[-3:], *render.lines(content, width=WIDTH, height=HEIGHT)]
 
 
 if __name__ == "__main__":

@@ -126,9 +126,7 @@ LOOKS: dict[str, Callable[[Node], Awaitable[int]]] = {
     "goals": lambda node: held_goals.print_goals(node, None, as_json=False),
     "cancel": lambda node: held_goals.cancel(node, ["71a90636"]),
     "cancel --all": lambda node: held_goals.cancel_many(node, "/hold", 0),
-    "watch": lambda node: held_goals.follow(
-        node, "c53d", PlainTranscript(wants_feedback=True), "", hears_feedback=True
-    ),
+    "watch": lambda node: held_goals.follow(node, "c53d", PlainTranscript(wants_feedback=True), ""),
 }
 
 

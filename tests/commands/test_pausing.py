@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import io
-import os
 import re
-import sys
-from contextlib import aclosing, asynccontextmanager
+from contextlib import asynccontextmanager
 
 import anyio
 import pytest
 
 from turtleact import open_node
-from turtleact.commands import held_goals, live, send_goal
 from turtleact.goal_wire import SetPaused
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
-from turtleact.tasks import Background
-
-from .ttys import open_terminal
 
 IDS = [bytes([number]) * 16 for number in (1, 2, 3)]
 WALK, WAIT, BLIND = (each.hex() for each in IDS)
@@ -177,31 +170,3 @@ def test_it_must_be_clear_which_goals_are_meant(turtleact, arguments, problem):
 
 
 # --- the key of the live display ----------------------------------------------------------------
-
-
-@pytest.mark.parametrize("verb", [("watch", WALK), ("send-goal", "/walk", "order: 1")])
-def test_the_key_p_pauses_and_resumes_a_goal(on_graph, monkeypatch, verb):
-    main, other = open_terminal()
-    written = io.StringIO()
-    walk = Walk(count=1 if verb[0] == "watch" else 0)
-
-    def choose(view, **_):
-        return live.LiveTranscript(written, wants_feedback=False)
-
-    @asynccontextmanager
-    async def nodes(transport):
-        async def type_again():
-            await walk.switched.wait()
-            os.write(main, b"P")
-
-        async with walk(transport), aclosing(Background(type_again(), "the user")):
-            os.write(main, b"xp")
-            yield
-
-    with os.fdopen(other, "r") as stdin:
-        monkeypatch.setattr(sys, "stdin", stdin)
-        for module in (send_goal, held_goals):
-            monkeypatch.setattr(module, "choose_transcript", choose)
-        assert on_graph(nodes, *verb).status == 0
-    os.close(main)
-    assert walk.log == ["pause", "resume"]

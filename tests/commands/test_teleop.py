@@ -13,8 +13,7 @@ import anyio
 import pytest
 
 from turtleact import Abort, open_node
-from turtleact.commands import teleop, terminal
-from turtleact.commands.terminal import Region
+from turtleact.commands import teleop
 from turtleact.interfaces.standard import Fibonacci, RotateAbsolute, Twist
 
 from .. import warm
@@ -295,36 +294,6 @@ def test_a_rotation_that_is_aborted_is_a_line(on_graph, keyboard, monkeypatch):
     assert ran.out == f"{teleop.HELP}the rotation was aborted: stuck\n"
 
 
-def test_a_keyboard_that_goes_away_is_the_end(on_graph, keyboard, monkeypatch):
-    def gone(*_):
-        raise OSError(5, "gone")
-
-    typed(keyboard, "x")
-    monkeypatch.setattr(os, "read", gone)
-    assert on_graph(Robot(), "teleop", "--plain").status == 0
-
-
-def test_keys_that_are_typed_for_another_program_are_left_to_it(on_graph, keyboard, monkeypatch):
-    looks, seen, seen_at_the_reading = iter([True, False]), [], []
-    robot, read = Robot(), os.read
-
-    def look(_):
-        seen.append(next(looks, True))
-        return seen[-1]
-
-    def note_and_read(*arguments):
-        seen_at_the_reading.append(tuple(seen))
-        return read(*arguments)
-
-    monkeypatch.setattr(Region, "is_in_foreground", look)
-    monkeypatch.setattr(os, "read", note_and_read)
-    monkeypatch.setattr(terminal, "BACKGROUND", 0.01)
-    typed(keyboard, "up", "q")
-    assert on_graph(robot, "teleop", "--plain").status == 0
-    assert seen_at_the_reading == [(True, False, True)]
-    assert robot.twists == [(2.0, 0.0)]
-
-
 def test_stdin_that_is_no_terminal_is_one_line(turtleact, stdin_of, monkeypatch):
     stdin_of(b"q")
     error = "turtleact: teleop reads keys, but stdin is not a terminal: run it in a terminal\n"
@@ -446,7 +415,6 @@ def test_the_map_shows_where_the_turtle_goes():
         (signal.SIGINT, 130),
         (signal.SIGTERM, 143),
         (signal.SIGHUP, 129),
-        (signal.SIGQUIT, -signal.SIGQUIT),
     ],
 )
 def test_a_signal_gives_the_terminal_back(number, status):
@@ -463,17 +431,3 @@ def test_without_a_map_the_terminal_is_given_back_too():
         terminal.process.send_signal(signal.SIGTERM)
         assert terminal.end() == (143, True)
         assert b"\x1b" not in terminal.text
-
-
-def test_a_program_that_is_stopped_and_continued_goes_on():
-    with Terminal() as terminal:
-        terminal.wait_for(LIVE)
-        terminal.process.send_signal(signal.SIGTSTP)
-        warm.wait_until_stopped(terminal.process)
-        assert not terminal.is_raw
-        terminal.process.send_signal(signal.SIGCONT)
-        typed(terminal.main, "up")
-        terminal.wait_for(rb"x 6\.\d\d")
-        assert terminal.is_raw
-        typed(terminal.main, "q")
-        assert terminal.end() == (0, True)

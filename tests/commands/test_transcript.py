@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from turtleact.client.goal_handle import Outcome
-from turtleact.commands.transcript import JsonTranscript, PlainTranscript, Sent
+from turtleact.commands.transcript import Followed, JsonTranscript, PlainTranscript
 from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import Fibonacci, PatrolCommandInterface, Point, Time
 
@@ -19,9 +19,10 @@ ID = bytes(range(16))
 @pytest.fixture
 def sent():
     """A goal that was accepted."""
-    handle: Any = SimpleNamespace(goal_id=ID, stamp=Time(sec=1, nanosec=2))
+    request = Fibonacci.Goal(order=5)
+    handle: Any = SimpleNamespace(goal_id=ID, stamp=Time(sec=1, nanosec=2), request=request)
     node: Any = None
-    return Sent(node, "/fibonacci", Fibonacci.type_name, Fibonacci.Goal(order=5), handle)
+    return Followed(node, "/fibonacci", Fibonacci, handle)
 
 
 @pytest.fixture

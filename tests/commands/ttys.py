@@ -34,22 +34,16 @@ def read(main):
         return b""
 
 
-def filled(region):
-    """Write to a region that is held until its terminal takes nothing more; nobody waits for it."""
-    while region.is_ready():
-        region.say("x" * 4096 + "\n")
-
-
 class Screen:
     """A goal on the stage, sent from a terminal.
 
     It has a process group of its own in our session, or the system would not let it stop.
     """
 
-    def __init__(self, *arguments):
+    def __init__(self, *arguments, program=(STAGE,)):
         self.main, self.other = open_terminal()
         self.process = warm.start(
-            [sys.executable, STAGE, "send-goal", *arguments],
+            [sys.executable, *program, "send-goal", *arguments],
             stdin=self.other,
             stdout=self.other,
             stderr=subprocess.DEVNULL,
@@ -71,9 +65,6 @@ class Screen:
         """Read until something has been written."""
         while text not in self.written:
             self.written += read(self.main)
-
-    def wait_until_stopped(self):
-        warm.wait_until_stopped(self.process)
 
     def rest(self):
         """All that has been written; whoever writes must have ended or stopped."""

@@ -18,19 +18,16 @@ from __future__ import annotations
 import json
 import uuid
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import anyio
 
-from turtleact.client import Outcome
-from turtleact.client.remote_goals import goal_lost
 from turtleact.clock import within
-from turtleact.commands import graph
+from turtleact.commands import graph, send_goal
 from turtleact.commands.graph import interface_class, not_served
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import duration, note, say, say_names, say_table
-from turtleact.commands.pause_requests import follow_paused, paused_goals, set_paused
-from turtleact.commands.send_goal import choose_transcript
+from turtleact.commands.pause_requests import paused_goals, set_paused
 from turtleact.commands.transcript import Followed, after_return, watch_command
 from turtleact.errors import (
     PauseRefused,
@@ -45,7 +42,6 @@ from turtleact.interfaces import (
     SECOND,
     Action,
     Message,
-    implied,
     nanoseconds,
     stamp_of,
 )
@@ -57,12 +53,10 @@ if TYPE_CHECKING:
     from turtleact.commands.settings import Reach
     from turtleact.commands.transcript import Transcript, View
     from turtleact.node import Node
-    from turtleact.topics import Subscription
 
 __all__ = [
     "STATUS_QOS",
     "HeldGoal",
-    "WatchedGoal",
     "cancel",
     "cancel_many",
     "find_goal",
@@ -223,8 +217,6 @@ def _running_goal(goals: Iterable[HeldGoal], action: str) -> HeldGoal | None:
     return running[0] if running else None
 
 
-FEEDBACK_QOS = QoS(depth=1000)
-
 DONE, NOT_DONE, ABORTED, CANCELED = 0, 1, 4, 5
 """Exit statuses."""
 
@@ -336,15 +328,14 @@ def run(reach: Reach, wanted: str, view: View | None, options: str) -> int:
 
     Without a view, only the result is printed.
     """
-    follows = view is not None
-    transcript = choose_transcript(
-        view or "plain", wants_feedback=follows, wants_feedback_live=False
+    transcript = send_goal.choose_transcript(
+        view or "plain", wants_feedback=view is not None, wants_feedback_live=False
     )
     interrupts = Interrupts()
     interrupts.restore = transcript.close
 
     async def look(node: Node) -> int:
-        return await follow(node, wanted, transcript, options, hears_feedback=follows)
+        return await follow(node, wanted, transcript, options)
 
     try:
         return graph.run(reach, look, interrupts)
@@ -352,9 +343,7 @@ def run(reach: Reach, wanted: str, view: View | None, options: str) -> int:
         transcript.close()
 
 
-async def follow(
-    node: Node, wanted: str, transcript: Transcript, options: str, *, hears_feedback: bool
-) -> int:
+async def follow(node: Node, wanted: str, transcript: Transcript, options: str) -> int:
     """Wait for the end of a goal, print its result, and return the exit status.
 
     Args:
@@ -363,7 +352,6 @@ async def follow(
         transcript: The object that prints what happens to the goal.
         options: The command-line options for the graph and the interfaces, with a space before each
             option. If the server goes away, the error suggests a command with these options.
-        hears_feedback: Whether to receive the goal's feedback.
 
     Raises:
         UsageError: if ``wanted`` selects several goals.
@@ -373,94 +361,16 @@ async def follow(
     """
     goal = await find_goal(node, wanted)
     action_type = interface_class(Action, goal.type_name, f"action '{goal.action}'")
-    kinds, names = implied(action_type), action_names(goal.action)
-    client: Any = node.service_client(kinds.get_result, names.get_result)
-    watched = WatchedGoal(node, goal)
+    client: Any = node.action_client(cast("Any", action_type), goal.action)
     age = (node.clock.now() - goal.stamp) / SECOND
-    transcript.follows(Followed(node, goal.action, action_type.Goal, None, watched, age))
-    async with anyio.create_task_group() as beside:
-        beside.start_soon(transcript.animate)
-        if hears_feedback:
-            beside.start_soon(watched.hear_pauses)
-        # Two groups: `telling` must end before the result is printed, so that all feedback comes
-        # before it. `beside` is cancelled, because its tasks never end by themselves.
-        async with anyio.create_task_group() as telling:
-            heard: list[Subscription[Any]] = []
-            if hears_feedback:
-                feedback = node.subscription(kinds.feedback_message, names.feedback, FEEDBACK_QOS)
-                statuses = node.subscription(GoalStatusArray, names.status, STATUS_QOS)
-                heard = [feedback, statuses]
-                telling.start_soon(watched.hear_feedback, feedback, transcript)
-                telling.start_soon(watched.hear_statuses, statuses, goal)
-            response = await _result(client, goal, kinds.get_result, options)
-            for each in heard:
-                await each.aclose()  # the tasks still print what has come, and then end
-        status = watched.status = GoalStatus(response.status)
-        if status is GoalStatus.UNKNOWN:
-            problem = f"its server holds no goal {goal.goal_id.hex()} any more"
-            raise TurtleactError(f"action '{goal.action}': {problem}")
-        transcript.ended(Outcome(status, response.result))
-        await transcript.drained()
-        beside.cancel_scope.cancel()
-    return {GoalStatus.ABORTED: ABORTED, GoalStatus.CANCELED: CANCELED}.get(status, DONE)
-
-
-async def _result(client: Any, goal: HeldGoal, kind: Any, options: str) -> Any:  # noqa: ANN401  # of whatever type
-    """Wait for a goal's result, and return the response. The errors are those of `follow`."""
     try:
-        return await client.call(kind.Request(UUID(goal.goal_id)), None)
+        handle = await client.attach(goal.goal_id)
+        transcript.follows(Followed(node, goal.action, action_type, handle, age))
+        outcome = await send_goal.follow(transcript, handle)
     except ServerUnavailable as error:
-        lost = goal_lost(goal.action, error)
-        lost.hint = after_return(watch_command(goal.goal_id, options))
-        raise lost from None
-
-
-class WatchedGoal:
-    """A goal that somebody else sent. Messages on the action's topics keep it up to date.
-
-    Attributes:
-        goal_id: The goal's id, 16 bytes.
-        status: The goal's last known state.
-        last_feedback: The newest feedback message; None before the first.
-        is_paused: Whether the goal is paused, as its server last reported.
-    """
-
-    def __init__(self, node: Node, goal: HeldGoal) -> None:
-        self.goal_id = goal.goal_id
-        self.is_paused = False
-        self._node = node
-        self._action = goal.action
-        self.status = goal.status
-        self.last_feedback: Message | None = None
-
-    async def hear_feedback(self, messages: Subscription[Any], transcript: Transcript) -> None:
-        """Record each feedback message of the goal, and print it if the user wants feedback."""
-        async for message in messages:
-            if message.goal_id.uuid == self.goal_id:
-                self.last_feedback = message.feedback
-                if transcript.wants_feedback:
-                    transcript.feedback(message.feedback)
-                    await transcript.drained()
-
-    async def hear_statuses(self, messages: Subscription[GoalStatusArray], goal: HeldGoal) -> None:
-        """Record each new state of the goal."""
-        async for message in messages:
-            for each in goals_in(message, goal.action, goal.type_name):
-                if each.goal_id == self.goal_id:
-                    self.status = each.status
-
-    async def hear_pauses(self) -> None:
-        """Update ``is_paused`` whenever the goal is paused or resumed."""
-        async for paused in follow_paused(self._node, self._action):
-            self.is_paused = self.goal_id in paused
-
-    async def pause(self) -> None:
-        """Pause the goal. The errors are those of `set_paused`."""
-        await set_paused(self._node, self._action, self.goal_id, is_paused=True)
-
-    async def resume(self) -> None:
-        """Resume the goal. The errors are those of `set_paused`."""
-        await set_paused(self._node, self._action, self.goal_id, is_paused=False)
+        error.hint = after_return(watch_command(goal.goal_id, options))
+        raise
+    return {GoalStatus.ABORTED: ABORTED, GoalStatus.CANCELED: CANCELED}.get(outcome.status, DONE)
 
 
 async def switch(node: Node, wanted: Sequence[str], *, is_paused: bool, timeout: float) -> int:

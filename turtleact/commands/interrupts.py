@@ -74,6 +74,8 @@ class Interrupts:
                 if not self.received:
                     raise
                 return self.status
+            finally:
+                main.close()  # it has not begun if the signal came first
 
     async def wait(self) -> None:
         """Wait for the first signal. Cancelling: safe."""

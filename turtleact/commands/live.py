@@ -1,36 +1,22 @@
-"""Draws two live displays on a terminal: one shows a goal, and the other shows a server.
+"""Shows two live displays on a terminal: one of a goal, and one of a server.
 
-`LiveTranscript` redraws a region at the end of the screen while a goal runs. Lines that must stay
-on the screen are printed above the region as plain text. When the goal ends, the last frame of the
-region stays on the screen, and the result follows below it.
+`LiveTranscript` shows a goal while it runs. When the goal ends, the last frame stays on the screen,
+and the result follows below it. `Dashboard` shows the world and the goals of a running ``serve``.
 
-`Dashboard` shows a running ``serve``: the world, the goals and the log.
-
-The goals, their bodies and the world know nothing of the displays, and never wait for the terminal.
+The goals, their bodies and the world know nothing of the displays.
 """
 
 from __future__ import annotations
 
-import io
-import sys
 from collections import deque
 from collections.abc import Iterator
-from contextlib import aclosing, contextmanager, redirect_stderr, suppress
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, TextIO, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import anyio
 
 from turtleact import render
-from turtleact.commands.output import note
-from turtleact.commands.terminal import (
-    LogLines,
-    Region,
-    animate,
-    keep_drawing,
-    print_last,
-    typed_keys,
-)
+from turtleact.commands.screen import Screen, can_read_keys, typed_keys
 from turtleact.commands.trails import (
     POSE,
     POSES_A_FRAME,
@@ -42,16 +28,16 @@ from turtleact.commands.trails import (
     pose_topics,
     sends_a_turtle,
 )
-from turtleact.commands.transcript import PlainTranscript, result_text
+from turtleact.commands.transcript import PlainTranscript
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import to_dict
 from turtleact.interfaces.standard import TurtlePose
+from turtleact.render.lines import inline
 from turtleact.sim.kinematics import SIDE
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
-    from turtleact.client import Outcome
-    from turtleact.commands.transcript import Followed, Sent
+    from turtleact.commands.transcript import Followed
     from turtleact.goal import GoalStatus
     from turtleact.interfaces import Message
     from turtleact.node import ServerGoalHandle
@@ -61,7 +47,7 @@ if TYPE_CHECKING:
 
     Handle: TypeAlias = ServerGoalHandle[Any, Any, Any]
 
-__all__ = ["Dashboard", "GoalPicture", "LiveTranscript"]
+__all__ = ["Dashboard", "LiveTranscript"]
 
 MOST_LINES = 40
 """At most this many lines of a goal are printed."""
@@ -69,40 +55,19 @@ MOST_LINES = 40
 PAUSE = "p"
 """The key that pauses the goal, and resumes it."""
 
-LEFT_FREE = 2
-"""How many lines are kept free below the result, for an abort's reason and the shell's prompt."""
 
-
-class LiveTranscript:
-    """Shows a running goal in a live display, and prints the plain transcript above the display.
+class LiveTranscript(PlainTranscript):
+    """Shows a running goal in a live display, and prints the plain transcript around it.
 
     Args:
-        stream: The terminal.
-        wants_feedback: Whether to print each feedback message too.
+        wants_feedback: Whether to print each feedback message too, on one line.
     """
 
     _picture: GoalPicture  # from the acceptance on
 
-    def __init__(self, stream: TextIO, *, wants_feedback: bool) -> None:
-        self.wants_feedback = wants_feedback
-        self._has_keys = sys.stdin is not None and sys.stdin.isatty()
-        self._region = Region(stream, sys.stdin if self._has_keys else None)
-        self._plain = PlainTranscript(
-            wants_feedback=wants_feedback, say=self._region.say, most_lines=MOST_LINES
-        )
-
-    def sending(self, goal: Message) -> None:
-        """Called when the goal is about to be sent."""
-        self._plain.sending(goal)
-
-    def rejected(self, reason: str) -> None:
-        """Called when the server has rejected the goal."""
-        self._plain.rejected(reason)
-
-    def accepted(self, sent: Sent) -> None:
-        """Called when the server has accepted the goal."""
-        self._plain.accepted(sent)
-        self.follows(sent.followed())
+    def __init__(self, *, wants_feedback: bool) -> None:
+        super().__init__(wants_feedback=wants_feedback, most_lines=MOST_LINES)
+        self._screen = Screen(self._compose)
 
     def follows(self, goal: Followed) -> None:
         """Called when the display starts to follow the goal."""
@@ -114,82 +79,33 @@ class LiveTranscript:
 
     async def animate(self) -> None:
         """Draw frames and react to keys until the task is cancelled."""
-        with redirect_stderr(_Above(self._region, sys.stderr)):
-            async with anyio.create_task_group() as beside:
-                if self._has_keys:
-                    beside.start_soon(self._obey_keys)
-                await animate(self._region, self._picture.compose)
+        async with anyio.create_task_group() as beside:
+            if can_read_keys():
+                beside.start_soon(self._obey_keys)
+            await self._screen.run()
 
     async def _obey_keys(self) -> None:
         """Pause or resume the goal when the user presses P."""
         goal = self._picture.shown.handle
-        async with aclosing(typed_keys(self._region)) as keys:
-            async for key in keys:
-                if key == PAUSE:
-                    # One request at a time: the next key is read when the server has answered. It
-                    # then does the opposite of the state that the server has told by then.
-                    try:
-                        await (goal.resume() if goal.is_paused else goal.pause())
-                    except TurtleactError as error:
-                        self.note(str(error))
+        async for key in typed_keys():
+            if key == PAUSE:
+                # One request at a time: the next key is read when the server has answered. It then
+                # does the opposite of the state that the server has told by then.
+                try:
+                    await (goal.resume() if goal.is_paused else goal.pause())
+                except TurtleactError as error:
+                    self.note(str(error))
 
     def feedback(self, feedback: Message) -> None:
-        """Called with each feedback message."""
-        self._plain.feedback(feedback)
-
-    def status(self, status: GoalStatus) -> None:
-        """Do nothing, because the next frame shows the state."""
-
-    def canceling(self) -> None:
-        """Called when the client asks the server to cancel the goal."""
-        self._plain.canceling()
-
-    def ended(self, outcome: Outcome[Message]) -> None:
-        """Print the last frame, which stays on the screen, and then the result of the goal."""
-        text = result_text(outcome)
-        self._picture.has_ended = True
-        print_last(self._region, self._picture.compose, below=text.count("\n") + LEFT_FREE)
-        self._region.say(text)
-
-    def note(self, text: str) -> None:
-        """Print a note on stderr, above the next frame."""
-        self._region.clear()
-        note(text)
-
-    async def drained(self) -> None:
-        """Wait until the terminal has taken all text."""
-        await self._region.drained()
+        """Print a feedback message on one line, because the display shows the last one in full."""
+        print(f"Feedback: {inline(to_dict(feedback))}")
 
     def close(self) -> None:
-        """Restore the terminal, and remove the display unless the goal has ended."""
-        self._region.restore()
+        """Restore the terminal."""
+        self._screen.close()
 
-
-class _Above(io.TextIOBase):
-    """A stream on the same terminal as a display. Written text appears above the display.
-
-    Args:
-        region: The region of the display.
-        stream: The stream to write to.
-    """
-
-    def __init__(self, region: Region, stream: TextIO) -> None:
-        super().__init__()
-        self._region = region
-        self._stream = stream
-
-    def write(self, text: str) -> int:
-        """Write a text, which appears above the next frame."""
-        self._region.clear()
-        return self._stream.write(text)
-
-    def flush(self) -> None:
-        """Flush the stream."""
-        self._stream.flush()
-
-    def fileno(self) -> int:
-        """Return the file descriptor of the stream."""
-        return self._stream.fileno()
+    def _compose(self, *, width: int, height: int) -> render.Picture:
+        return self._picture.compose(width=width, height=height)
 
 
 class GoalPicture:
@@ -197,12 +113,10 @@ class GoalPicture:
 
     Attributes:
         shown: The goal to display.
-        has_ended: Whether the goal has ended. The display of an ended goal shows no progress.
         is_served: Whether the goal's server is on the graph.
     """
 
     def __init__(self, shown: Followed) -> None:
-        self.has_ended = False
         self.is_served = True
         self.shown = shown
         self._clock = shown.node.clock
@@ -213,12 +127,13 @@ class GoalPicture:
         self._heard = 0.0
         self._most_remaining = 0.0
         topics = pose_topics(shown.node)
-        if shown.goal is not None:
-            drives, self._leader = sends_a_turtle(shown.name, shown.goal)
+        self._goal = shown.handle.request
+        if self._goal is not None:
+            drives, self._leader = sends_a_turtle(shown.name, self._goal)
             drives = drives and self._leader in topics
-            self._course = Course(shown.goal)
+            self._course = Course(self._goal)
         else:  # unknown, unless the action's name says which turtle it drives
-            goal = shown.goal_type()
+            goal = shown.action_type.Goal()
             drives, self._leader = sends_a_turtle(shown.name, goal)
             drives = self._leader in topics if shown.name.count("/") > 1 else drives
             drives = bool(topics) and (drives or hasattr(goal, "targets"))
@@ -228,27 +143,28 @@ class GoalPicture:
     def compose(self, *, width: int, height: int) -> render.Picture:
         """Compose the current frame for a window of this many columns and lines."""
         handle = self.shown.handle
+        has_ended = handle.status.is_terminal
         world = None
         if self._trails is not None:
             world = self._trails.look(self._course)
         now = self._clock.time()
         if handle.last_feedback is not self._feedback:
             self._feedback, self._heard = handle.last_feedback, now
-        if world is not None and self.shown.goal is None:
+        if world is not None and self._goal is None:
             world = world._replace(targets=_target(self._feedback))
-        fraction, progress = (None, "") if self.has_ended else self._progress(now)
-        is_moving = self._trails is not None and not self.has_ended
+        fraction, progress = (None, "") if has_ended else self._progress(now)
+        is_moving = self._trails is not None and not has_ended
         goal = render.GoalView(
             name=self.shown.name,
-            goal=self.shown.goal,
+            goal=self._goal,
             goal_id=handle.goal_id.hex(),
             status=handle.status,
             age=now - self._began,
             feedback=self._feedback,
             fraction=fraction,
             progress=progress,
-            is_paused=handle.is_paused and not self.has_ended,
-            is_served=self.is_served or self.has_ended,
+            is_paused=handle.is_paused and not has_ended,
+            is_served=self.is_served or has_ended,
             motion=self._trails.motion.told() if is_moving and self._trails is not None else "",
         )
         return render.frame(goal, world, width=width, height=height)
@@ -261,7 +177,7 @@ class GoalPicture:
         passed. If the goal has no targets, the text says how old the last feedback is.
         """
         # Without the goal's message, nobody knows how much remained when the goal began.
-        feedback = self._feedback if self.shown.goal is not None else None
+        feedback = self._feedback if self._goal is not None else None
         values = {} if feedback is None else to_dict(feedback)
         for name, value in values.items():
             if "remaining" in name and isinstance(value, float):
@@ -288,12 +204,6 @@ def _target(feedback: Message | None) -> list[render.Target]:
     ]
 
 
-MOST_LEFT: Final = 20
-"""When the display ends, this many lines of the log stay on the screen."""
-
-PATIENCE: Final = 0.5
-"""How long the terminal may take to show the last lines of the log (s, wall clock)."""
-
 MOST_GOALS: Final = 100
 """A frame shows at most this many goals: the newest ones."""
 
@@ -303,30 +213,20 @@ MOST_ENDED: Final = 50
 MOST_TURTLES: Final = 50
 """The map shows and follows at most this many turtles."""
 
-FIRST_LOOK: Final = 0.1
-"""How often `Dashboard.run` checks whether the log has its first line (s)."""
-
 NOT_READY: Final = "not ready yet"
 """The dashboard's heading before the first call of `Dashboard.say`."""
 
 
 class Dashboard:
-    """The live display of ``serve`` on a terminal.
+    """The live display of ``serve`` on a terminal. The lines of the log scroll above it."""
 
-    Args:
-        stream: The terminal.
-    """
-
-    def __init__(self, stream: TextIO) -> None:
-        self._region = Region(stream)
+    def __init__(self) -> None:
+        self._screen = Screen(self.compose)
         self._heading: dict[str, str] = {}  # by subject
-        self._log = LogLines()
         self._goals: dict[bytes, _Served] = {}
         self._ended: deque[bytes] = deque()
         self._followed = 0
         self._sim: Turtlesim | None = None
-        self._has_said = anyio.Event()
-        self._is_shown = False
 
     def begin(self, sim: Turtlesim) -> None:
         """Show this world from now on."""
@@ -339,21 +239,9 @@ class Dashboard:
         ``subject``, the line replaces no other line.
         """
         self._heading[subject or line] = line
-        self._has_said.set()
 
-    def retell(self, subject: str, text: str) -> None:
-        """Add a text to the log. The new text replaces the last text about the same subject."""
-        self._log.retell(subject, text)
-
-    def tell(self, goal: Handle, new: GoalStatus, line: str, time: str) -> None:
-        """Show a change of a goal's state.
-
-        Args:
-            goal: The goal.
-            new: The goal's new state.
-            line: The line for the log.
-            time: The time as it is written in ``line``. The dashboard shortens it to whole seconds.
-        """
+    def tell(self, goal: Handle, new: GoalStatus) -> None:
+        """Show a goal's new state."""
         goal_id = goal.goal_id
         if goal_id not in self._goals:
             self._goals[goal_id] = _Served(goal, may_follow=self._followed < MOST_TURTLES)
@@ -363,52 +251,16 @@ class Dashboard:
         if new.is_terminal:
             self._followed -= served.is_followed
             self._ended.append(goal_id)
-        short = line.replace(goal_id.hex(), goal_id.hex()[:8]).replace(time, time[:8])
-        self._log.add(line, short)
         while len(self._ended) > MOST_ENDED:
             del self._goals[self._ended.popleft()]
 
     def close(self) -> None:
-        """Restore the terminal. This never blocks."""
-        self._region.restore()
-
-    @contextmanager
-    def listening(self) -> Iterator[None]:
-        """During a block, add all printed lines to the log.
-
-        If the dashboard has not been shown by the end of the block, the log is printed on stderr.
-        """
-        try:
-            with self._log.listening():
-                yield
-        finally:
-            if not self._is_shown:
-                for line in self._log.lines():
-                    print(line.full, file=sys.stderr)
+        """Restore the terminal. A signal handler may call this."""
+        self._screen.close()
 
     async def run(self) -> None:
-        """Wait for a line in the heading or the log, then draw frames until cancelled.
-
-        The display does not wait until the server is ready, because the log may say what the
-        server waits for. At the end, print the heading and the last lines of the log, which stay on
-        the screen.
-        """
-        while not (self._heading or self._log.lines()):
-            # Any thread may print the first line of the log, so that line sets no event.
-            with anyio.move_on_after(FIRST_LOOK):
-                await self._has_said.wait()
-        self._is_shown = True
-        with (
-            suppress(OSError),
-            self._region.held(),
-        ):  # if the terminal goes away, the server goes on
-            try:
-                await keep_drawing(self._region, self.compose)
-            finally:
-                kept = [line.full for line in self._log.lines()[-MOST_LEFT:]]
-                self._region.say("".join(f"{line}\n" for line in (*self._heading.values(), *kept)))
-                with anyio.move_on_after(PATIENCE, shield=True):
-                    await self._region.drained()
+        """Draw frames until the task is cancelled."""
+        await self._screen.run()
 
     def compose(self, *, width: int, height: int) -> render.Picture:
         """Compose the current frame for a window of this many columns and lines."""
@@ -418,11 +270,10 @@ class Dashboard:
         rows = [goal.row({turtle.name for turtle in turtles}) for goal in goals]
         ahead = [target for row in rows for target in row.targets if not target.is_reached]
         world = None if sim is None else render.MapView(SIDE, turtles, _Drawn(sim), ahead)
-        log = [line.short for line in self._log.lines()]
         more = len(self._goals) - len(goals)
         paused = ["the world is paused"] if sim is not None and sim.is_paused else []
         heading = list(self._heading.values()) or [NOT_READY]
-        shown = render.Board([*heading, *paused], world, rows, more, log=log)
+        shown = render.Board([*heading, *paused], world, rows, more)
         return render.board(shown, width=width, height=height)
 
     def _in_order(self) -> list[_Served]:

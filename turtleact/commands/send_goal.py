@@ -10,7 +10,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import AsyncIterator
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from contextlib import (
+    AbstractAsyncContextManager,
+    AsyncExitStack,
+    aclosing,
+    asynccontextmanager,
+)
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 
 import anyio
@@ -27,9 +32,9 @@ from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import leave, say
 from turtleact.commands.transcript import (
     WAITING,
+    Followed,
     JsonTranscript,
     PlainTranscript,
-    Sent,
     Transcript,
     View,
     after_return,
@@ -40,19 +45,20 @@ from turtleact.goal import GoalStatus
 from turtleact.interfaces import Action, from_text
 from turtleact.interfaces.standard import GetSimulationState, SimulationState
 from turtleact.names import resolve_name
+from turtleact.tasks import Background
 from turtleact.transports.base import find_server
 
 if TYPE_CHECKING:
     from anyio.abc import TaskGroup
 
     from turtleact.body import ActionType
-    from turtleact.client import Outcome
+    from turtleact.client import ClientGoalHandle, Outcome
     from turtleact.commands.message_text import GoalText
     from turtleact.commands.settings import Place, Reach
     from turtleact.interfaces import Message
     from turtleact.node import Node
 
-__all__ = ["Order", "Sending", "embedded_world", "run"]
+__all__ = ["Order", "choose_transcript", "embedded_world", "follow", "run"]
 
 SUCCEEDED, FAILED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 1, 3, 4, 5, 124
 """Exit statuses."""
@@ -147,13 +153,13 @@ def choose_transcript(
     if view == "json":
         return JsonTranscript()
     if view == "auto":
-        from turtleact.commands.terminal import can_move
+        from turtleact.commands.screen import can_move
 
         if can_move(sys.stdout):
             from turtleact.commands.live import LiveTranscript
 
             wanted = wants_feedback if wants_feedback_live is None else wants_feedback_live
-            return LiveTranscript(sys.stdout, wants_feedback=wanted)
+            return LiveTranscript(wants_feedback=wanted)
     return PlainTranscript(wants_feedback=wants_feedback)
 
 
@@ -183,7 +189,7 @@ class Sending:
         self._goal = goal
         self._transcript = transcript
         self._interrupts = interrupts
-        self._sent: Sent | None = None
+        self._sent: Followed | None = None
         self._canceled_by: int | None = None
         self._awaits_cancel = False
         self._is_embedded = False
@@ -308,7 +314,7 @@ class Sending:
                     await client.wait_for_server(PATIENCE)
                     async with client.send_goal(goal, reattach=self._order.reattach) as handle:
                         self._interrupts.cancels = False
-                        self._sent = Sent(node, self._name, action_type.type_name, goal, handle)
+                        self._sent = Followed(node, self._name, action_type, handle)
                         status = await self._follow(self._sent, beside)
             # Before the goal was accepted, this is the answer to the command. Afterwards the goal
             # may go on, so the user is told how to get back to it.
@@ -332,9 +338,10 @@ class Sending:
             return str(error)
         return f"reason: {error.reason}" if error.reason else "the server gave no reason"
 
-    async def _follow(self, sent: Sent, beside: TaskGroup) -> int:
+    async def _follow(self, sent: Followed, beside: TaskGroup) -> int:
         handle, transcript = sent.handle, self._transcript
         transcript.accepted(sent)
+        transcript.follows(sent)
         transcript.status(handle.status)
         if self._order.timeout == 0:
             handle.detach()
@@ -342,19 +349,11 @@ class Sending:
             return SUCCEEDED
         if self._order.timeout is not None:
             beside.start_soon(self.time_out, sent, self._order.timeout)
-        beside.start_soon(transcript.animate)
         if not self._is_embedded:
             beside.start_soon(self._tell_of_pause, sent.node)
         if self._order.reattach:
             beside.start_soon(self._tell_of_server, sent)
-        if transcript.wants_feedback:
-            async for feedback in handle:
-                transcript.feedback(feedback)
-                transcript.status(handle.status)
-                await transcript.drained()
-        outcome = await handle.outcome()
-        transcript.ended(outcome)
-        await transcript.drained()
+        outcome = await follow(transcript, handle)
         if outcome.status is GoalStatus.ABORTED:
             transcript.note(f"the goal was aborted: {outcome.reason or 'no reason given'}")
         return self._exit_status(outcome)
@@ -374,7 +373,7 @@ class Sending:
         if response.state.state in (SimulationState.STATE_PAUSED, SimulationState.STATE_STOPPED):
             self._transcript.note(f"the world is paused; {RESUMES} resumes it")
 
-    async def _tell_of_server(self, sent: Sent) -> None:
+    async def _tell_of_server(self, sent: Followed) -> None:
         """Tell the user when the goal's server goes away, and when it is back.
 
         This method runs only with ``--reattach``. Without that option, the command soon ends with
@@ -383,7 +382,7 @@ class Sending:
         waits = f"waiting for it for up to {self._order.reattach:g} s"
         was_served = True
         while True:
-            is_served = graph.is_served(sent.node, sent.name, sent.type_name)
+            is_served = graph.is_served(sent.node, sent.name, sent.action_type.type_name)
             if is_served is not was_served:
                 self._transcript.served(is_served=is_served)
                 has = "is back" if is_served else f"has gone: {waits}"
@@ -435,7 +434,7 @@ class Sending:
         else:
             self._transcript.note(f"no answer from the server for {seconds:g} s; waiting for it")
 
-    async def _obey(self, sent: Sent, status: int) -> None:
+    async def _obey(self, sent: Followed, status: int) -> None:
         self._transcript.canceling()
         awaited = "the goal's end" if self._has_server(sent) else "the server, which has gone"
         self._transcript.note(f"waiting for {awaited}; Ctrl-C again exits at once")
@@ -443,7 +442,7 @@ class Sending:
         if not await self._cancel(sent, status):
             self._transcript.note("the server refuses to cancel the goal, which goes on")
 
-    async def time_out(self, sent: Sent, seconds: float) -> None:
+    async def time_out(self, sent: Followed, seconds: float) -> None:
         """Cancel the goal after ``seconds``, unless the goal has ended by then."""
         await anyio.sleep(seconds)
         if sent.handle.status.is_terminal:  # it ended in the same moment
@@ -457,7 +456,7 @@ class Sending:
                 await anyio.sleep_forever()
         self._let_go(sent, TIMEOUT)
 
-    async def _cancel(self, sent: Sent, reason: int) -> bool:
+    async def _cancel(self, sent: Followed, reason: int) -> bool:
         """Ask the server to cancel the goal. Return False if the server refuses."""
         self._canceled_by, self._awaits_cancel = reason, True
         try:
@@ -469,12 +468,12 @@ class Sending:
         self._transcript.status(status)
         return status is GoalStatus.CANCELING or status.is_terminal
 
-    def _let_go(self, sent: Sent, status: int) -> NoReturn:
+    def _let_go(self, sent: Followed, status: int) -> NoReturn:
         self._transcript.close()
         self._transcript.note(self._way_back(sent))
         leave(status)
 
-    def _way_back(self, sent: Sent) -> str:
+    def _way_back(self, sent: Followed) -> str:
         """Return a sentence that says whether the goal goes on and how to follow it again."""
         if self._is_embedded:
             return ENDED_WITH_WORLD
@@ -488,9 +487,11 @@ class Sending:
             )
         return f"the goal goes on; '{command}' follows it again"
 
-    def _has_server(self, sent: Sent) -> bool:
+    def _has_server(self, sent: Followed) -> bool:
         """Whether the goal's server is in this process or on the graph."""
-        return self._is_embedded or graph.is_served(sent.node, self._name, sent.type_name)
+        return self._is_embedded or graph.is_served(
+            sent.node, self._name, sent.action_type.type_name
+        )
 
     def _interrupted(self) -> int:
         how = "interrupted" if self._interrupts.received else "given up"
@@ -508,6 +509,21 @@ class Sending:
         if self._sent is None:
             return f"turtleact: interrupted before the goal was accepted; {self._rest()}\n"
         return f"turtleact: {self._way_back(self._sent)}\n"
+
+
+async def follow(
+    transcript: Transcript, handle: ClientGoalHandle[Message, Message]
+) -> Outcome[Message]:
+    """Show a goal to its end. The display has ended when its result is printed."""
+    async with aclosing(Background(transcript.animate(), "the display")):
+        await anyio.lowlevel.checkpoint()  # the display begins, however soon the goal ends
+        if transcript.wants_feedback:
+            async for feedback in handle:
+                transcript.feedback(feedback)
+                transcript.status(handle.status)
+        outcome = await handle.outcome()
+    transcript.ended(outcome)
+    return outcome
 
 
 async def _find_served(node: Node, name: str | None = None) -> bool:

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import AsyncExitStack, aclosing, asynccontextmanager, contextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -25,8 +25,8 @@ from turtleact.commands.node_parameters import of_node, unheard
 from turtleact.commands.observing import json_line, observing, set_up_logging
 from turtleact.commands.output import abandon, note, printable
 from turtleact.commands.reloading import Kept, Reloader, Watch
+from turtleact.commands.screen import can_move
 from turtleact.commands.targets import Found, Modules
-from turtleact.commands.terminal import can_move
 from turtleact.errors import ActionConflict, InvalidOption, TurtleactError, UsageError
 from turtleact.goal import GoalStatus
 from turtleact.graph import types_by_name
@@ -100,7 +100,7 @@ def _dashboard(service: Service) -> Dashboard | None:
         return None
     from turtleact.commands.live import Dashboard
 
-    return Dashboard(sys.stdout)
+    return Dashboard()
 
 
 def _find(modules: Modules, service: Service, log: ServerLog) -> Found:
@@ -117,7 +117,7 @@ def _find(modules: Modules, service: Service, log: ServerLog) -> Found:
     except UsageError:
         raise
     except TurtleactError as error:
-        log.complain(f"{error}; nothing of it is served until the next change")
+        log.note(f"{error}; nothing of it is served until the next change")
         return Found([], [])
 
 
@@ -142,8 +142,6 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
     # after that, because they tell of the ends of goals.
     async with AsyncExitStack() as stack:
         if log.board is not None:
-            stack.enter_context(log.board.listening())
-            stack.enter_context(log.hearing_reloads())
             drawing = Background(log.board.run(), "the dashboard")
             await stack.enter_async_context(aclosing(drawing))
         graph = partial(_open_graph, service, opened)
@@ -464,17 +462,6 @@ class _Escaping(logging.Formatter):
         return printable(super().format(record))
 
 
-class _Told(logging.Handler):
-    """Passes the text of each log record to a function."""
-
-    def __init__(self, tell: Callable[[str], object]) -> None:
-        super().__init__()
-        self._tell = tell
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._tell(printable(record.getMessage()))
-
-
 class ServerLog:
     """Tells the user what happens, in lines on stdout or on a dashboard.
 
@@ -497,9 +484,10 @@ class ServerLog:
             " (resumed)" if is_resumed else f": {printable(goal.reason)}" if goal.reason else ""
         )
         time = f"{datetime.now():%H:%M:%S.%f}"
-        line = f"{time} {goal.action_name} {goal.goal_id.hex()} {new.name}{reason}"
         if self.board is not None:
-            self.board.tell(goal, new, line, time)
+            self.board.tell(goal, new)
+            goal_id = goal.goal_id.hex()[:8]
+            print(f"{time[:8]} {goal.action_name} {goal_id} {new.name}{reason}")
         elif self._is_json:
             members = {"goal_id": goal.goal_id.hex(), "action": goal.action_name}
             members |= {"node": goal.node.fully_qualified_name, "status": new.name}
@@ -507,7 +495,7 @@ class ServerLog:
                 members["reason"] = goal.reason
             self.say(f"{goal.action_name} {new.name}{reason}", **members)
         else:
-            self.say(line)
+            self.say(f"{time} {goal.action_name} {goal.goal_id.hex()} {new.name}{reason}")
 
     def note(self, text: str) -> None:
         """Print a line on stderr."""
@@ -550,36 +538,10 @@ class ServerLog:
             self.board.say(line(), READY)
 
     def reload(self, line: str) -> None:
-        """Print a line about a reload.
-
-        On a dashboard, the new line replaces the line about the last reload.
-        """
+        """Print a line about a reload."""
         if self.board is None:
             self.say(line)
         else:
             if self._ready is not None:
                 self.board.say(self._ready(), READY)
-            self.board.retell("reload", f"{datetime.now():%H:%M:%S} {line}")
-
-    def complain(self, problem: str) -> None:
-        """Print why the user's modules cannot be served yet.
-
-        On a dashboard, the line about the next reload replaces this one.
-        """
-        if self.board is None:
-            self.note(problem)
-        else:
-            self.reload(printable(problem))
-
-    @contextmanager
-    def hearing_reloads(self) -> Iterator[None]:
-        """During a block, pass the errors of reloads to `reload`.
-
-        On a dashboard, each error replaces the line about the last reload.
-        """
-        logger, told = logging.getLogger("turtleact.reload"), _Told(self.reload)
-        logger.addHandler(told)
-        try:
-            yield
-        finally:
-            logger.removeHandler(told)
+            print(f"{datetime.now():%H:%M:%S} {line}")

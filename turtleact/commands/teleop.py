@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, aclosing, asynccontextmanager, nullcontext
+from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import anyio
@@ -21,8 +21,8 @@ from turtleact.commands import graph
 from turtleact.commands.graph import no_router, none_in_domain, world_started
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import note, say
+from turtleact.commands.screen import Screen, can_move, can_read_keys, cbreak, typed_keys
 from turtleact.commands.send_goal import embedded_world
-from turtleact.commands.terminal import LogLines, Region, can_move, keep_drawing, typed_keys
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.goal import GoalStatus
 from turtleact.graph import SEND_GOAL
@@ -115,21 +115,17 @@ def run(order: Order) -> int:
         UsageError: if stdin is not a terminal.
         TurtleactError: if the turtle is not in reach, or goes away while it is driven.
     """
-    if sys.stdin is None or not sys.stdin.isatty():
+    if not can_read_keys():
         raise UsageError("teleop reads keys, but stdin is not a terminal: run it in a terminal")
     is_live = not order.is_plain and can_move(sys.stdout)
-    region = Region(sys.stdout if is_live else sys.stdin, sys.stdin)
     interrupts = Interrupts()
-    interrupts.restore = region.restore
 
     async def drive(found: tuple[Node, str]) -> int:
-        await _Driving(order, *found, region, is_live=is_live).run()
+        await _Driving(order, *found, is_live=is_live).run()
         return OK
 
-    try:
+    with cbreak(sys.stdin) as interrupts.restore:
         return interrupts.run(graph.use(_find_node(order), drive))
-    finally:
-        region.restore()
 
 
 @asynccontextmanager
@@ -221,23 +217,18 @@ class _Driving:
         order: The options of the command.
         node: The node that sends the commands.
         turtle: The name of the turtle.
-        region: The part of the terminal that shows the map.
         is_live: Whether to show a map.
     """
 
-    def __init__(
-        self, order: Order, node: Node, turtle: str, region: Region, *, is_live: bool
-    ) -> None:
+    def __init__(self, order: Order, node: Node, turtle: str, *, is_live: bool) -> None:
         self._order = order
         self._node = node
         self._turtle = turtle
-        self._region = region
         self._is_live = is_live
         self._commands = node.publisher(Twist, self._name(COMMANDS), QoS(depth=1))
         self._rotations = node.action_client(RotateAbsolute, self._name(ROTATION))
         self._rotation: ClientGoalHandle[Any, Any] | None = None
         self._tasks = anyio.create_task_group()
-        self._log = LogLines()
         self._rivals = set[str]()
         self._has_lost = False
 
@@ -247,15 +238,13 @@ class _Driving:
         Raises:
             TurtleactError: if the turtle leaves the graph.
         """
-        with self._region.held():
-            say(HELP)
-            with self._log.listening() if self._is_live else nullcontext():
-                async with self._tasks:
-                    self._tasks.start_soon(self._watch)
-                    if self._is_live:
-                        self._tasks.start_soon(self._draw)
-                    await self._read()
-                    self._tasks.cancel_scope.cancel()
+        say(HELP)
+        async with self._tasks:
+            self._tasks.start_soon(self._watch)
+            if self._is_live:
+                self._tasks.start_soon(self._draw)
+            await self._read()
+            self._tasks.cancel_scope.cancel()
         if self._has_lost:
             topic = self._commands.topic
             raise TurtleactError(f"turtle '{self._turtle}' has gone: nobody reads {topic} any more")
@@ -269,11 +258,10 @@ class _Driving:
 
     async def _read(self) -> None:
         """Read keys and act on them, until the user presses Q or the terminal is closed."""
-        async with aclosing(typed_keys(self._region)) as keys:
-            async for key in keys:
-                self._press(key)
-                if key == QUIT:
-                    return
+        async for key in typed_keys():
+            self._press(key)
+            if key == QUIT:
+                return
 
     def _press(self, key: str) -> None:
         if key in DRIVES:
@@ -294,10 +282,10 @@ class _Driving:
                 self._rotation = handle
                 outcome = await handle.outcome()
         except TurtleactError as error:
-            self._tell(str(error))
+            note(str(error))
             return
         if outcome.status is GoalStatus.ABORTED:
-            self._tell(f"the rotation was aborted: {outcome.reason or 'no reason given'}")
+            note(f"the rotation was aborted: {outcome.reason or 'no reason given'}")
 
     # output
 
@@ -332,7 +320,7 @@ class _Driving:
             drivers.remove(self._node.fully_qualified_name)
         for node in sorted(self._rivals.difference(drivers)):
             self._rivals.remove(node)
-            self._tell(f"node '{node}' no longer publishes {topic}")
+            note(f"node '{node}' no longer publishes {topic}")
         for node in sorted({*drivers} - self._rivals):
             self._rivals.add(node)
             serves = any(
@@ -341,13 +329,7 @@ class _Driving:
             )
             what = END_ITS_GOAL if serves else "stop the other one"
             obeys = f"so {self._turtle or 'the robot'} obeys both of you"
-            self._tell(f"node '{node}' publishes {topic} too, {obeys}. To drive alone, {what}")
-
-    def _tell(self, line: str) -> None:
-        if self._is_live:
-            self._log.add(line)
-        else:
-            note(line)
+            note(f"node '{node}' publishes {topic} too, {obeys}. To drive alone, {what}")
 
     async def _draw(self) -> None:
         from turtleact import render
@@ -360,13 +342,12 @@ class _Driving:
             heading = [f"driving {self._turtle}"]
             poses = [each for each in world.turtles if each.name == self._turtle]
             heading += [_place(pose) for pose in poses]
-            lines = [line.short for line in self._log.lines()]
             shown = render.Board(
-                ["   ".join(heading)], world if world.turtles else None, keys=SHOWN, log=lines
+                ["   ".join(heading)], world if world.turtles else None, keys=SHOWN
             )
             return render.board(shown, width=width, height=height)
 
-        await keep_drawing(self._region, compose)
+        await Screen(compose).run()
 
 
 def _place(pose: render.Turtle) -> str:

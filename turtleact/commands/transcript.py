@@ -9,8 +9,7 @@ from __future__ import annotations
 import json
 import sys
 import textwrap
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from turtleact.commands.output import note, say
 from turtleact.interfaces import to_json, to_yaml
@@ -18,7 +17,7 @@ from turtleact.interfaces import to_json, to_yaml
 if TYPE_CHECKING:
     from turtleact.client import ClientGoalHandle, Outcome
     from turtleact.goal import GoalStatus
-    from turtleact.interfaces import Message
+    from turtleact.interfaces import Action, Message
     from turtleact.node import Node
 
 __all__ = [
@@ -26,7 +25,6 @@ __all__ = [
     "Followed",
     "JsonTranscript",
     "PlainTranscript",
-    "Sent",
     "Transcript",
     "View",
     "after_return",
@@ -40,12 +38,32 @@ View = Literal["auto", "plain", "json"]
 WAITING = "Waiting for an action server to become available...\n"
 
 
-class Transcript(Protocol):
-    """Tells the user what happens to a goal, from its sending to its end."""
+class Followed(NamedTuple):
+    """A goal that the server has accepted.
 
-    @property
-    def wants_feedback(self) -> bool:
-        """Whether to call `feedback` with each feedback message."""
+    Attributes:
+        node: The node that follows the goal.
+        name: The action's name.
+        action_type: The action's type.
+        handle: The client's goal handle.
+        age: The time from the goal's acceptance to the creation of this object (s).
+    """
+
+    node: Node
+    name: str
+    action_type: type[Action]
+    handle: ClientGoalHandle[Message, Message]
+    age: float = 0.0
+
+
+class Transcript:
+    """Tells the user what happens to a goal. This one prints only notes.
+
+    Attributes:
+        wants_feedback: Whether to call `feedback` with each feedback message.
+    """
+
+    wants_feedback = False
 
     def sending(self, goal: Message) -> None:
         """Called when the goal is about to be sent."""
@@ -53,11 +71,11 @@ class Transcript(Protocol):
     def rejected(self, reason: str) -> None:
         """Called when the server has rejected the goal. `note` is called with the reason, too."""
 
-    def accepted(self, sent: Sent) -> None:
+    def accepted(self, goal: Followed) -> None:
         """Called when the server has accepted the goal."""
 
     def follows(self, goal: Followed) -> None:
-        """Called when the transcript starts to follow a goal that somebody else sent."""
+        """Called when the goal can be followed, also if somebody else has sent the goal."""
 
     def served(self, *, is_served: bool) -> None:
         """Called when the goal's server has gone or has come back. The caller also calls `note`."""
@@ -75,90 +93,17 @@ class Transcript(Protocol):
         """Called when the server is asked to cancel the goal."""
 
     def ended(self, outcome: Outcome[Message]) -> None:
-        """Called when the goal has ended."""
+        """Called when the goal has ended, and the display too."""
 
     def note(self, text: str) -> None:
         """Print a message that is not an event of the goal, such as a warning."""
-
-    async def drained(self) -> None:
-        """Wait until everything has been written. Cancelling: safe."""
+        note(text)
 
     def close(self) -> None:
-        """Stop the display. Printed text stays on the screen.
-
-        This never blocks, and may be called at any time, even by a signal handler.
-        """
+        """Restore the terminal. A signal handler may call this."""
 
 
-class Held(Protocol):
-    """A goal, as a client sees it."""
-
-    @property
-    def goal_id(self) -> bytes:
-        """The 16 bytes of the goal's id."""
-
-    @property
-    def status(self) -> GoalStatus:
-        """The goal's status."""
-
-    @property
-    def last_feedback(self) -> Message | None:
-        """The newest feedback, if there is any."""
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether the goal is paused."""
-
-    async def pause(self) -> None:
-        """Pause the goal. Raises `PauseRefused` if it cannot be paused."""
-
-    async def resume(self) -> None:
-        """Resume the goal. Raises `PauseRefused` if it cannot be resumed."""
-
-
-class Followed(NamedTuple):
-    """A goal on which a transcript reports.
-
-    Attributes:
-        node: The node that watches the goal.
-        name: The action's name.
-        goal_type: The type of the goal message.
-        goal: The goal message; None if another process sent the goal.
-        handle: The client's view of the goal.
-        age: The time from the goal's acceptance to the creation of this object (s).
-    """
-
-    node: Node
-    name: str
-    goal_type: type[Message]
-    goal: Message | None
-    handle: Held
-    age: float = 0.0
-
-
-class Sent(NamedTuple):
-    """A goal that this process has sent and the server has accepted.
-
-    Attributes:
-        node: The node that sent the goal.
-        name: The action's name.
-        type_name: The name of the action's type.
-        goal: The goal message.
-        handle: The client's goal handle.
-    """
-
-    node: Node
-    name: str
-    type_name: str
-    goal: Message
-    handle: ClientGoalHandle[Message, Message]
-
-    def followed(self) -> Followed:
-        """Return the goal as a `Followed`."""
-        return Followed(self.node, self.name, type(self.goal), self.goal, self.handle)
-
-
-class PlainTranscript:
+class PlainTranscript(Transcript):
     """Prints what ``ros2 action send_goal`` prints, but indents each line of YAML.
 
     ROS 2 indents only the first line below ``Feedback:`` and ``Result:``, so its output is not
@@ -166,20 +111,12 @@ class PlainTranscript:
 
     Args:
         wants_feedback: Whether to print each feedback message.
-        say: The function that prints a block of text.
         most_lines: The maximum number of lines to print for the goal. If the goal has more lines,
             the lines in the middle are left out.
     """
 
-    def __init__(
-        self,
-        *,
-        wants_feedback: bool,
-        say: Callable[[str], None] = say,
-        most_lines: int = sys.maxsize,
-    ) -> None:
+    def __init__(self, *, wants_feedback: bool, most_lines: int = sys.maxsize) -> None:
         self.wants_feedback = wants_feedback
-        self._say = say
         self._most_lines = most_lines
 
     def sending(self, goal: Message) -> None:
@@ -189,52 +126,30 @@ class PlainTranscript:
             first = self._most_lines // 2
             left_out = slice(first, len(lines) - (self._most_lines - first - 1))
             lines[left_out] = [f"     … {len(lines[left_out])} more lines …"]
-        self._say("\n".join(("Sending goal:", *lines, "\n")))
+        say("\n".join(("Sending goal:", *lines, "\n")))
 
     def rejected(self, reason: str) -> None:  # noqa: ARG002  # ros2 does not print it here
         """Print that the server has rejected the goal."""
-        self._say("Goal was rejected.\n")
+        say("Goal was rejected.\n")
 
-    def accepted(self, sent: Sent) -> None:
+    def accepted(self, goal: Followed) -> None:
         """Print that the server has accepted the goal with this id."""
-        self._say(f"Goal accepted with ID: {sent.handle.goal_id.hex()}\n\n")
-
-    def follows(self, goal: Followed) -> None:
-        """Do nothing, because there is nothing to print yet."""
-
-    def served(self, *, is_served: bool) -> None:
-        """Print nothing, because `note` also reports that the server has gone or has come back."""
-
-    async def animate(self) -> None:
-        """Do nothing, because there is nothing to animate."""
+        say(f"Goal accepted with ID: {goal.handle.goal_id.hex()}\n\n")
 
     def feedback(self, feedback: Message) -> None:
         """Print a feedback message."""
-        self._say(f"Feedback:\n{_indented(feedback, 4)}\n")
-
-    def status(self, status: GoalStatus) -> None:
-        """Do nothing, because only the final status is printed."""
+        say(f"Feedback:\n{_indented(feedback, 4)}\n")
 
     def canceling(self) -> None:
         """Print that the server is asked to cancel the goal."""
-        self._say("Canceling goal...\n\n")
+        say("Canceling goal...\n\n")
 
     def ended(self, outcome: Outcome[Message]) -> None:
         """Print the result and the final status of the goal."""
-        self._say(result_text(outcome))
-
-    def note(self, text: str) -> None:
-        """Print a message that is not an event of the goal, such as a warning."""
-        note(text)
-
-    async def drained(self) -> None:
-        """Do nothing, because each block is flushed at once."""
-
-    def close(self) -> None:
-        """Do nothing, because there is nothing to stop."""
+        say(result_text(outcome))
 
 
-class JsonTranscript:
+class JsonTranscript(Transcript):
     """Prints each event of a goal as a JSON object on a line of its own.
 
     The member ``event`` is ``accepted``, ``rejected``, ``status``, ``feedback`` or ``result``.
@@ -246,32 +161,21 @@ class JsonTranscript:
         self._goal_id = ""
         self._status: GoalStatus | None = None
 
-    def sending(self, goal: Message) -> None:
-        """Do nothing, because there is no event for the sending of a goal."""
-
     def rejected(self, reason: str) -> None:
         """Print the event ``rejected``, with an empty goal id."""
         self._tell("rejected", reason=json.dumps(reason, ensure_ascii=False))
 
-    def accepted(self, sent: Sent) -> None:
+    def accepted(self, goal: Followed) -> None:
         """Print the event ``accepted``."""
-        self._goal_id = sent.handle.goal_id.hex()
+        self._goal_id = goal.handle.goal_id.hex()
+        request = goal.handle.request
         self._tell(
             "accepted",
-            name=json.dumps(sent.name),
-            type=json.dumps(sent.type_name),
-            stamp=to_json(sent.handle.stamp),
-            goal=to_json(sent.goal),
+            name=json.dumps(goal.name),
+            type=json.dumps(goal.action_type.type_name),
+            stamp=to_json(goal.handle.stamp),
+            goal="null" if request is None else to_json(request),
         )
-
-    def follows(self, goal: Followed) -> None:
-        """Do nothing, because there is nothing to print yet."""
-
-    def served(self, *, is_served: bool) -> None:
-        """Print nothing, because `note` also reports that the server has gone or has come back."""
-
-    async def animate(self) -> None:
-        """Do nothing, because there is nothing to animate."""
 
     def feedback(self, feedback: Message) -> None:
         """Print the event ``feedback``."""
@@ -283,9 +187,6 @@ class JsonTranscript:
             self._status = status
             self._tell("status", status=json.dumps(status.name))
 
-    def canceling(self) -> None:
-        """Do nothing, because the event ``status`` will report that the goal is CANCELING."""
-
     def ended(self, outcome: Outcome[Message]) -> None:
         """Print the event ``result``, after an event ``status`` if the status has changed."""
         self.status(outcome.status)
@@ -295,16 +196,6 @@ class JsonTranscript:
             result=to_json(outcome.result),
             reason=json.dumps(outcome.reason, ensure_ascii=False),
         )
-
-    def note(self, text: str) -> None:
-        """Print a message that is not an event of the goal, such as a warning."""
-        note(text)
-
-    async def drained(self) -> None:
-        """Do nothing, because each block is flushed at once."""
-
-    def close(self) -> None:
-        """Do nothing, because there is nothing to stop."""
 
     def _tell(self, event: str, **values: str) -> None:
         """Print an event. The texts in ``values`` must be JSON."""

@@ -1,7 +1,7 @@
 """Arranges what a terminal shows about a goal, a server or a robot.
 
 A goal is shown with its state, feedback, progress and a map. A server or a robot is shown with
-a heading, a map and the log. Beside the map is a table of goals or a legend of keys.
+a heading and a map. Beside the map is a table of goals or a legend of keys.
 """
 
 from __future__ import annotations
@@ -262,12 +262,6 @@ LONGEST_STATUS: Final = 9
 LONGEST_DURATION: Final = 8
 """The width (characters) of a goal's age in a table of goals."""
 
-LEAST_LOG: Final = 3
-"""The minimum number of lines of the log below a map."""
-
-INDENT: Final = "  "
-"""The indent of the second and later lines of a wrapped log line."""
-
 
 class GoalRow(NamedTuple):
     """A goal as a row of a table.
@@ -305,7 +299,6 @@ class Board(NamedTuple):
         goals: The rows of the table of goals; None if no table is shown.
         more: How many further goals there are, besides those in ``goals``.
         keys: The lines that explain the keys of the keyboard.
-        log: The lines of the log, from the oldest to the newest.
     """
 
     heading: Sequence[str]
@@ -313,11 +306,10 @@ class Board(NamedTuple):
     goals: Sequence[GoalRow] | None = None
     more: int = 0
     keys: Sequence[str] = ()
-    log: Sequence[str] = ()
 
 
 def board(view: Board, *, width: int, height: int) -> Picture:
-    """Show a server or a robot: a heading, a map with a table beside it, and the log.
+    """Show a server or a robot: a heading, and a map with a table beside it.
 
     If no map is shown, the table is as wide as the window.
 
@@ -328,11 +320,10 @@ def board(view: Board, *, width: int, height: int) -> Picture:
     """
     head = _heading(view.heading, width, height)
     left = height - len(head)
-    rows = min(HIGHEST, left - 2 - LEAST_LOG, (width - NARROWEST_BOARD) // 2)
+    rows = min(HIGHEST, left - 2, (width - NARROWEST_BOARD) // 2)
     middle: list[Picture]
     if view.world is None or rows < LOWEST:
-        middle = _table(view, width, max(left - LEAST_LOG, 0))
-        left -= len(middle)
+        middle = _table(view, width, left)
     else:
         taken = 2 * rows + 2
         beside = Table.grid(padding=(0, 1, 0, 0))
@@ -341,8 +332,7 @@ def board(view: Board, *, width: int, height: int) -> Picture:
         table = _table(view, width - taken - 2, rows + 2)
         beside.add_row(world_map(view.world, rows), Group(*table))
         middle = [beside]
-        left -= rows + 2
-    return Group(*head, *middle, *_log(view.log, width, left))
+    return Group(*head, *middle)
 
 
 def _heading(lines: Sequence[str], width: int, height: int) -> list[Picture]:
@@ -354,26 +344,6 @@ def _heading(lines: Sequence[str], width: int, height: int) -> list[Picture]:
     if len(wrapped) > max(height // 2, len(lines)):
         wrapped = [printable(line) for line in lines]
     return [cut(line, "bold") for line in wrapped[:height]]
-
-
-def _log(lines: Sequence[str], width: int, rows: int) -> list[Picture]:
-    """Show the newest entries of the log, wrapped between words, in at most ``rows`` lines.
-
-    If an entry does not fit, only its beginning is shown, because an error message begins with the
-    problem and its location.
-    """
-    shown: list[str] = []
-    for line in reversed(lines):
-        if (left := rows - len(shown)) <= 0:
-            break
-        parts = [printable(line)]
-        if cell_len(parts[0]) > width:
-            parts = wrap(parts[0], width, subsequent_indent=INDENT, break_on_hyphens=False)
-        if len(parts) > left:
-            rest = [part.strip() for part in parts[left:]]
-            parts[left - 1 :] = [" ".join([parts[left - 1], *rest])]  # cut at the window's edge
-        shown[:0] = parts
-    return [cut(part, "dim") for part in shown]
 
 
 def _table(view: Board, width: int, rows: int) -> list[Picture]:

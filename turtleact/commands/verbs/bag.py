@@ -375,7 +375,7 @@ def record(
     storage: Storage = None,  # noqa: ARG001  # there is one
     preset: PresetProfile = "none",
     overrides: Overrides = None,
-    keyboard: Ignored = False,  # noqa: ARG001  # there are none
+    _keyboard: Ignored = False,  # there are none
     interfaces: Interfaces = None,
     connect: Connect = None,
     domain: Domain = 0,
@@ -467,7 +467,7 @@ def play(
     clock: ClockFrequency = None,
     overrides: Overrides = None,
     storage: ReadStorage = None,  # noqa: ARG001  # the file tells
-    keyboard: Ignored = False,  # noqa: ARG001  # there are none
+    _keyboard: Ignored = False,  # there are none
     interfaces: Interfaces = None,
     connect: Connect = None,
     domain: Domain = 0,
