@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import sys
 from collections.abc import Callable
 from contextlib import aclosing, asynccontextmanager
 from typing import Any
@@ -285,6 +286,29 @@ def test_no_goal_to_cancel_is_noted(on_graph, graphs):
 def test_a_goal_that_is_canceling_already_goes_on_doing_so(on_graph):
     ran = on_graph(peer(3), "cancel", "--all")
     assert ran == (0, f"{STRANGER.hex()} of /far: canceling\n", "")
+
+
+@pytest.mark.parametrize("name", ["count", "/count"])
+def test_an_action_with_one_running_goal_stands_for_it(on_graph, graphs, name):
+    ran = on_graph(graphs.goals, "cancel", name)
+    assert ran == (0, f"{graphs.IDS['count']} of /count: canceling\n", "")
+
+
+def test_of_an_action_with_several_goals_one_is_given_or_all(on_graph, graphs):
+    ran = on_graph(graphs.goals, "cancel", "hold")
+    assert (ran.status, ran.out) == (2, "")
+    assert "action '/hold' has 2 running goals, give one: " in ran.err
+
+
+def test_an_action_without_a_running_goal_has_none_to_cancel(on_graph, graphs):
+    ran = on_graph(graphs.goals, "cancel", "fail")
+    assert (ran.status, ran.out) == (1, "/fail: not canceled: no server in reach holds it\n")
+
+
+def test_on_a_terminal_the_clients_of_goals_are_explained(on_graph, graphs, monkeypatch):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    ran = on_graph(graphs.goals, "goals")
+    assert "client: ? means that the action still has a client" in ran.err
 
 
 # --- watch, result --------------------------------------------------------------------------

@@ -170,3 +170,7 @@ def test_it_must_be_clear_which_goals_are_meant(turtleact, arguments, problem):
 
 
 # --- the key of the live display ----------------------------------------------------------------
+
+
+def test_an_action_stands_for_its_only_running_goal(on_graph):
+    assert on_graph(Walk(), "pause", "nobody").status == 1

@@ -91,7 +91,7 @@ USAGE = [
     (["serve", "--listen", "7447"], "--listen takes an endpoint such as tcp/127.0.0.1:7447"),
     (["serve", "--speed", "max"], "'--speed': 'max' is not a factor"),
     (["serve", "--speed", "0"], "'--speed': '0' is not a factor above 0 and at most 100"),
-    (["serve", "--web", "localhost"], "the port of --web is a whole number, 0 to 65535"),
+    (["serve", "--web", "localhost:99999"], "the port of --web is a whole number, 0 to 65535"),
     (["serve", "--token", "x"], "--token, --allow-host and --allow-origin need --web"),
     (
         ["serve", "--web", "0", "--allow-origin", "example.com"],
@@ -214,7 +214,7 @@ USAGE = [
     (["service", "call", "x", "a/b", "{}", "--stdin"], "the request is given twice"),
     (["cancel"], "give the ids of goals, or --all"),
     (["cancel", "71a"], "'71a' is not a goal id, which has 32 hexadecimal digits"),
-    (["cancel", "patrol"], "'patrol' is not a goal id.*'turtleact goals' lists .* --all means all"),
+    (["teleop", "bob"], r"unexpected extra argument \(bob\). Did you mean --turtle bob"),
     (["cancel", "--all", "--before", "1"], "give one of --all and --before"),
     (["cancel", "--all", "a", "b"], "--all and --before take one action"),
     (["cancel", "--before", "noon"], "--before takes a time such as .*, not 'noon'"),
@@ -612,3 +612,26 @@ def test_single_policies_count_more_than_their_profile():
     asked = policies("sensor_data", None, "transient_local", 7)
     assert asked == Policies("best_effort", "transient_local", 7)
     assert policies("sensor_data", None, None, None) == Policies("best_effort", "volatile", 5)
+
+
+@pytest.mark.parametrize(
+    ("line", "where", "targets"),
+    [
+        ("--web", ("127.0.0.1", 9090), ()),
+        ("--web --speed 3", ("127.0.0.1", 9090), ()),
+        ("--web lab.py", ("127.0.0.1", 9090), ("lab.py",)),
+        ("--web 0 lab.py", ("127.0.0.1", 0), ("lab.py",)),
+        ("--web 0.0.0.0:80 --token x", ("0.0.0.0", 80), ()),
+    ],
+)
+def test_a_web_page_without_a_port_is_at_9090(monkeypatch, line, where, targets):
+    services = []
+
+    def run(service):
+        services.append(service)
+        return 0
+
+    monkeypatch.setattr(serve, "run", run)
+    assert verbs.parse(["serve", *line.split()])() == 0
+    [service] = services
+    assert (service.page[:2], service.targets) == (where, targets)

@@ -16,6 +16,7 @@ Source: the ROS 2 design article "Actions"; action_msgs/srv/CancelGoal; rcl_acti
 from __future__ import annotations
 
 import json
+import sys
 import uuid
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -209,6 +210,20 @@ async def find_goal(node: Node, wanted: str) -> HeldGoal:
     return found
 
 
+def _selected(node: Node, goals: list[HeldGoal], wanted: str) -> HeldGoal | None:
+    """Return the goal that ``wanted`` selects, as for `find_goal`; None if there is none.
+
+    Raises:
+        UsageError: if several goals match ``wanted``.
+        ServerUnavailable: if ``wanted`` is the name of an action that nobody serves.
+    """
+    if not wanted.startswith("/"):
+        return find_goals(goals, wanted)
+    return _running_goal(
+        [each for each in goals if each.action in served_actions(node, wanted)], wanted
+    )
+
+
 def _running_goal(goals: Iterable[HeldGoal], action: str) -> HeldGoal | None:
     running = [goal for goal in goals if goal.status.is_active]
     if len(running) > 1:
@@ -221,6 +236,8 @@ DONE, NOT_DONE, ABORTED, CANCELED = 0, 1, 4, 5
 """Exit statuses."""
 
 HEADINGS = ("id", "action", "state", "age", "client")
+
+LEGEND = "client: ? means that the action still has a client, gone that it has none any more"
 
 NOBODY = bytes(16)
 """The id that means every goal in a cancel request."""
@@ -253,6 +270,8 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
         say("".join(f"{_as_json(node, goal, now)}\n" for goal in goals))
     elif goals:
         say_table([HEADINGS, *(_row(node, goal, now) for goal in goals)])
+        if sys.stdout is not None and sys.stdout.isatty():
+            note(LEGEND)
     elif not silent:
         note("no server in reach holds a goal")
     if silent:
@@ -272,7 +291,7 @@ async def cancel(node: Node, wanted: Sequence[str]) -> int:
     """
     goals, silent = await held_goals(node, served_actions(node, None))
     status = DONE
-    for found, text in [(find_goals(goals, text), text) for text in wanted]:
+    for found, text in [(_selected(node, goals, text), text) for text in wanted]:
         if found is None:
             holds_not = "no server in reach holds it"
             problem: str | None = f"{holds_not}; {silence(silent)}" if silent else holds_not
@@ -384,7 +403,7 @@ async def switch(node: Node, wanted: Sequence[str], *, is_paused: bool, timeout:
     """
     goals, silent = await held_goals(node, served_actions(node, None))
     status = DONE
-    for found, text in [(find_goals(goals, text), text) for text in wanted]:
+    for found, text in [(_selected(node, goals, text), text) for text in wanted]:
         if found is None:
             problem = "no server in reach holds it"
             problem = f"{problem}; {silence(silent)}" if silent else problem

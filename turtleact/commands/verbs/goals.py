@@ -166,7 +166,8 @@ Ids: TypeAlias = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="ID|NAME",
-        help="The ids of goals. With --all or --before, the action.",
+        help="The ids of goals, or actions with one running goal each. With --all or --before, the "
+        "action.",
         autocompletion=completion.goal_ids,
     ),
 ]
@@ -336,7 +337,7 @@ def cancel(
         raise UsageError("--all and --before take one action; without one, they mean all actions")
     if not is_many and not given:
         raise UsageError("give the ids of goals, or --all; 'turtleact goals' lists them")
-    ids = [] if is_many else [_goal_id(text, for_all=True) for text in given]
+    ids = [] if is_many else [_watched(text) for text in given]
     until = 0 if before is None else moment(before)
 
     async def look(node: Node) -> int:
@@ -384,7 +385,7 @@ def _switch(given: list[str], *, is_all: bool, is_paused: bool, timeout: float) 
         raise UsageError("--all takes one action; without one, it means all actions")
     if not is_all and not given:
         raise UsageError("give the ids of goals, or --all; 'turtleact goals' lists them")
-    ids = [] if is_all else [_goal_id(text, for_all=True) for text in given]
+    ids = [] if is_all else [_watched(text) for text in given]
 
     async def look(node: Node) -> int:
         from turtleact.commands import held_goals
@@ -617,14 +618,11 @@ def _read(look: Callable[[ModuleType], int]) -> Job:
     return job
 
 
-def _goal_id(text: str, *, for_all: bool = False) -> str:
+def _goal_id(text: str) -> str:
     digits = text.replace("-", "").lower()
     if not _GOAL_ID.fullmatch(digits):
         problem = "is not a goal id, which has 32 hexadecimal digits; the first 4 are enough"
-        hint = "'turtleact goals' lists all goals"
-        if for_all:
-            hint += ", and --all means all goals of an action"
-        raise UsageError(f"{quoted(text)} {problem}. {hint}")
+        raise UsageError(f"{quoted(text)} {problem}. 'turtleact goals' lists all goals")
     return digits
 
 

@@ -47,6 +47,8 @@ MOST_TURTLES = 10_000
 _NODE_NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
 """Matches valid node names, except hidden ones, which begin with an underscore."""
 
+_PORT = re.compile(r"(.*:)?[0-9]+")
+
 _WORLD_NODES = ("turtlesim", "turtle_actions", "world")
 
 NOTHING_TO_RELOAD = "--reload is for your own actions: name a module or a file, such as lab.py"
@@ -85,7 +87,7 @@ Web: TypeAlias = Annotated[
     typer.Option(
         "--web",
         metavar="[HOST:]PORT",
-        help="Serve a web page that shows the world, and rosbridge.",
+        help="Serve a web page that shows the world, and rosbridge. Without a port, at 9090.",
         rich_help_panel=WEB,
     ),
 ]
@@ -266,15 +268,32 @@ _EXAMPLES = """\
   turtleact serve
   turtleact serve lab.py --reload
   turtleact serve lab:patrol robot.arm --no-sim
-  turtleact serve --web 9090
+  turtleact serve --web
   turtleact serve lab.py --journal goals.db --on-restart resume
   turtleact serve --listen tls/0.0.0.0:7447 --config serve.toml
 """
 
+WEB_PORT = "9090"
+"""The port of ``--web`` without a port, which is also the default of rosbridge."""
+
+
+class ServeVerb(Verb):
+    """The verb ``serve``, whose option ``--web`` may stand without a port."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as in `Verb`
+        """Parse the arguments. A ``--web`` that no ``[HOST:]PORT`` follows gets `WEB_PORT`."""
+        nexts = [*args[1:], ""]
+        full = [
+            f"--web={WEB_PORT}" if arg == "--web" and not _PORT.fullmatch(after) else arg
+            for arg, after in zip(args, nexts, strict=True)
+        ]
+        return super().parse_args(ctx, full)
+
+
 app = typer.Typer(**SETTINGS)
 
 
-@app.command(cls=Verb, help=VERBS["serve"], epilog=_EXAMPLES)
+@app.command(cls=ServeVerb, help=VERBS["serve"], epilog=_EXAMPLES)
 def serve(
     targets: Targets = None,
     *,

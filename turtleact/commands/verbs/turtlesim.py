@@ -57,7 +57,19 @@ _SNAPSHOTS = """\
 app = typer.Typer(**SETTINGS)
 
 
-@app.command(cls=Verb, help=VERBS["teleop"])
+class TeleopVerb(Verb):
+    """The verb ``teleop``, whose error for a turtle's name names the option for it."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as in `Verb`
+        """Parse the arguments, and fail if there is one that is no option."""
+        ctx.allow_extra_args = True
+        left = super().parse_args(ctx, args)
+        if left and not ctx.resilient_parsing:
+            ctx.fail(f"Got unexpected extra argument ({left[0]}). Did you mean --turtle {left[0]}?")
+        return left
+
+
+@app.command(cls=TeleopVerb, help=VERBS["teleop"])
 def teleop(
     *,
     turtle: Turtle = None,
