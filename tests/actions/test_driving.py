@@ -38,18 +38,18 @@ async def test_of_several_poses_the_newest_counts():
 async def test_a_target_has_a_deadline_that_leaves_patience():
     async with yard() as place, telling(place), place.drive() as drive:
         here = (drive.pose.x, drive.pose.y, drive.pose.theta)
-        limit = time_limit(here, [(5.0, 5.0)], Limits(dt=4 * 0.016))
+        limit = time_limit(here, [(5.0, 5.0)], Limits(dt=8 * 0.016))
         deadline = drive.deadline(Point(x=5.0, y=5.0))
         assert deadline - place.clock.time() == pytest.approx(PATIENCE * limit)
 
 
-async def test_a_command_is_held_for_four_poses():
+async def test_a_command_is_held_for_eight_poses():
     async with yard() as place, obeying(place), place.drive() as drive:
         for _ in range(5):
             begun = place.clock.time()
             await drive.towards(FAR)
-            assert place.clock.time() - begun == pytest.approx(4 * 0.016)
-        assert drive.travelled == pytest.approx(20 * 0.032, abs=1e-5)
+            assert place.clock.time() - begun == pytest.approx(8 * 0.016)
+        assert drive.travelled == pytest.approx(40 * 0.032, abs=1e-5)
         assert drive.pose.x == pytest.approx(drive.travelled)
         assert len(place.twists.drain()) == 5
 
@@ -65,7 +65,7 @@ async def test_a_held_command_ends_at_the_target():
     async with yard() as place, obeying(place), place.drive() as drive:
         begun = place.clock.time()
         await drive.towards(Point(x=0.15))
-        assert place.clock.time() - begun == pytest.approx(2 * 0.016)
+        assert place.clock.time() - begun == pytest.approx(3 * 0.016)
         assert drive.has_reached(Point(x=0.15))
 
 

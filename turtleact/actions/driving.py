@@ -15,8 +15,8 @@ What can go wrong on the way:
   time between two poses.
 
 If a robot keeps its commands (see `Robot.keeps_commands`), the drive steers only with every few
-poses, and checks in between whether the turtle has reached its target. A fleet needs a third of the
-processor time then.
+poses, and checks in between whether the turtle has reached its target. A fleet then needs half the
+processor time.
 
 While a goal is paused, its turtle stands still, the turtle's poses are ignored, and `Drive.time`
 does not advance. A pause therefore delays the goal, but uses up none of the goal's time limits.
@@ -68,13 +68,13 @@ PATIENCE: Final = 2.0
 LEARNING: Final = 0.3
 """The weight of the newest pose interval in the moving average of the pose intervals."""
 
-MOST_HELD: Final = 4
+MOST_HELD: Final = 8
 """A command is held for at most this many poses."""
 
-_TURN_HELD: Final = 0.25
+_TURN_HELD: Final = 0.3
 """While a command is held, the turtle turns by at most this angle (rad)."""
 
-_WAY_HELD: Final = 2.0
+_WAY_HELD: Final = 3.0
 """While a command is held, the turtle drives at most this many tolerances far."""
 
 

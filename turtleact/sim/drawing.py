@@ -352,10 +352,9 @@ class _Runs:
         self._make_room(int(who.max()) + 1)
         is_held, way, step = self._is_held[who], self._end[who] - self._start[who], end - start
         length, more = np.abs(way), np.abs(step)
-        with np.errstate(divide="ignore", invalid="ignore"):  # a dot has no direction
-            turned = step * way.conj() / length
-            is_straight = np.abs(turned.imag) <= self._bend * np.minimum(1.0, more / length)
-        goes_on = is_held & is_straight & (turned.real >= 0.0) & (more > 0.0)
+        turned = step * way.conj()
+        is_straight = np.abs(turned.imag) <= self._bend * np.minimum(length, more)
+        goes_on = is_held & is_straight & (turned.real > 0.0)  # a dot has no direction
         goes_on &= self._end[who] == start
         over = who[is_held & ~goes_on]
         ended = over, self._start[over], self._end[over]
