@@ -11,8 +11,6 @@ from contextlib import contextmanager
 
 import pytest
 
-from .. import warm
-
 BROKEN = "def mine(:\n"
 LAB = """
 import anyio
@@ -32,11 +30,10 @@ async def mine(goal):
     yield Fibonacci.Feedback(partial_sequence=[0])
     await anyio.sleep_forever()
 """
-STUCK = f"{LAB}\nprint('importing', flush=True)\nwhile True: pass\n"
 
 
 def command(folder, *arguments):
-    return warm.start(
+    return subprocess.Popen(  # a new Python, whose command line can be run again
         [sys.executable, "-m", "turtleact", *arguments],
         cwd=folder,
         env={**os.environ, "ROS_DOMAIN_ID": "0"},
@@ -84,15 +81,17 @@ def test_a_file_is_served_and_served_anew_and_its_goals_end(tmp_path):
         assert first[0].startswith("turtleact: lab.py:1: module 'lab' cannot be imported: ")
         assert "; nothing of it is served until the next change" in first[0]
         save(tmp_path, LAB)
-        lines_until(server, "reloaded: /mine")
+        lines_until(server, "reloading: lab.py changed")
+        lines_until(server, "ready at")
         with command(tmp_path, "send-goal", "mine", "--plain", "--connect", at) as goal:
             lines_until(server, "EXECUTING")
             save(tmp_path, LAB.replace('"mine"', '"yours"'))
             out, _ = goal.communicate(timeout=20)
         assert goal.returncode == 4
-        assert "turtleact: the goal was aborted: reloading" in out
-        lines_until(server, "reloaded: /yours")
-        lines_until(server, "beating on lab")
+        assert "turtleact: the goal was aborted: shutdown" in out
+        ready = lines_until(server, "ready at")
+        assert "beating on lab\n" in ready
+        assert ready[-1].endswith(": /yours\n")
         with command(tmp_path, "param", "get", "/lab", "speed", "--connect", at) as param:
             assert param.communicate(timeout=20)[0] == "Double value is: 2.0\n"
         server.send_signal(signal.SIGINT)

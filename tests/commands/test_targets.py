@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import importlib
 import sys
 from pathlib import Path
 
@@ -234,32 +233,6 @@ def test_the_files_of_all_modules_of_the_user_are_known(folder):
     modules.find()
     names = ["inner/pack/__init__.py", "inner/pack/robot.py", "labelsewhere.py", "targetlab.py"]
     assert modules.files == {folder / each for each in names}
-
-
-def test_modules_are_imported_anew_with_what_they_import(folder):
-    modules = Modules(["targetlab", "inner/pack/robot.py"])
-    before = modules.find().actions
-    (folder / "labelsewhere.py").write_text(OTHER.replace('"aside"', '"elsewhere"'))
-    (folder / "targetlab.py").write_text("from labelsewhere import aside\nmine = aside\n")
-    (folder / "inner/pack/robot.py").write_text(OTHER.replace('"aside"', '"robot"'))
-    with pytest.raises(UsageError, match="declares no action, but imports some"):
-        modules.find_again()
-    assert sys.modules["targetlab"].first in before
-    assert sys.modules["pack"].robot is sys.modules["pack.robot"]
-    (folder / "targetlab.py").write_text(LAB.format(other="labelsewhere"))
-    assert [each.name for each in modules.find_again().actions] == ["first", "second", "robot"]
-    assert sys.modules["targetlab"].aside.name == "elsewhere"
-
-
-def test_a_module_that_the_program_itself_has_imported_is_loaded_again(folder, monkeypatch):
-    """The program of a package: ``run PACKAGE NODE --reload``."""
-    monkeypatch.syspath_prepend(folder)
-    importlib.import_module("targetlab")
-    modules = Modules(["targetlab"])
-    assert [each.name for each in modules.find().actions] == ["first", "second"]
-    assert folder / "targetlab.py" in modules.files
-    (folder / "targetlab.py").write_text(OTHER)
-    assert [each.name for each in modules.find_again().actions] == ["aside"]
 
 
 @pytest.mark.parametrize("target", ["targetlab", "targetlab.py"])

@@ -15,7 +15,7 @@ import os
 import select
 import signal
 from collections.abc import Callable, Coroutine, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import NoReturn
 
@@ -74,8 +74,19 @@ class Interrupts:
                 if not self.received:
                     raise
                 return self.status
+            except SystemExit:
+                # The user's code ends the program. The command cleans up while its tasks still run.
+                self._ask_to_end()
+                with suppress(asyncio.CancelledError):
+                    if self._task is not None:
+                        runner.get_loop().run_until_complete(self._task)
+                raise
             finally:
                 main.close()  # it has not begun if the signal came first
+
+    def end(self) -> None:
+        """Let `wait` return, as if a signal had come."""
+        self._first.set()
 
     async def wait(self) -> None:
         """Wait for the first signal. Cancelling: safe."""

@@ -222,7 +222,7 @@ class Dashboard:
 
     def __init__(self) -> None:
         self._screen = Screen(self.compose)
-        self._heading: dict[str, str] = {}  # by subject
+        self._heading: list[str] = []
         self._goals: dict[bytes, _Served] = {}
         self._ended: deque[bytes] = deque()
         self._followed = 0
@@ -232,13 +232,9 @@ class Dashboard:
         """Show this world from now on."""
         self._sim = sim
 
-    def say(self, line: str, subject: str = "") -> None:
-        """Add a line to the heading, which is always shown.
-
-        If the heading has a line about the same subject, the new line replaces that line. Without
-        ``subject``, the line replaces no other line.
-        """
-        self._heading[subject or line] = line
+    def say(self, line: str) -> None:
+        """Add a line to the heading, which is always shown."""
+        self._heading.append(line)
 
     def tell(self, goal: Handle, new: GoalStatus) -> None:
         """Show a goal's new state."""
@@ -272,7 +268,7 @@ class Dashboard:
         world = None if sim is None else render.MapView(SIDE, turtles, _Drawn(sim), ahead)
         more = len(self._goals) - len(goals)
         paused = ["the world is paused"] if sim is not None and sim.is_paused else []
-        heading = list(self._heading.values()) or [NOT_READY]
+        heading = self._heading or [NOT_READY]
         shown = render.Board([*heading, *paused], world, rows, more)
         return render.board(shown, width=width, height=height)
 

@@ -15,23 +15,23 @@ from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Unpack, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, Unpack, cast
 
 import anyio
 
-from turtleact.body import ActionDeclaration
+from turtleact.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.node_parameters import of_node, unheard
 from turtleact.commands.observing import json_line, observing, set_up_logging
 from turtleact.commands.output import abandon, note, printable
-from turtleact.commands.reloading import Kept, Reloader, Watch
+from turtleact.commands.reloading import Stamps, restart, stamps_of, wait_for_change
 from turtleact.commands.screen import can_move
 from turtleact.commands.targets import Found, Modules
 from turtleact.errors import ActionConflict, InvalidOption, TurtleactError, UsageError
 from turtleact.goal import GoalStatus
 from turtleact.graph import types_by_name
 from turtleact.node import Node, close_withdrawn, open_node, resources_of
-from turtleact.tasks import Background
+from turtleact.tasks import GRACE, Background
 from turtleact.transports import open_zenoh
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from turtleact.clock import Clock
     from turtleact.commands.live import Dashboard
     from turtleact.commands.settings import Page, Service
+    from turtleact.goal_journal import OnRestart
+    from turtleact.journal import Journal
     from turtleact.node import ActionServer, ServerGoalHandle
     from turtleact.node.conflicts import OnConflict
     from turtleact.transports import Transport, ZenohTransport
@@ -60,8 +62,8 @@ The time is longer than Zenoh's own lease of 10 s.
 STANDBY = 0.2
 """The interval at which a standby tries to open the journal of another process (s)."""
 
-READY = "ready"
-"""The subject that identifies the dashboard's line about whether the server is ready."""
+RELOAD = -1
+"""In place of an exit status: start the program again."""
 
 MOST_LISTED = 12
 """The ready line names at most this many actions."""
@@ -78,10 +80,9 @@ def run(service: Service) -> int:
         logging.lastResort.setFormatter(_Escaping())
     set_up_logging(service.watched.log_format)
     modules = Modules(service.targets)
-    work = Work(modules, Watch(modules), Found([], []))
     log = ServerLog(_dashboard(service), is_json=service.watched.log_format == "json")
-    work = work._replace(found=_find(modules, service, log))
-    work.watch.follow()
+    found = _find(modules, service, log)
+    work = Work(modules, found, stamps_of(modules))
     interrupts = Interrupts()
     interrupts.forced = 0
     if log.board is not None:
@@ -90,7 +91,9 @@ def run(service: Service) -> int:
         status = interrupts.run(_serve(service, work, log, interrupts))
     finally:
         interrupts.restore()
-    return 0 if interrupts.received else status
+    if interrupts.received:
+        return 0
+    return restart() if status == RELOAD else status
 
 
 def _dashboard(service: Service) -> Dashboard | None:
@@ -121,18 +124,62 @@ def _find(modules: Modules, service: Service, log: ServerLog) -> Found:
         return Found([], [])
 
 
+class Kept(TypedDict, total=False):
+    """The options that make a server keep its goals in a journal. Empty without a journal."""
+
+    journal: Journal
+    on_restart: OnRestart
+
+
+class Running:
+    """The user's actions and background tasks while they run.
+
+    Args:
+        node: The node that serves the actions.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        self._servers: list[ActionServer[Any, Any, Any]] = []
+        self._tasks: list[Background] = []
+
+    def start(self, found: Found, servers: list[ActionServer[Any, Any, Any]]) -> None:
+        """Take charge of the actions that the node serves, and start the background tasks."""
+        self._servers = servers
+        self._tasks = [
+            Background(_run(each, self.node), f"the background task {each.run.__name__}")
+            for each in found.tasks
+        ]
+
+    async def aclose(self, others: list[ActionServer[Any, Any, Any]]) -> None:
+        """End the background tasks and the goals of all servers at the same time.
+
+        Tasks that ignore their cancellation are waited for together, for `GRACE` seconds in all.
+        """
+        async with anyio.create_task_group() as closing:
+            # The tasks come first: one that waits for a goal is cancelled before the goal ends.
+            for task in self._tasks:
+                closing.start_soon(task.aclose, GRACE)
+            for server in [*self._servers, *others]:
+                closing.start_soon(server.aclose)
+
+
+async def _run(declared: BackgroundDeclaration[Any], node: Node) -> None:
+    await declared.run(node)
+
+
 class Work(NamedTuple):
     """The part of a server that comes from the user's modules.
 
     Attributes:
         modules: The modules that the targets name.
-        watch: Watches the files of these modules.
         found: The actions, parameters and background tasks in these modules.
+        stamps: The state of the files of these modules.
     """
 
     modules: Modules
-    watch: Watch
     found: Found
+    stamps: Stamps
 
 
 async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Interrupts) -> int:
@@ -153,9 +200,9 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
         # The web page is opened last, once there is something to show, but the goals end while it
         # is still there. So its place in the stack is taken here.
         pages = await stack.enter_async_context(AsyncExitStack())
-        reloader = Reloader(node, work.modules, work.watch, log.reload)
-        stack.push_async_callback(_end_goals, nodes, reloader)
-        await _begin(service, work.found, reloader, options, log)
+        running = Running(node)
+        stack.push_async_callback(_end_goals, nodes, running)
+        await _begin(service, work.found, running, options, log)
         if service.page is not None:
             url = await pages.enter_async_context(_open_web(service.page, node))
             log.say(f"web page, and rosbridge, at {url}")
@@ -168,13 +215,20 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
             watching = watching_disk(transport, at, file, "journal", check)
             await stack.enter_async_context(watching)
         await transport.flush()
-        log.ready(partial(_ready_line, transport, where, service.reach.domain))
-        if service.reload:
-            reloader.start()
+        log.say(_ready_line(transport, where, service.reach.domain))
         interrupts.cancels = False
+        if service.reload:
+            reloading = Background(_end_at_change(work, interrupts, log), "reloading")
+            await stack.enter_async_context(aclosing(reloading))
         await interrupts.wait()
         log.note(f"no more goals are accepted; running goals {_fate(service, options)}")
-    return 0
+    return 0 if interrupts.received else RELOAD
+
+
+async def _end_at_change(work: Work, interrupts: Interrupts, log: ServerLog) -> None:
+    changed = await wait_for_change(work.modules, work.stamps)
+    log.note(f"reloading: {', '.join(file.name for file in changed)} changed")
+    interrupts.end()
 
 
 def _ready_line(transport: Transport, where: str, domain: int) -> str:
@@ -193,7 +247,7 @@ def _both(
     return call
 
 
-async def _end_goals(nodes: list[Node], reloader: Reloader) -> None:
+async def _end_goals(nodes: list[Node], running: Running) -> None:
     """End all goals and the user's background tasks, and serve no more goals.
 
     Actions that web clients serve on the same node are left alone. They end when the connections of
@@ -204,9 +258,9 @@ async def _end_goals(nodes: list[Node], reloader: Reloader) -> None:
         for node in nodes:
             # A withdrawn built-in action would serve again as soon as the user's action has closed.
             await close_withdrawn(node)
-            if node is not reloader.node:
+            if node is not running.node:
                 built_in += cast("Any", resources_of(node).action_servers())
-        await reloader.aclose(built_in)
+        await running.aclose(built_in)
 
 
 def _fate(service: Service, options: Kept) -> str:
@@ -258,10 +312,10 @@ async def _open_journal(service: Service, log: ServerLog) -> AsyncIterator[Kept]
 
 
 async def _begin(
-    service: Service, found: Found, reloader: Reloader, options: Kept, log: ServerLog
+    service: Service, found: Found, running: Running, options: Kept, log: ServerLog
 ) -> None:
     """Serve the user's actions, declare the parameters, and start the background tasks."""
-    node = reloader.node
+    node = running.node
     node.initial_values |= of_node(service.overrides, node.fully_qualified_name)
     for declaration in found.parameters:
         node.parameter(declaration)
@@ -269,7 +323,7 @@ async def _begin(
     for text in unheard(service.overrides, node.fully_qualified_name, declared):
         log.note(text)
     servers = await serve_declared(node, found.actions, wait=service.wait, **options)
-    reloader.adopt(found, servers, options)
+    running.start(found, servers)
 
 
 async def serve_declared(
@@ -473,7 +527,6 @@ class ServerLog:
     def __init__(self, board: Dashboard | None, *, is_json: bool = False) -> None:
         self.board = board
         self._is_json = is_json
-        self._ready: Callable[[], str] | None = None
 
     def tell(
         self, goal: ServerGoalHandle[Any, Any, Any], _old: GoalStatus, new: GoalStatus
@@ -523,25 +576,3 @@ class ServerLog:
             sys.stdout = None
             why = getattr(error, "strerror", None) or "it was closed by your code"
             note(f"stdout cannot be written ({why}), so goals are no longer listed")
-
-    def ready(self, line: Callable[[], str]) -> None:
-        """Print that the server is ready.
-
-        Args:
-            line: A function that returns the line to print. On a dashboard, the function is called
-                again at each reload, because the line names the actions.
-        """
-        self._ready = line
-        if self.board is None:
-            self.say(line())
-        else:
-            self.board.say(line(), READY)
-
-    def reload(self, line: str) -> None:
-        """Print a line about a reload."""
-        if self.board is None:
-            self.say(line)
-        else:
-            if self._ready is not None:
-                self.board.say(self._ready(), READY)
-            print(f"{datetime.now():%H:%M:%S} {line}")

@@ -5,15 +5,13 @@ in a module or file (``lab:fibonacci``, ``lab.py:Robot.drive``). To import a fil
 folder of the file is put at the beginning of ``sys.path``. For a file in a package, the folder that
 contains the package is put there instead.
 
-`Modules` can import the targets again after the user has edited them. Only the user's own modules
-are imported again. Modules in site-packages stay loaded.
+`Modules` also tells which files are the user's own, because ``serve --reload`` watches these.
 """
 
 from __future__ import annotations
 
 import asyncio
 import importlib
-import linecache
 import logging
 import os
 import re
@@ -188,8 +186,7 @@ class Modules:
         targets: The targets as the user wrote them.
 
     Attributes:
-        files: The files to watch. If one of these files changes or appears, the modules must be
-            imported again. After a failed import, these include files that were not found.
+        files: The files to watch. After a failed import, these include files that were not found.
 
     Raises:
         UsageError: if a text is not a target, or names a file that does not exist.
@@ -226,30 +223,6 @@ class Modules:
         parameters = [each for each in unique if isinstance(each, ParameterDeclaration)]
         tasks = [each for each in unique if isinstance(each, BackgroundDeclaration)]
         return Found(actions, parameters, tuple(tasks))
-
-    def find_again(self) -> Found:
-        """Import the user's modules again. If that fails, restore ``sys.modules``.
-
-        Raises:
-            BaseException: if `find` raises an exception, such as `SystemExit` from a module.
-        """
-        before = self._own()
-        for name in before:
-            del sys.modules[name]
-        importlib.invalidate_caches()
-        linecache.checkcache()  # a warning shows the line of its source as the file is now
-        try:
-            return self.find()
-        except BaseException:
-            for name in self._own():
-                del sys.modules[name]
-            for name, module in before.items():
-                sys.modules[name] = module
-                # A submodule is an attribute of its package, too, which the import has replaced.
-                package, _, last = name.rpartition(".")
-                if package in sys.modules:
-                    setattr(sys.modules[package], last, module)
-            raise
 
     def _own(self) -> dict[str, ModuleType]:
         """The user's modules that were imported for the targets, keyed by name."""
