@@ -101,13 +101,6 @@ async def test_a_rover_is_asked_for_no_more_than_it_can():
         assert abs(after[1] - before[1]) <= 3.0 * DT + 1e-9
 
 
-async def test_a_rover_stands_still_after_its_patrol():
-    async with rover() as one:
-        await patrol_of(one).send_goal(tour())
-        await one.node.clock.sleep(0.1)
-        assert one.told[-1] == one.speeds == (0.0, 0.0)
-
-
 async def test_a_target_where_a_rover_stands_takes_one_pose():
     place = {"targets": [Point(), Point(x=0.05)]}
     async with rover() as one:
@@ -222,24 +215,6 @@ async def test_a_robot_that_is_silent_for_a_second_is_stopped_and_then_driven_on
         assert one.told[-1] == one.speeds == (0.0, 0.0)
         one.is_silent = False
         assert (await goal.result()).reached == 3
-
-
-async def test_a_robot_that_is_gone_is_given_up_by_name():
-    async with rover() as one, patrol_of(one).send_goal(tour()) as goal:
-        await one.node.clock.sleep(2.0)
-        one.is_silent = True
-        await one.poses.aclose()
-        reason = (await goal.outcome()).reason
-        assert one.node.clock.time() <= 3.1
-    assert reason == "turtle 'rover' is gone: nobody publishes /rover/odom any more"
-
-
-async def test_a_pose_that_is_no_number_aborts_the_goal():
-    async with rover() as one, patrol_of(one).send_goal(tour()) as goal:
-        await one.node.clock.sleep(1.0)
-        one.pose = (math.nan, 0.0, 0.0)
-        reason = (await goal.outcome()).reason
-    assert reason == "/rover/odom: x: is nan, which is not a place"
 
 
 async def test_a_heading_that_is_no_rotation_aborts_the_goal():

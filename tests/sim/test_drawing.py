@@ -87,12 +87,6 @@ def test_a_turn_that_is_too_small_for_a_float_is_none():
     assert draw(Drawing(), points).pixels() == expected
 
 
-def test_a_way_back_is_no_straight_way():
-    points = [5 + 5j, 6 + 5j, 4 + 5j]
-    expected = pixels_of([(RED, start, end) for start, end in pairwise(points)])
-    assert draw(Drawing(), points).pixels() == expected
-
-
 def test_a_colour_is_that_of_the_pixel_nearest_to_the_place():
     ours = draw(Drawing(), [1 + 1j, 2 + 1j])
     assert ours.colour_at(1.5 + 1j) == RED.colour
@@ -106,13 +100,6 @@ def test_the_corners_of_the_world_have_a_colour():
     for corner in corners:
         ours.line(1, RED, corner, corner)
     assert [ours.colour_at(corner) for corner in corners] == [RED.colour] * 4
-
-
-def test_what_is_drawn_after_a_look_is_seen_at_the_next():
-    ours = draw(Drawing(), [1 + 1j, 2 + 1j])
-    assert ours.colour_at(2.5 + 1j) == (255, 255, 255)
-    draw(ours, [2 + 1j, 3 + 1j])
-    assert ours.colour_at(2.5 + 1j) == RED.colour
 
 
 # Of a fleet

@@ -22,7 +22,6 @@ from turtleact.interfaces.standard import (
 )
 from turtleact.tasks import wait_until_idle
 
-from ..lab import running
 from .stage import TICK, stage
 from .test_ticking import LEAPING, SPEEDS
 
@@ -180,14 +179,6 @@ async def test_a_step_is_one_tick_unless_more_are_asked_for():
         assert await state_of(here) == PAUSED
 
 
-async def test_poses_of_steps_are_published():
-    async with stage() as here:
-        await set_state(here, PAUSED)
-        poses = here.poses()
-        await step(here, 7)
-        assert len(poses.drain()) == 7
-
-
 @pytest.mark.parametrize(
     ("state", "problem"),
     [
@@ -204,26 +195,6 @@ async def test_only_a_pause_can_be_stepped(state, problem):
             outcome = await handle.outcome()
         assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, problem)
         assert outcome.result.result == result
-
-
-async def test_playing_ends_a_step():
-    async with stage() as here:
-        await set_state(here, PAUSED)
-        async with running(lambda: step(here, 10**6)) as stepping:
-            await set_state(here, PLAYING)
-            await stepping.done.wait()
-        assert stepping.value.result == FAILED
-        assert "the world was resumed after" in stepping.value.error_message
-        assert await state_of(here) == PLAYING
-
-
-async def test_pausing_ends_a_step():
-    async with stage() as here:
-        await set_state(here, PAUSED)
-        async with running(lambda: step(here, 10**6)) as stepping:
-            assert (await set_state(here, PAUSED)).result == OK
-            await stepping.done.wait()
-        assert "the world was paused after" in stepping.value.error_message
 
 
 async def test_steps_as_an_action_tell_of_each():

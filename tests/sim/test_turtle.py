@@ -15,7 +15,6 @@ from turtleact.goal import GoalStatus
 from turtleact.interfaces.standard import RotateAbsolute
 from turtleact.node import open_node
 from turtleact.sim.drawing import Pens
-from turtleact.sim.kinematics import SIDE
 from turtleact.sim.turtle import Habitat, Turtle
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
@@ -113,15 +112,6 @@ async def test_a_turtle_sees_the_line_of_its_teleport_at_once():
         assert await colours_of(here, 1) == [(1, 2, 3)]
 
 
-async def test_a_turtle_whose_pen_is_off_draws_nothing():
-    async with stage() as here:
-        await here.set_pen(off=1)
-        await here.teleport(2.0, 2.0, 0.0)
-        here.command(x=1.0)
-        await here.pass_ticks(10)
-        assert here.sim.snapshot().polylines == []
-
-
 async def test_a_pen_that_is_switched_on_again_has_the_colour_that_is_asked_for():
     async with stage() as here:
         await here.set_pen(off=1)
@@ -197,29 +187,11 @@ async def test_rotations_are_those_of_the_real_one_to_the_last_bit():
     ]
 
 
-async def test_a_rotation_turns_at_1_rad_per_second_and_stands_still_at_its_end():
-    async with stage() as here:
-        poses = here.poses()
-        await here.rotations().send_goal(Goal(0.1))
-        await here.pass_ticks(2)
-        seen = [pose.angular_velocity for pose in poses.drain()]
-    assert seen == [1.0] * 6 + [0.0] * (len(seen) - 6)
-
-
 async def test_a_rotation_that_succeeds_says_what_the_real_one_says(caplog):
     caplog.set_level(logging.INFO)
     async with stage() as here:
         await here.rotations().send_goal(Goal(0.1))
     assert caplog.records[-1].getMessage() == "Rotation goal completed successfully"
-
-
-async def test_a_rotation_leaves_its_turtle_no_speed_ahead():
-    async with stage() as here:
-        here.command(x=1.0)
-        await here.pass_ticks(1)
-        x = here.world.pose("turtle1").x
-        await here.rotations().send_goal(Goal(0.5))
-        assert here.world.pose("turtle1").x == x
 
 
 async def test_a_canceled_rotation_ends_as_that_of_the_real_one(caplog):
@@ -323,17 +295,6 @@ async def test_a_rotation_lasts_longer_than_a_command():
     assert len(told) == 194
 
 
-async def test_turtles_turn_side_by_side():
-    async with stage(turtles=2) as here:
-        async with (
-            here.rotations("turtle1").send_goal(Goal(0.5)) as one,
-            here.rotations("turtle2").send_goal(Goal(-0.5)) as other,
-        ):
-            assert (await one.result()).delta == pytest.approx(-0.48, abs=0.02)
-            await other.result()
-        assert here.world.pose("turtle2").theta == pytest.approx(-0.5, abs=0.02)
-
-
 @pytest.mark.parametrize("theta", [math.nan, math.inf])
 async def test_a_rotation_to_no_heading_is_rejected(theta):
     async with stage() as here:
@@ -357,15 +318,6 @@ async def test_closing_the_node_ends_a_rotation():
         outcome = await goal.outcome()
     assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "shutdown")
     assert outcome.result.delta == float(np.float32(-9 * 0.016))
-
-
-async def test_a_sideways_start_is_no_obstacle():
-    async with stage(holonomic=True) as here:
-        here.command(y=1.0)
-        await here.pass_ticks(1)
-        await here.rotations().send_goal(Goal(0.3))
-        assert here.world.pose("turtle1").linear_velocity == 0.0
-        assert here.world.pose("turtle1").y < SIDE
 
 
 async def test_a_request_that_is_late_for_its_turtle_does_nothing():

@@ -124,14 +124,6 @@ def stamp_in_ns(stamp):
     return stamp.sec * 10**9 + stamp.nanosec
 
 
-async def test_all_poses_are_not_looked_for_while_nobody_reads_them(monkeypatch):
-    async with stage(turtles=3) as here:
-        asked: list[str] = []
-        monkeypatch.setattr(here.world, "pose", asked.append)
-        await here.pass_ticks(3)
-        assert asked == []
-
-
 async def test_a_tick_looks_only_at_the_turtles_that_were_told_something(monkeypatch):
     taken: list[str] = []
     async with stage(turtles=50) as here:
@@ -189,15 +181,6 @@ async def test_one_command_ends_at_the_pose_of_the_real_one():
     assert ended == tuple(POSES["cmd_vel_end"])
 
 
-async def test_one_command_moves_its_turtle_for_63_ticks():
-    async with stage() as here:
-        poses = here.poses()
-        here.command(x=2.0)
-        await here.pass_ticks(100)
-        moving = [pose.linear_velocity for pose in poses.drain()]
-    assert moving == [2.0] * 63 + [0.0] * 37
-
-
 async def test_of_several_commands_between_two_ticks_the_newest_counts():
     async with stage() as here:
         poses = here.poses()
@@ -205,20 +188,6 @@ async def test_of_several_commands_between_two_ticks_the_newest_counts():
             here.command(x=speed)
         await here.pass_ticks(1)
         assert poses.drain()[-1].linear_velocity == 2.0
-
-
-async def test_a_sideways_speed_is_ignored():
-    async with stage() as here:
-        here.command(y=1.0)
-        await here.pass_ticks(10)
-        assert here.world.pose("turtle1")[:3] == tuple(POSES["start"][:3])
-
-
-async def test_a_holonomic_turtle_moves_sideways():
-    async with stage(holonomic=True) as here:
-        here.command(y=1.0)
-        await here.pass_ticks(10)
-        assert here.world.pose("turtle1").y == pytest.approx(POSES["start"][1] + 0.16, abs=1e-6)
 
 
 async def test_each_turtle_takes_its_own_commands():
@@ -254,14 +223,6 @@ async def test_at_the_wall_it_warns_in_the_words_of_the_real_one(caplog):
     assert len(texts) == 40 - 34
     assert texts[1] == "Oh no! I hit the wall! (Clamping from [x=11.120889, y=6.088889])"
     assert {record.levelno for record in caplog.records} == {logging.WARNING}
-
-
-async def test_a_pose_that_nobody_reads_is_not_made(monkeypatch):
-    asked: list[str] = []
-    async with stage() as here:
-        monkeypatch.setattr(here.world, "pose", asked.append)
-        await here.pass_ticks(10)
-    assert asked == []
 
 
 async def test_a_pose_and_a_colour_whose_readers_have_just_gone_are_not_made(monkeypatch):
@@ -354,12 +315,6 @@ async def test_a_new_turtle_gets_the_next_name(caplog):
     assert (pose.x, pose.y, pose.theta) == (2.0, 3.0, 0.5)
     text = "Spawning turtle [turtle2] at x=[2.000000], y=[3.000000], theta=[0.500000]"
     assert caplog.records[-1].getMessage() == text
-
-
-async def test_a_new_turtle_may_have_a_name_of_its_own():
-    async with stage() as here:
-        assert await here.spawn(name="bob") == "bob"
-        assert "/bob/rotate_absolute" in here.node.graph().actions
 
 
 async def test_a_taken_name_is_answered_with_an_empty_one(caplog):
