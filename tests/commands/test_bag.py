@@ -92,8 +92,9 @@ Serialization Format: cdr
     Service: get_result | Event Count: 0
 
 Lost: 3 messages of /said were not recorded.
-Missing: the goals and results of /patrol. No service events were published; serve the actions \
-with 'turtleact serve --introspection contents' to record them.
+Missing: the goals and results of /patrol. No service events were published; to record them, \
+serve the actions with 'turtleact serve --introspection contents', or call \
+configure_introspection on rclpy's ActionServer.
 """
 
 
@@ -224,7 +225,8 @@ def test_a_recording_without_goals_says_so_and_counts_as_info_does(on_graph, mon
     ran = on_graph(asking, "bag", "record", "-a", "-o", str(path))
     assert (
         "turtleact: missing: the goals and results of /fibonacci. No service events were "
-        "published; serve the actions with 'turtleact serve --introspection contents'"
+        "published; to record them, serve the actions with 'turtleact serve --introspection "
+        "contents', or call configure_introspection on rclpy's ActionServer."
     ) in ran.err
     bag = Bag(path)
     told = f"{bag.info.count} messages (0 of topics, {bag.info.count} of actions and services)"

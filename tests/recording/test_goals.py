@@ -93,6 +93,17 @@ async def test_a_goal_that_has_not_ended_says_so(tmp_path):
     assert found.is_begun_before
 
 
+def test_a_goal_that_had_ended_before_the_recording_has_no_duration():
+    """Its only state came when the recorder subscribed, long after the goal's end."""
+    ended = [(9_000_000_000, GoalStatus.SUCCEEDED)]
+    goal = RecordedGoal(
+        action="/fibonacci", id=bytes(16), stamp=1, states=ended, is_begun_before=True
+    )
+    assert (goal.status, goal.duration) == (GoalStatus.SUCCEEDED, None)
+    goal.is_begun_before = False
+    assert goal.duration is not None
+
+
 async def forever(goal, handle):
     await turtleact.tasks.current_tasks().signal().wait()
     return Fibonacci.Result()

@@ -54,6 +54,17 @@ async def test_topics_are_recorded_as_they_appear(tmp_path):
     ]
 
 
+async def test_the_first_message_of_a_later_publisher_of_a_named_topic_is_recorded(node, tmp_path):
+    node.subscription(String, "said")
+    async with recording.record(node, tmp_path / "run", topics=["said"]) as run:
+        late = node.publisher(String, "said", STATUS_QOS)
+        late.publish(String(data="first"))
+        while run.topics != ["/said"]:
+            await run.wait_changed()
+    assert (run.count, run.lost) == (1, 0)
+    assert [each.value.data for each in await messages(tmp_path / "run")] == ["first"]
+
+
 async def test_latched_messages_are_recorded(node, tmp_path):
     node.publisher(String, "map", STATUS_QOS).publish(String(data="old"))
     async with recording.record(node, tmp_path / "run", topics=["map"]):

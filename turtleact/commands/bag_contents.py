@@ -135,7 +135,8 @@ def missing_goals(bag: Bag) -> list[str]:
 
 
 SERVE_WITH_CONTENTS = (
-    "serve the actions with 'turtleact serve --introspection contents' to record them"
+    "to record them, serve the actions with 'turtleact serve --introspection contents', or call "
+    "configure_introspection on rclpy's ActionServer"
 )
 
 

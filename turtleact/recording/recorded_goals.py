@@ -70,8 +70,14 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
 
     @property
     def duration(self) -> float | None:
-        """The time from ``stamp`` to the goal's end (s); None if the end is not in the bag."""
-        return (self.ended - self.stamp) / 1e9 if self.ended else None
+        """The time from ``stamp`` to the goal's end (s).
+
+        None if the end is not in the bag, or if the goal had ended before the recording began.
+        """
+        had_ended = self.is_begun_before and len(self.states) == 1
+        if had_ended or not self.ended:
+            return None
+        return (self.ended - self.stamp) / 1e9
 
     @property
     def reason(self) -> str:

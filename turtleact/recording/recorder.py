@@ -93,6 +93,7 @@ class Recording:
         self._spool = spool
         self._qos = qos
         self._subscriptions: dict[_Key, Closeable] = {}
+        self._numbers: dict[_Key, int] = {}
         self._failed: set[_Key] = set()
         self._changed = current_tasks().signal()
         self._is_over = False
@@ -213,12 +214,15 @@ class Recording:
             each.close()
 
     def _unlisted(self, endpoints: Iterable[Endpoint]) -> Iterable[_Key]:
-        """Yield the event topics of selected services and actions, and the actions' reason topics.
+        """Yield the topics to subscribe to even if the graph shows no publisher of them.
 
-        Publishers of these topics may appear on the graph only after somebody has subscribed. The
-        recorder therefore subscribes even if it sees no publisher.
+        These are the topics asked for by name, so that the first message of a publisher that comes
+        later is recorded; and the event topics of selected services and actions and the actions'
+        reason topics, because their publishers may wait for a subscription.
         """
         for each in endpoints:
+            if each.kind == "subscription" and self._is_asked_for(each):
+                yield _Key(each.name, each.type_name, each.type_hash)
             if each.kind != "service":
                 continue
             if each.name.endswith(SEND_GOAL):
@@ -235,6 +239,10 @@ class Recording:
             elif "/_" not in each.name and self._selection.wants_owner("service", each.name):
                 yield _Key(event_topic(each.name), f"{each.type_name}_Event", "")
 
+    def _is_asked_for(self, endpoint: Endpoint) -> bool:
+        is_named = endpoint.name in self._selection.topics
+        return is_named and self._selection.wants(endpoint.name, endpoint.type_name)
+
     def _record(self, key: _Key, publishers: list[Endpoint]) -> bool:
         """Subscribe to a topic, unless it is recorded already.
 
@@ -243,7 +251,8 @@ class Recording:
         cls = _message_class(key.type_name)
         own_hash = "" if cls is None else type_hash(cls)
         key = key._replace(type_hash=key.type_hash or own_hash)
-        if key in self._subscriptions or not key.type_hash:
+        is_shown = key.topic in self.topics  # a topic may have several types
+        if not key.type_hash or (key in self._subscriptions and (is_shown or not publishers)):
             return False
         is_known = cls is not None and own_hash == key.type_hash
         channel = Channel(
@@ -252,10 +261,14 @@ class Recording:
             offers=tuple(dict.fromkeys(Offer(each.qos, each.times) for each in publishers)),
             type_hash=key.type_hash,
         )
-        encode = WireFormat(cls).encode if cls is not None else None
-        number = self._spool.add(channel, encode, is_there=bool(publishers))
-        self._subscriptions[key] = self._subscribe(key, publishers, number)
-        if publishers and key.topic not in self.topics:  # a topic may have several types
+        if key in self._subscriptions:
+            self._spool.list_topic(self._numbers[key], channel)
+        else:
+            encode = WireFormat(cls).encode if cls is not None else None
+            number = self._spool.add(channel, encode, is_there=bool(publishers))
+            self._numbers[key] = number
+            self._subscriptions[key] = self._subscribe(key, publishers, number)
+        if publishers and not is_shown:
             self.topics.append(key.topic)
             self._changed.fire()
         return True

@@ -111,6 +111,17 @@ class Spool:
             self._sizes.append(OVERHEAD)
             return len(self._channels) - 1
 
+    def list_topic(self, number: int, channel: Channel) -> None:
+        """List a topic in the bag, now that its publishers are known.
+
+        Args:
+            number: The number of the topic, from `add`.
+            channel: The topic, with what its publishers offer.
+        """
+        with self._changed:
+            self._channels[number] = channel
+            self._listed.append(number)
+
     def put(self, number: int, stamp: int, message: object) -> None:
         """Queue a message to be written. Any thread may call this.
 
