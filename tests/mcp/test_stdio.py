@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from contextlib import contextmanager, suppress
-from importlib.metadata import version
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,7 @@ import anyio
 import pytest
 
 from turtleact.mcp import stdio
-from turtleact.mcp.greeting import VERSIONS, greet
-from turtleact.mcp.stdio import Wire, open_wire, serve_stdio
+from turtleact.mcp.stdio import serve_stdio
 
 from .line import open_lab
 
@@ -81,8 +79,7 @@ def pipes():
 async def serve(pipes, server):
     """Serve until the other side hangs up."""
     with pipes.in_place():
-        async with open_wire() as wire:
-            await serve_stdio(server, wire)
+        await serve_stdio(server)
 
 
 HELLO: dict[str, Any] = {
@@ -94,80 +91,6 @@ HELLO: dict[str, Any] = {
         "clientInfo": {"name": "test", "version": "1"},
     },
 }
-
-
-def hello(wanted, **others):
-    """The first message of a client that wants a version of the protocol."""
-    params = HELLO["params"] | {"protocolVersion": wanted} | others
-    return {"jsonrpc": "2.0"} | HELLO | {"params": params}
-
-
-@pytest.mark.parametrize("wanted", [*VERSIONS, "2026-07-28", "nonsense"])
-async def test_the_client_is_greeted_with_what_the_sdk_would_answer(pipes, wanted):
-    ours = greet(json.dumps(hello(wanted)), version("turtleact"))
-    async with open_lab() as (_, _, server), anyio.create_task_group() as serving:
-        with pipes.in_place():
-            serving.start_soon(serve_stdio, server, Wire(None))
-            await anyio.wait_all_tasks_blocked()
-        await pipes.send(hello(wanted))
-        theirs = await pipes.answer()
-        pipes.hang_up()
-    assert ours is not None
-    assert json.loads(ours.line) == theirs
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "{",
-        json.dumps({"jsonrpc": "2.0", "id": 1, "method": "ping"}),
-        json.dumps(hello("2025-11-25") | {"id": None}),
-        json.dumps(hello("2025-11-25", clientInfo={"name": "no version"})),
-        json.dumps(hello("2025-11-25", capabilities=[])),
-    ],
-)
-def test_the_sdk_answers_what_is_no_plain_greeting(line):
-    assert greet(line, "1") is None
-
-
-async def test_a_client_is_greeted_once_and_before_the_server_is_there(pipes):
-    with pipes.in_place():
-        async with open_wire() as wire:
-            await pipes.send(HELLO)
-            assert (await pipes.answer())["id"] == 0
-            async with open_lab() as (_, _, server), anyio.create_task_group() as serving:
-                serving.start_soon(serve_stdio, server, wire)
-                await pipes.send({"method": "notifications/initialized"})
-                await pipes.send({"id": 0, "method": "ping"})
-                assert (await pipes.answer())["result"] == {}
-                pipes.hang_up()
-
-
-async def test_a_server_does_not_wait_for_a_client_that_has_gone_before_its_greeting(pipes):
-    pipes.stop_listening()
-    with pipes.in_place():
-        async with open_wire() as wire:
-            await pipes.send(HELLO)
-            pipes.hang_up()
-            lines = [line async for line in wire]
-    assert len(lines) == 1  # and then the end of stdin
-    with suppress(BrokenPipeError):  # the greeting is still in the buffer
-        pipes.inner[1].close()
-
-
-async def test_a_client_that_says_hello_late_is_answered_by_the_sdk(pipes):
-    with pipes.in_place():
-        async with (
-            open_lab() as (_, _, server),
-            open_wire() as wire,
-            anyio.create_task_group() as serving,
-        ):
-            serving.start_soon(serve_stdio, server, wire)
-            await anyio.wait_all_tasks_blocked()
-            await pipes.send(HELLO)
-            assert (await pipes.answer())["id"] == 0
-            assert wire.greeting is None
-            pipes.hang_up()
 
 
 async def test_a_client_that_hangs_up_cancels_its_goal_and_ends_the_server(pipes):

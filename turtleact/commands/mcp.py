@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
 import anyio
-import anyio.to_thread
 
 from turtleact.commands import graph
 from turtleact.commands.graph import no_router, world_started
@@ -26,15 +25,8 @@ from turtleact.transports.base import find_server
 if TYPE_CHECKING:
     from turtleact.commands.settings import Reach
     from turtleact.mcp import McpServer
-    from turtleact.mcp.stdio import Wire
 
 __all__ = ["Order", "run"]
-
-FIRST_LINE = 0.02
-"""How long to wait for the client's first message before opening the graph (s).
-
-Opening the graph blocks the event loop, and would delay the answer to the first message.
-"""
 
 
 class Order(NamedTuple):
@@ -80,15 +72,14 @@ def run(order: Order) -> int:
     if not order.is_empty:
         _check_sdk()
 
-    async def serve(opened: tuple[Node, Wire | None]) -> int:
-        node, wire = opened
+    async def serve(node: Node) -> int:
         if order.is_empty:
             raise UsageError(await _what_there_is(node))
-        if wire is not None and sys.stdin.isatty():
+        if order.address is None and sys.stdin.isatty():
             note("waiting for an MCP client on stdin; a client starts this command. Ctrl-C ends it")
-        return await _serve(order, node, wire)
+        return await _serve(order, node)
 
-    return Interrupts().run(graph.use(_open(order), serve))
+    return Interrupts().run(graph.use(_open_node(order.reach), serve))
 
 
 def _check_sdk() -> None:
@@ -98,38 +89,7 @@ def _check_sdk() -> None:
         raise TurtleactError(problem)
 
 
-@asynccontextmanager
-async def _open(order: Order) -> AsyncIterator[tuple[Node, Wire | None]]:
-    """Open stdin and then a node on the graph.
-
-    Stdin is not opened if the clients use HTTP, or if the order is empty (`Order.is_empty`).
-
-    If the client's first message on stdin comes at once, the client is answered before the graph is
-    opened. While the graph is being opened, a thread imports the MCP SDK.
-    """
-    async with AsyncExitStack() as stack:
-        wire: Wire | None = None
-        if not order.is_empty:
-            from turtleact.mcp.stdio import import_sdk, open_wire
-
-            if order.address is None:
-                wire = await stack.enter_async_context(open_wire())
-                with anyio.move_on_after(FIRST_LINE):
-                    await wire.greeted.wait()
-            # In a thread, the import goes on while the graph is waited for. If it fails, the same
-            # import in `_serve` fails too, and that error is reported.
-            importing = Background(_quietly(import_sdk), "importing the SDK")
-            stack.push_async_callback(importing.aclose)
-        yield await stack.enter_async_context(_open_node(order.reach)), wire
-
-
-async def _quietly(act: Callable[[], None]) -> None:
-    """Run a function in a thread, and ignore its exceptions."""
-    with suppress(Exception):
-        await anyio.to_thread.run_sync(act)
-
-
-async def _serve(order: Order, node: Node, wire: Wire | None) -> int:
+async def _serve(order: Order, node: Node) -> int:
     from turtleact.mcp import open_mcp
 
     opened = open_mcp(
@@ -146,10 +106,10 @@ async def _serve(order: Order, node: Node, wire: Wire | None) -> int:
         stack.push_async_callback(warning.aclose)
         if order.address is not None:
             await _serve_http(server, order.address, order.token, order.hosts)
-        elif wire is not None:
+        else:
             from turtleact.mcp.stdio import serve_stdio
 
-            await serve_stdio(server, wire)
+            await serve_stdio(server)
     return 0
 
 

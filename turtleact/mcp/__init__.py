@@ -2,8 +2,7 @@
 
 This package needs turtleact's extra ``mcp``. Other parts of turtleact import the package only when
 they need it. The official SDK is slow to import. Therefore the SDK is imported only when one of
-this package's public names is first used. Before that, `turtleact.mcp.greeting` can already answer
-a client.
+this package's public names is first used.
 """
 
 from __future__ import annotations

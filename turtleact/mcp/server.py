@@ -42,7 +42,6 @@ from turtleact.interfaces import Action, Message
 from turtleact.mcp.catalogue import Catalogue, Entry
 from turtleact.mcp.confirmation import Confirmation
 from turtleact.mcp.goals import Board, Goals
-from turtleact.mcp.greeting import INSTRUCTIONS, NAME
 from turtleact.mcp.offer import Limits, Names, Offer
 from turtleact.mcp.replies import failure
 from turtleact.mcp.schema import message_from, plain
@@ -60,6 +59,13 @@ if TYPE_CHECKING:
     from turtleact.node import Node
 
 __all__ = ["McpServer", "open_mcp"]
+
+NAME: Final = "turtleact"
+INSTRUCTIONS: Final = (
+    "Each tool that bears the name of a ROS 2 action sends one goal to a robot, and answers when "
+    "the goal has ended. Cancel the call to stop the robot. Lengths are in metres, angles in "
+    "radians, times in seconds, unless a description says otherwise."
+)
 
 GOALS_URI: Final = "ros://goals"
 PICTURE_URI: Final = "ros://world.png"
