@@ -72,22 +72,6 @@ def test_a_bug_is_one_line_that_says_how_to_see_more(ends):
     )
 
 
-@pytest.mark.parametrize(
-    "use", [lambda wave: wave.open, lambda _: import_module("wave.more")], ids=["name", "module"]
-)
-def test_a_file_that_hides_an_installed_module_is_named(ends, monkeypatch, tmp_path, use):
-    file = tmp_path / "wave.py"
-    file.touch()
-    monkeypatch.setitem(sys.modules, "wave", None)
-    del sys.modules["wave"]
-    monkeypatch.syspath_prepend(tmp_path)
-    hiding = import_module("wave")
-    assert ends(lambda: use(hiding)) == (
-        1,
-        f"turtleact: {file} hides the installed module 'wave', which turtleact needs: rename it\n",
-    )
-
-
 def test_in_dev_mode_a_bug_shows_its_traceback():
     code = (
         "import sys; from turtleact import cli; from turtleact.commands import VERBS, verbs;"

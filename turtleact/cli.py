@@ -123,9 +123,6 @@ def _report(error: BaseException) -> int:
         return tell_exit(error)
     if sys.flags.dev_mode or not isinstance(error, Exception):
         raise error
-    if hidden := _hidden_by_user(error):
-        _note(hidden)
-        return FAILED
     name = type(error).__name__
     _note(f"a bug in turtleact: {name}: {error}; 'PYTHONDEVMODE=1 turtleact …' shows where")
     return FAILED
@@ -153,34 +150,6 @@ def _advice(error: BaseException) -> str:
     if isinstance(error.__cause__, UnknownInterface):  # a file uses it
         return f"\nto make it known, {ELSEWHERE}"
     return ""
-
-
-def _hidden_by_user(error: BaseException) -> str:
-    """Explain an error if a user's module hides the installed module of the same name.
-
-    ``turtleact serve`` puts the user's folders at the beginning of ``sys.path``. If a user's folder
-    has a ``click.py``, every later ``import click`` finds that file.
-
-    Returns:
-        The explanation; empty if the error has another cause.
-    """
-    from importlib.machinery import PathFinder
-    from pathlib import Path
-
-    if isinstance(error, AttributeError):
-        name = getattr(error.obj, "__name__", "")
-    else:
-        name = (error.name or "") if isinstance(error, ImportError) else ""
-    top = name.partition(".")[0] if isinstance(name, str) else ""
-    found = getattr(sys.modules.get(top), "__file__", None)
-    if found is None:
-        return ""
-    file = Path(found).parent if Path(found).stem == "__init__" else Path(found)
-    is_installed = {"site-packages", "dist-packages"} & {*file.parts}
-    others = [each for each in sys.path if Path(each).resolve() != file.parent.resolve()]
-    if is_installed or PathFinder.find_spec(top, others) is None:
-        return ""
-    return f"{file} hides the installed module '{top}', which turtleact needs: rename it"
 
 
 def _leaf(error: BaseException) -> BaseException:

@@ -128,9 +128,10 @@ def _result(goal: GoalRecord) -> Message:
             return result
     except InvalidMessage:
         pass
+    reason = f" ({' '.join(goal.reason.split())})" if goal.reason else ""
     raise TurtleactError(
-        f"the result of goal {goal.id.hex()} cannot be read: {goal.type_name} has changed since "
-        "the goal was accepted"
+        f"goal {goal.id.hex()} has ended {goal.status.name}{reason}, but its result cannot be "
+        f"read: {goal.type_name} has changed since the goal was accepted"
     )
 
 

@@ -82,8 +82,7 @@ def world_map(view: MapView, rows: int) -> Text:
 
     A target that has been reached has a check mark beside its number. A turtle hides a target in
     the same cell. A turtle's name is drawn near the turtle. The name never covers a turtle, a
-    target or another name, and covers as little of the trails as possible. If there is no room near
-    the turtle, the name is left out.
+    target, a trail or another name. If there is no room near the turtle, the name is left out.
     """
     columns = 2 * rows
     canvas = Braille(columns, rows) if view.ink is None else view.ink.canvas(columns, rows)
@@ -114,8 +113,7 @@ def _cell(x: float, y: float, columns: int, rows: int) -> tuple[int, int]:
 def _label(marks: Marks, turtle: Turtle, cell: tuple[int, int], drawn: Sequence[str]) -> None:
     """Put a turtle's name beside, above or below the turtle.
 
-    The name never covers another mark, and covers as little of the trails as possible. If there is
-    no room, the name is left out.
+    The name covers neither another mark nor a trail. If there is no room, it is left out.
     """
     name = shortened(printable(turtle.name), LONGEST_NAME)
     row, column = cell
@@ -127,15 +125,13 @@ def _label(marks: Marks, turtle: Turtle, cell: tuple[int, int], drawn: Sequence[
         (row - 1, middle),
         (row + 1, middle),
     ]
-    free = [
-        (sum(dots != BLANK for dots in drawn[at][start : start + len(name)]), order, cells)
-        for order, (at, start) in enumerate(places)
-        if 0 <= at < len(drawn) and 0 <= start <= last
-        if not marks.keys() & (cells := {(at, start + i): i for i in range(len(name))}).keys()
-    ]
-    if free:
-        _, _, cells = min(free, key=lambda place: place[:2])
-        marks.update({at: (name[i], turtle.colour) for at, i in cells.items()})
+    for at, start in places:
+        if not (0 <= at < len(drawn) and 0 <= start <= last):
+            continue
+        cells = [(at, start + i) for i in range(len(name))]
+        if set(drawn[at][start : start + len(name)]) <= {BLANK} and not marks.keys() & set(cells):
+            marks.update({cell: (name[i], turtle.colour) for i, cell in enumerate(cells)})
+            return
 
 
 def _bordered(canvas: Braille, marks: Marks) -> Text:
