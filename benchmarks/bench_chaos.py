@@ -37,7 +37,7 @@ import anyio.to_thread
 
 import turtleact
 from turtleact.actions.patrol import Patrol
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import Point
 from turtleact.journal import read_goals
 

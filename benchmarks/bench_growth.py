@@ -29,7 +29,7 @@ from anyio.abc import TaskGroup
 
 import turtleact
 from turtleact import Action, ActionClient, Message
-from turtleact.client import SendGoal
+from turtleact.goals.client import SendGoal
 from turtleact.interfaces import int32
 
 IDLE = 10_000

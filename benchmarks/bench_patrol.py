@@ -27,9 +27,8 @@ import anyio
 
 from turtleact.actions import serve_built_ins
 from turtleact.actions.patrol import Patrol
-from turtleact.client import ActionClient
-from turtleact.clock import VirtualClock
 from turtleact.geometry import bearing, distance, shortest_turn
+from turtleact.goals.client import ActionClient
 from turtleact.interfaces.standard import Point
 from turtleact.node import Node, open_node
 from turtleact.sim.fleet import Hits
@@ -37,6 +36,7 @@ from turtleact.sim.kinematics import DT, SIDE
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
 from turtleact.tasks import Background
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 
 STYLES = ("natural", "rotate_then_drive")

@@ -34,8 +34,8 @@ from py_trees.display import ascii_tree
 from turtleact import ActionClient, ClientGoalHandle, GoalRejected, GoalStatus, Message, open_world
 from turtleact.actions.go_to import GoTo
 from turtleact.actions.patrol import Patrol
-from turtleact.clock import Clock
 from turtleact.interfaces.standard import Point
+from turtleact.tasks.clock import Clock
 
 TARGETS = [Point(x=9.0, y=7.0), Point(x=5.0, y=1.0), Point(x=1.0, y=7.0)]
 

@@ -14,7 +14,7 @@ from typing import Any
 from turtleact import open_world, render
 from turtleact.actions.patrol import Patrol
 from turtleact.commands.live import Dashboard
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import Point, RotateAbsolute
 
 WIDTH, HEIGHT = 59, 14

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from turtleact.goal import TRANSITIONS, GoalStatus
+from turtleact.goals.state import TRANSITIONS, GoalStatus
 
 ROOT = Path(__file__).parents[1]
 
@@ -24,12 +24,11 @@ BANDS: Final = (
     ("What watches", "fill", "render"),
     ("What acts", "fill", "sim"),
     ("A participant", "main", "node"),
-    ("Goals", "main", "server"),
-    ("Parts of a node", "fill", "body"),
+    ("Goals", "main", "goals"),
+    ("Parts of a node", "fill", "topics"),
     ("Between nodes", "main", "transports"),
-    ("Time and tasks", "fill", "clock"),
-    ("Rules of goals", "pure", "slot"),
-    ("Data", "pure", "interfaces"),
+    ("Time and tasks", "fill", "tasks"),
+    ("Data", "pure", "parameters"),
 )
 """The layers from top to bottom: a title, a colour, and a module of the first row that it holds."""
 

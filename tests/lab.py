@@ -11,10 +11,10 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact.clock import VirtualClock
+from turtleact.goals.server import LocalActionServer
 from turtleact.interfaces import Action, Message, int32
-from turtleact.server.local_server import LocalActionServer
 from turtleact.tasks import current_tasks, new_event_loop
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 
 T = TypeVar("T")

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 import turtleact
-from turtleact.body import ActionDeclaration, Body, action, background
 from turtleact.errors import InvalidBody, InvalidName
+from turtleact.goals.body import ActionDeclaration, Body, action, background
 
 from .lab import Count, count, feedback, goal, lab, result
 from .tables import together

@@ -304,7 +304,7 @@ def test_a_body_that_exits_ends_its_goal_and_then_the_program(
     loop, wait, where, address, when, monkeypatch
 ):
     # A closing server waits this long for a client that has yet to ask for the result.
-    monkeypatch.setattr("turtleact.server.endpoints.LATE_REQUEST", 0.0)
+    monkeypatch.setattr("turtleact.goals.server_endpoints.LATE_REQUEST", 0.0)
 
     async def body(request: Count.Goal) -> Count.Result:
         if when == "after a wait":

@@ -11,7 +11,9 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from turtleact.clock import (
+from turtleact.errors import SimError
+from turtleact.tasks import Background, wait_until_idle
+from turtleact.tasks.clock import (
     EPOCH,
     FASTEST,
     LEEWAY,
@@ -21,8 +23,6 @@ from turtleact.clock import (
     WallClock,
     make_clock,
 )
-from turtleact.errors import SimError
-from turtleact.tasks import Background, wait_until_idle
 
 from .lab import ON_A_LOOP_THAT_TELLS, ON_ASYNCIO, running, settle
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from turtleact.goal import TRANSITIONS, GoalEvent, GoalStatus
+from turtleact.goals.state import TRANSITIONS, GoalEvent, GoalStatus
 
 from .tables import together
 

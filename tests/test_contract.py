@@ -17,7 +17,7 @@ from turtleact.errors import (
     InvalidOption,
     InvalidTransition,
 )
-from turtleact.goal import CancelCode
+from turtleact.goals.state import CancelCode
 from turtleact.interfaces.standard import GoalStatusArray
 
 from .lab import (

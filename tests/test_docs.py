@@ -35,8 +35,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from turtleact import server
-
 from . import warm
 from .tables import together
 
@@ -298,14 +296,6 @@ def test_the_layers_are_those_of_the_import_contract():
     rows = contract["importlinter:contract:layers"]["layers"].strip()
     shown = [re.split(r"  +", line)[0] for line in block.text.splitlines()]
     assert shown == re.sub(r"[()]", "", rows).splitlines()
-
-
-def test_the_rooms_of_the_server_are_those_of_its_import_contract():
-    contract = configparser.ConfigParser()
-    contract.read(ROOT / ".importlinter", "utf-8")
-    rows = contract["importlinter:contract:server"]["layers"].split("\n")[1:]
-    picture = (server.__doc__ or "").partition("::\n\n")[2]
-    assert [re.split(r"  +", line.strip())[0] for line in picture.strip().splitlines()] == rows
 
 
 def test_every_module_of_the_way_to_other_processes_is_described():

@@ -9,7 +9,7 @@ import pytest
 
 from turtleact import errors
 from turtleact.errors import TurtleactError
-from turtleact.goal import GoalEvent, GoalStatus
+from turtleact.goals.state import GoalEvent, GoalStatus
 from turtleact.summaries import summary, text_of
 
 from .tables import together

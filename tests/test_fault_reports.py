@@ -14,7 +14,6 @@ import pytest
 
 import turtleact
 from turtleact import fault_reports
-from turtleact.client import remote_goals
 from turtleact.fault_reports import (
     ROOM,
     TOPIC,
@@ -23,6 +22,7 @@ from turtleact.fault_reports import (
     disk_fault,
     watching_disk,
 )
+from turtleact.goals import remote_goals
 from turtleact.interfaces.standard.diagnostic_msgs.msg import DiagnosticArray
 from turtleact.recording import record
 from turtleact.testing import FaultyTransport, run

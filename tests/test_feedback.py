@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from turtleact import GoalStatus
-from turtleact.feedback import FeedbackLog
-from turtleact.server.execution import BURST
+from turtleact.goals.execution import BURST
+from turtleact.goals.feedback import FeedbackLog
 
 from .lab import Count, Gate, feedback, goal, lab, result, running, settle
 

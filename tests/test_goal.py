@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from turtleact.errors import GoalAborted, GoalCanceled, InvalidTransition
-from turtleact.feedback import FeedbackLog
-from turtleact.goal import (
+from turtleact.goals.feedback import FeedbackLog
+from turtleact.goals.state import (
     TRANSITIONS,
     CancelCode,
     CancelResponse,

@@ -8,7 +8,7 @@ import uuid
 import pytest
 
 from turtleact.errors import InvalidGoalId
-from turtleact.goal_id import goal_id_bytes, new_goal_id
+from turtleact.goals.ids import goal_id_bytes, new_goal_id
 
 SIXTEEN = bytes(range(16))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.goal_wire import (
+from turtleact.goals.wire import (
     LARGEST,
     LONGEST_REASON,
     GoalNote,

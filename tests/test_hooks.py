@@ -13,7 +13,7 @@ import pytest
 import turtleact
 from turtleact import CancelResponse, GoalResponse, GoalStatus
 from turtleact.errors import Abort, GoalAborted, GoalCanceled, GoalRejected, InvalidOption
-from turtleact.goal import GoalOrder
+from turtleact.goals.state import GoalOrder
 from turtleact.interfaces import implied
 from turtleact.interfaces.standard import UUID
 from turtleact.transports import MemoryTransport

@@ -42,10 +42,10 @@ from turtleact.errors import (
     TurtleactError,
     UnknownGoal,
 )
-from turtleact.goal import TRANSITIONS, Goal, GoalStatus
-from turtleact.observers import GoalObserver
-from turtleact.server.local_server import LocalActionServer
-from turtleact.slot import Slot
+from turtleact.goals.observers import GoalObserver
+from turtleact.goals.policies import Slot
+from turtleact.goals.server import LocalActionServer
+from turtleact.goals.state import TRANSITIONS, Goal, GoalStatus
 from turtleact.tasks import wait_until_idle
 from turtleact.testing import virtual_backend
 from turtleact.transports import MemoryTransport

@@ -23,7 +23,7 @@ from turtleact.errors import (
     GoalRejected,
     ServerUnavailable,
 )
-from turtleact.goal import Goal
+from turtleact.goals.state import Goal
 
 from .client.test_action_client import Busy, cancel_after, on_asyncio, take
 from .lab import (

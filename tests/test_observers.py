@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.goal import Goal, GoalStatus
-from turtleact.observers import FeedbackLost, GoalObserver, Lost, News, Observers
+from turtleact.goals.observers import FeedbackLost, GoalObserver, Lost, News, Observers
+from turtleact.goals.state import Goal, GoalStatus
 
 
 def goal() -> Goal:

@@ -24,7 +24,7 @@ from turtleact.errors import (
     InvalidOption,
     ServerUnavailable,
 )
-from turtleact.goal import CancelCode
+from turtleact.goals.state import CancelCode
 
 from .client.test_action_client import (
     Busy,

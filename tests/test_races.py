@@ -23,7 +23,7 @@ from turtleact.errors import (
     ServerUnavailable,
     UnknownGoal,
 )
-from turtleact.goal import TRANSITIONS, CancelCode, GoalStatus
+from turtleact.goals.state import TRANSITIONS, CancelCode, GoalStatus
 from turtleact.tasks import current_tasks
 
 from .lab import (

@@ -19,7 +19,6 @@ import pytest
 
 import turtleact
 from turtleact import services
-from turtleact.clock import VirtualClock
 from turtleact.errors import (
     InvalidMessage,
     InvalidName,
@@ -32,6 +31,7 @@ from turtleact.errors import (
 from turtleact.interfaces import Message, Service, WireFormat, get_interface, int32
 from turtleact.services import LocalService, ServiceClient, ServiceServer
 from turtleact.tasks import Background
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Endpoint, Reply
 

@@ -13,8 +13,8 @@ from hypothesis.stateful import (
 )
 
 from turtleact.errors import InvalidOption
-from turtleact.goal import Goal
-from turtleact.slot import Admission, Rules, Slot, Slots
+from turtleact.goals.policies import Admission, Rules, Slot, Slots
+from turtleact.goals.state import Goal
 
 from .tables import together
 

@@ -26,10 +26,10 @@ import trio
 import turtleact
 from turtleact import open_world, testing
 from turtleact.actions.patrol import Patrol
-from turtleact.clock import EPOCH, ScaledClock, WallClock
 from turtleact.errors import SimError
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import Fibonacci, Point, Twist, Vector3
+from turtleact.tasks.clock import EPOCH, ScaledClock, WallClock
 from turtleact.testing import FaultyTransport, run_goal, virtual_backend, wait_until_idle
 from turtleact.testing.plugin import anyio_backend  # noqa: F401  # all of this module is virtual
 from turtleact.transports import MemoryTransport, QoS
@@ -386,7 +386,7 @@ def test_time_waits_for_a_child_process_without_pipes():
 
 TESTS = """
 import anyio, pytest
-from turtleact.clock import EPOCH, WallClock
+from turtleact.tasks.clock import EPOCH, WallClock
 
 @pytest.fixture
 async def slept():

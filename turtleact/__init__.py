@@ -24,17 +24,6 @@ from __future__ import annotations
 
 TYPE_CHECKING = False  # as in `typing`, which is slow to import
 if TYPE_CHECKING:
-    from turtleact.body import action, background
-    from turtleact.client import (
-        Accepted,
-        ActionClient,
-        ClientGoalHandle,
-        Event,
-        FeedbackReceived,
-        Outcome,
-        ResultReceived,
-        StatusChanged,
-    )
     from turtleact.errors import (
         Abort,
         ActionConflict,
@@ -64,8 +53,19 @@ if TYPE_CHECKING:
         UsageError,
         Verdict,
     )
-    from turtleact.goal import CancelResponse, GoalResponse, GoalStatus
-    from turtleact.goal_journal import Resumed
+    from turtleact.goals.body import action, background
+    from turtleact.goals.client import (
+        Accepted,
+        ActionClient,
+        ClientGoalHandle,
+        Event,
+        FeedbackReceived,
+        Outcome,
+        ResultReceived,
+        StatusChanged,
+    )
+    from turtleact.goals.records import Resumed
+    from turtleact.goals.state import CancelResponse, GoalResponse, GoalStatus
     from turtleact.interfaces import (
         Action,
         Message,
@@ -172,8 +172,8 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "sim.world_node": ("WorldNode", "open_world"),
-    "body": ("action", "background"),
-    "client": (
+    "goals.body": ("action", "background"),
+    "goals.client": (
         "Accepted",
         "ActionClient",
         "ClientGoalHandle",
@@ -183,8 +183,8 @@ _HOMES = {
         "ResultReceived",
         "StatusChanged",
     ),
-    "goal": ("CancelResponse", "GoalResponse", "GoalStatus"),
-    "goal_journal": ("Resumed",),
+    "goals.state": ("CancelResponse", "GoalResponse", "GoalStatus"),
+    "goals.records": ("Resumed",),
     "interfaces": (
         "Action",
         "Message",

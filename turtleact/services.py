@@ -30,7 +30,6 @@ from typing import (
     runtime_checkable,
 )
 
-from turtleact.clock import check_timeout, within
 from turtleact.errors import (
     InvalidMessage,
     InvalidOption,
@@ -39,10 +38,10 @@ from turtleact.errors import (
     ServiceTimeout,
     TurtleactError,
 )
-from turtleact.goal import Cancelable
 from turtleact.interfaces import Message, snapshotter
 from turtleact.summaries import STOPPED, loggable, summary
-from turtleact.tasks import GRACE, Signal, Tasks, is_cancellation, wait_while
+from turtleact.tasks import GRACE, Cancelable, Signal, Tasks, is_cancellation, wait_while
+from turtleact.tasks.clock import check_timeout, within
 from turtleact.transports.base import (
     Caller,
     CallObserver,

@@ -10,13 +10,13 @@ from typing import NamedTuple
 import anyio
 
 from turtleact.actions import serve_built_ins
-from turtleact.clock import VirtualClock
 from turtleact.interfaces.standard import Twist
 from turtleact.node import Node, open_node
 from turtleact.sim.kinematics import SIDE
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
 from turtleact.tasks import Background
+from turtleact.tasks.clock import VirtualClock
 from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport, QoS
 

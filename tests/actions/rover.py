@@ -8,10 +8,10 @@ from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from typing import Any
 
 from turtleact.actions import Area, Robot, Turtles, go_to, patrol
-from turtleact.clock import VirtualClock
 from turtleact.interfaces import from_dict
 from turtleact.node import Node, open_node
 from turtleact.tasks import Background
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport, QoS
 
 TRACK = 0.4

@@ -10,7 +10,7 @@ import pytest
 
 from turtleact import open_node, open_world
 from turtleact.actions import serve_built_ins
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.sim.kinematics import SIDE
 from turtleact.transports import open_zenoh

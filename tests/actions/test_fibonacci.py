@@ -10,12 +10,12 @@ from contextlib import aclosing, asynccontextmanager
 import pytest
 
 from turtleact.actions import fibonacci
-from turtleact.clock import VirtualClock
 from turtleact.errors import GoalRejected
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import ExampleFibonacci, Fibonacci
 from turtleact.node import open_node
 from turtleact.tasks import Background
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 
 pytestmark = pytest.mark.loops("asyncio", "trio")

@@ -9,7 +9,7 @@ import pytest
 from turtleact.actions.go_to import GoTo
 from turtleact.errors import GoalAborted, GoalRejected
 from turtleact.geometry import distance
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import Kill
 
 from .arena import STYLES, arena

@@ -11,7 +11,7 @@ import pytest
 
 from turtleact.actions.patrol import Patrol
 from turtleact.errors import GoalAborted, GoalRejected
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import load_interface
 from turtleact.interfaces import standard as standard_interfaces
 from turtleact.interfaces.standard import (

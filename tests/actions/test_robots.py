@@ -14,10 +14,10 @@ from turtleact.actions import Area
 from turtleact.actions.go_to import GoTo
 from turtleact.actions.patrol import Patrol
 from turtleact.actions.robots import POSE_TYPES, TWIST_TYPES, Robot, Sighting
-from turtleact.clock import EPOCH
 from turtleact.errors import GoalAborted, GoalRejected, InvalidMessage, InvalidName, InvalidOption
 from turtleact.interfaces import from_dict
 from turtleact.interfaces.standard import Point, TurtlePose, Twist, Vector3
+from turtleact.tasks.clock import EPOCH
 
 from .rover import DT, ODOMETRY, rover
 

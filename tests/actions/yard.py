@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from turtleact.actions.driving import Turtles
 from turtleact.actions.steering import Area, Limits, Steering
-from turtleact.clock import VirtualClock
 from turtleact.interfaces.standard import Point, TurtlePose, Twist
 from turtleact.node import Node, open_node
 from turtleact.tasks import Background
+from turtleact.tasks.clock import VirtualClock
 from turtleact.topics import Publisher, Subscription
 from turtleact.transports import MemoryTransport
 

@@ -26,7 +26,7 @@ from turtleact.errors import (
     ServerUnavailable,
     TurtleactError,
 )
-from turtleact.goal import CancelCode
+from turtleact.goals.state import CancelCode
 from turtleact.tasks import current_tasks
 
 from ..lab import (
@@ -535,7 +535,7 @@ async def test_a_similar_action_is_suggested():
 
 
 async def test_a_client_that_waits_for_a_server_says_so_once(caplog, monkeypatch):
-    monkeypatch.setattr("turtleact.client.action_client.SILENCE", 0.0)
+    monkeypatch.setattr("turtleact.goals.client.SILENCE", 0.0)
     async with turtleact.open_node("lab") as node:
         client = node.action_client(Count, "count")
         async with running(client.wait_for_server) as waiting:

@@ -98,7 +98,7 @@ ELSEWHERE = pytest.mark.parametrize("where", [by_messages, over_zenoh])
 @pytest.fixture(autouse=True)
 def no_patience(monkeypatch) -> None:
     """What a server that has died is waited for: nothing."""
-    monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 0.0)
+    monkeypatch.setattr("turtleact.goals.remote_goals.BACK_WITHIN", 0.0)
     monkeypatch.setattr(Apart, "is_known", False)
 
 

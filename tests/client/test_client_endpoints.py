@@ -9,10 +9,10 @@ from typing import Any
 import anyio
 import pytest
 
-from turtleact.client.client_endpoints import AT_ONCE, ClientEndpoints, RequestLimiter
 from turtleact.errors import PauseRefused, ServerUnavailable
-from turtleact.goal import Goal
-from turtleact.goal_wire import GoalNote
+from turtleact.goals.client_endpoints import AT_ONCE, ClientEndpoints, RequestLimiter
+from turtleact.goals.state import Goal
+from turtleact.goals.wire import GoalNote
 from turtleact.interfaces import WireFormat, implied
 from turtleact.names import action_names
 from turtleact.transports import MemoryTransport, QoS
@@ -200,7 +200,7 @@ async def test_the_next_server_may_get_both_requests_though_the_last_one_could_n
 async def test_a_server_that_is_gone_is_told_from_one_that_cannot_pause(
     monkeypatch, servers, error, text
 ):
-    monkeypatch.setattr("turtleact.client.client_endpoints.OFFERED_WITHIN", 0.01)
+    monkeypatch.setattr("turtleact.goals.client_endpoints.OFFERED_WITHIN", 0.01)
     transport = MemoryTransport()
     for number in range(servers):
         serve(transport, number + 1)

@@ -12,8 +12,8 @@ import pytest
 
 import turtleact
 from turtleact import Abort, GoalAborted, GoalStatus, TurtleactError
-from turtleact.goal import Goal, GoalOrder
-from turtleact.observers import GoalObserver
+from turtleact.goals.observers import GoalObserver
+from turtleact.goals.state import Goal, GoalOrder
 from turtleact.transports import MemoryTransport
 
 from ..lab import Count, Gate, count, feedback, goal, result, settle
@@ -229,7 +229,7 @@ async def test_an_observer_that_fails_does_no_harm(caplog):
 
 
 async def test_an_observer_hears_of_a_goal_that_is_lost(monkeypatch):
-    monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 0.0)
+    monkeypatch.setattr("turtleact.goals.remote_goals.BACK_WITHIN", 0.0)
     monkeypatch.setattr(Apart, "is_known", False)
     gate, transport = Gate(), MemoryTransport()
     graph: Any = Cut(transport)

@@ -9,7 +9,6 @@ import pytest
 
 import turtleact
 from turtleact import CancelResponse, GoalStatus
-from turtleact.client.goal_handle import FeedbackReceived, Outcome, ResultReceived, StatusChanged
 from turtleact.errors import (
     Abort,
     GoalAborted,
@@ -18,8 +17,9 @@ from turtleact.errors import (
     ServerUnavailable,
     UnknownGoal,
 )
-from turtleact.feedback import FeedbackLog
-from turtleact.goal import CancelCode
+from turtleact.goals.client_handle import FeedbackReceived, Outcome, ResultReceived, StatusChanged
+from turtleact.goals.feedback import FeedbackLog
+from turtleact.goals.state import CancelCode
 
 from ..lab import (
     ON_ASYNCIO,
@@ -88,7 +88,7 @@ async def told(handle):
 async def test_the_first_event_bears_the_id_and_the_stamp():
     async with lab(count) as served, served.client.send_goal(goal(), goal_id=ID) as handle:
         first = await anext(handle.events())
-        assert first == turtleact.client.goal_handle.Accepted(ID, handle.stamp)
+        assert first == turtleact.Accepted(ID, handle.stamp)
         assert first.kind == "accepted"
 
 

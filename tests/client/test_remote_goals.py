@@ -9,12 +9,12 @@ import anyio
 import pytest
 
 from turtleact import GoalStatus
-from turtleact.client.remote_goals import RemoteGoals
 from turtleact.errors import GoalRejected, ServerUnavailable, ServiceTimeout, UnknownGoal
-from turtleact.goal import Goal
-from turtleact.goal_wire import GoalNote
+from turtleact.goals.observers import Observers
+from turtleact.goals.remote_goals import RemoteGoals
+from turtleact.goals.state import Goal
+from turtleact.goals.wire import GoalNote
 from turtleact.interfaces import implied
-from turtleact.observers import Observers
 from turtleact.tasks import current_tasks
 from turtleact.transports.base import Reply
 
@@ -168,7 +168,7 @@ async def test_a_result_is_handled_in_its_turn_after_the_feedback_before_it():
 
 
 async def test_why_a_request_has_failed_is_asked_once_all_is_known_that_came_with_it(monkeypatch):
-    monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 0.0)
+    monkeypatch.setattr("turtleact.goals.remote_goals.BACK_WITHIN", 0.0)
     server = Server()
     _, sent = follow(server)
     server.sent.come(ACCEPTED)
@@ -189,7 +189,7 @@ async def test_why_a_request_has_failed_is_asked_once_all_is_known_that_came_wit
 async def test_the_error_of_an_accepted_goal_says_that_it_has_not_ended(
     monkeypatch, error, problem
 ):
-    monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 0.0)
+    monkeypatch.setattr("turtleact.goals.remote_goals.BACK_WITHIN", 0.0)
     server = Server()
     _, sent = follow(server)
     server.sent.come(ACCEPTED)
@@ -200,7 +200,7 @@ async def test_the_error_of_an_accepted_goal_says_that_it_has_not_ended(
 
 @pytest.mark.parametrize("is_accepted", [True, False])
 async def test_only_a_goal_not_accepted_yet_may_have_been_dropped(is_accepted, monkeypatch):
-    monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 0.0)
+    monkeypatch.setattr("turtleact.goals.remote_goals.BACK_WITHIN", 0.0)
     server = Server()
     _, sent = follow(server)
     server.sent.come(ACCEPTED if is_accepted else UNCLEAR)

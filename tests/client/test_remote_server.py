@@ -15,9 +15,6 @@ import pytest
 
 import turtleact
 from turtleact import CancelResponse, GoalResponse, GoalStatus
-from turtleact.client.client_endpoints import ClientEndpoints
-from turtleact.client.goal_handle import Outcome
-from turtleact.client.remote_goals import RemoteGoal
 from turtleact.errors import (
     Abort,
     Cancel,
@@ -30,8 +27,11 @@ from turtleact.errors import (
     TurtleactError,
     UnknownGoal,
 )
-from turtleact.goal import CancelCode
-from turtleact.goal_wire import GoalNote
+from turtleact.goals.client_endpoints import ClientEndpoints
+from turtleact.goals.client_handle import Outcome
+from turtleact.goals.remote_goals import RemoteGoal
+from turtleact.goals.state import CancelCode
+from turtleact.goals.wire import GoalNote
 from turtleact.interfaces import Action, Message, implied, int32
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.tasks import current_tasks
@@ -172,7 +172,7 @@ def send(request) -> Send:
 @pytest.fixture(autouse=True)
 def no_patience(monkeypatch) -> None:
     """Do not wait for a dead server to return."""
-    monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 0.0)
+    monkeypatch.setattr("turtleact.goals.remote_goals.BACK_WITHIN", 0.0)
 
 
 # --- ends ---------------------------------------------------------------------------------------
@@ -755,7 +755,7 @@ async def test_a_server_that_comes_back_at_once_is_asked_again(send, monkeypatch
     gate = Gate()
     async with cut(gate.wait) as (served, graph), running(lambda: send(served, goal())) as sent:
         await gate.started.wait()
-        monkeypatch.setattr("turtleact.client.remote_goals.BACK_WITHIN", 5.0)
+        monkeypatch.setattr("turtleact.goals.remote_goals.BACK_WITHIN", 5.0)
         graph.returns = True
         graph.cut()
         await settle()
@@ -794,7 +794,7 @@ async def test_leaving_the_block_of_a_lost_goal_does_not_hang():
 async def test_lost_feedback_is_waited_for_and_then_logged(caplog, monkeypatch):
     async with cut(count) as (served, graph):
         graph.withholds = 2
-        monkeypatch.setattr("turtleact.client.remote_goals.LATE_FEEDBACK", 0.0)
+        monkeypatch.setattr("turtleact.goals.remote_goals.LATE_FEEDBACK", 0.0)
         assert await served.client.send_goal(goal(5)) == result(0, 1, 2, 3, 4)
     assert "2 feedback messages of goal" in caplog.text
 
@@ -853,7 +853,7 @@ async def test_an_id_that_is_under_way_is_refused_here():
 
 
 async def test_a_reader_far_behind_loses_the_oldest(monkeypatch):
-    monkeypatch.setattr("turtleact.client.remote_goals.MOST_UNREAD", 3000)
+    monkeypatch.setattr("turtleact.goals.remote_goals.MOST_UNREAD", 3000)
 
     async def act(request):
         for number in range(8000):

@@ -15,12 +15,12 @@ from typing import Any
 import anyio
 
 from turtleact import Abort, CancelResponse, QoS, cli, open_node
-from turtleact.clock import VirtualClock, WallClock
 from turtleact.commands import graph
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import TurtlePose, Twist
 from turtleact.tasks import Background
+from turtleact.tasks.clock import VirtualClock, WallClock
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Endpoint
 

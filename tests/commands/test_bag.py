@@ -13,7 +13,6 @@ import anyio
 import pytest
 
 from turtleact import open_node, recording
-from turtleact.clock import VirtualClock
 from turtleact.commands import bag_contents, bag_sessions
 from turtleact.interfaces import encode, get_message
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
@@ -25,6 +24,7 @@ from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import Schema, schema_of
 from turtleact.recording.storage import Channel
 from turtleact.tasks import Background
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 
 START = 1_800_000_000_000_000_000

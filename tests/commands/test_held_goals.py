@@ -14,7 +14,6 @@ import anyio
 import pytest
 
 from turtleact import QoS, open_node
-from turtleact.clock import EPOCH, VirtualClock
 from turtleact.commands import event_echo, topic_reading
 from turtleact.commands.held_goals import held_goals, served_actions
 from turtleact.commands.message_text import Style
@@ -29,6 +28,7 @@ from turtleact.interfaces.standard import (
 )
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.tasks import Background
+from turtleact.tasks.clock import EPOCH, VirtualClock
 from turtleact.testing import FaultyTransport
 from turtleact.transports import MemoryTransport
 

@@ -17,8 +17,8 @@ from pathlib import Path
 import pytest
 
 from turtleact.commands import journaled_goals
-from turtleact.goal import GoalStatus
-from turtleact.goal_journal import GoalChange, GoalRecord
+from turtleact.goals.records import GoalChange, GoalRecord
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import WireFormat, type_hash
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.journal.database import Accept, Change, Database

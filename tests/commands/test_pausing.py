@@ -9,7 +9,7 @@ import anyio
 import pytest
 
 from turtleact import open_node
-from turtleact.goal_wire import SetPaused
+from turtleact.goals.wire import SetPaused
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 
 IDS = [bytes([number]) * 16 for number in (1, 2, 3)]

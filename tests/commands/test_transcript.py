@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from turtleact.client.goal_handle import Outcome
 from turtleact.commands.transcript import Followed, JsonTranscript, PlainTranscript
-from turtleact.goal import GoalStatus
+from turtleact.goals.client_handle import Outcome
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import Fibonacci, PatrolCommandInterface, Point, Time
 
 ID = bytes(range(16))

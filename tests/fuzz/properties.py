@@ -10,7 +10,7 @@ import contextlib
 from typing import TYPE_CHECKING, Any
 
 from turtleact.errors import InvalidInterface, InvalidMessage, InvalidName, TurtleactError
-from turtleact.goal_wire import GoalNote
+from turtleact.goals.wire import GoalNote
 from turtleact.interfaces import cdr, from_text, get_interface, known_interfaces, to_json, to_yaml
 from turtleact.interfaces.classes import make_message
 from turtleact.interfaces.conversion import snapshot

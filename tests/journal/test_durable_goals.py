@@ -28,10 +28,10 @@ from turtleact.errors import (
     InvalidOption,
     ServerUnavailable,
 )
-from turtleact.goal_journal import GoalRecord
+from turtleact.goals.observers import GoalObserver
+from turtleact.goals.records import GoalRecord
 from turtleact.interfaces import Action, Message, int32
 from turtleact.journal import read_goals
-from turtleact.observers import GoalObserver
 
 from ..lab import Count, Gate, feedback, goal, local_server, result, running, settle
 

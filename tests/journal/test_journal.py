@@ -16,12 +16,12 @@ import pytest
 
 import turtleact
 from turtleact import testing
-from turtleact.clock import VirtualClock
 from turtleact.errors import InvalidOption
-from turtleact.goal import GoalStatus
-from turtleact.goal_journal import GoalChange, GoalRecord
+from turtleact.goals.records import GoalChange, GoalRecord
+from turtleact.goals.state import GoalStatus
 from turtleact.journal import Journal, JournalError, find_goals, open_journal, prune, read_goals
 from turtleact.journal.database import Accept, Change, Database, Withdraw
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 
 from ..lab import Count, Gate, feedback, goal, result, running, settle

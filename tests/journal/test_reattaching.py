@@ -18,9 +18,9 @@ import pytest
 
 import turtleact
 from turtleact import GoalStatus
-from turtleact.client import remote_goals
 from turtleact.errors import InvalidOption, ServerUnavailable, UnknownGoal
-from turtleact.observers import GoalObserver
+from turtleact.goals import remote_goals
+from turtleact.goals.observers import GoalObserver
 from turtleact.transports import MemoryTransport, open_zenoh
 
 from .. import warm

@@ -13,8 +13,8 @@ import pytest
 import turtleact
 from turtleact import GoalStatus, Journal, Node
 from turtleact.errors import ServerUnavailable
+from turtleact.goals.observers import GoalObserver
 from turtleact.journal import read_goals
-from turtleact.observers import GoalObserver
 
 from ..lab import ON_ASYNCIO, Count, feedback, goal, local_server, result, running, settle
 

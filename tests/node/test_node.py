@@ -15,7 +15,6 @@ import pytest
 
 import turtleact
 from turtleact import GoalStatus, Outcome, QoS
-from turtleact.clock import VirtualClock
 from turtleact.errors import (
     ActionConflict,
     GoalAborted,
@@ -29,6 +28,7 @@ from turtleact.errors import (
 from turtleact.interfaces import Message, Service, int32
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.node.conflicts import Rivals
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport, open_zenoh
 from turtleact.transports.base import Endpoint
 

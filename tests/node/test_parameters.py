@@ -11,7 +11,6 @@ import pytest
 from anyio.lowlevel import checkpoint
 
 from turtleact import open_node, parameter
-from turtleact.clock import EPOCH, VirtualClock
 from turtleact.errors import InvalidParameter, TurtleactError
 from turtleact.interfaces.standard import (
     DescribeParameters,
@@ -31,6 +30,7 @@ from turtleact.interfaces.standard import Parameter as Message
 from turtleact.node import Node
 from turtleact.node.parameters import Parameter
 from turtleact.tasks import wait_until_idle
+from turtleact.tasks.clock import EPOCH, VirtualClock
 from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport
 

@@ -9,9 +9,9 @@ import anyio
 import pytest
 
 from turtleact import Tick, open_node, open_world
-from turtleact.clock import VirtualClock
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.tasks import Background, wait_until_idle
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 
 # uvloop cannot tell when it is idle, so a leap of virtual time takes long on it.

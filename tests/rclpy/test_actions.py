@@ -10,7 +10,7 @@ from weakref import WeakValueDictionary
 import pytest
 
 from turtleact.errors import InvalidMessage
-from turtleact.goal import GoalEvent, GoalStatus
+from turtleact.goals.state import GoalEvent, GoalStatus
 from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from turtleact.rclpy.action.names import ActionKind

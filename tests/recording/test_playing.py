@@ -11,7 +11,6 @@ import pytest
 
 import turtleact
 from turtleact import InvalidOption, QoS, TurtleactError, open_node, open_world, recording
-from turtleact.clock import VirtualClock
 from turtleact.interfaces import encode, int32, nanoseconds, stamp_of
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import TurtlePose, Twist, Vector3
@@ -24,6 +23,7 @@ from turtleact.recording.converting import Output, convert
 from turtleact.recording.schemas import Schema
 from turtleact.recording.storage import Channel
 from turtleact.tasks import Background
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import STATUS_QOS
 

@@ -5,7 +5,6 @@ import pytest
 
 import turtleact
 from turtleact import TurtleactError, open_node, open_world, recording
-from turtleact.clock import VirtualClock
 from turtleact.errors import UsageError
 from turtleact.interfaces import WireFormat, encode
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
@@ -15,6 +14,7 @@ from turtleact.recording import BagError, Selection
 from turtleact.recording.bag_writer import BagWriter
 from turtleact.recording.metadata import read_qos_overrides
 from turtleact.tasks import Background
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport, QoS
 from turtleact.transports.base import STATUS_QOS, Endpoint, RawFormat
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from rich.cells import cell_len
 
 from turtleact import render
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 
 ESCAPE = re.compile(r"\x1b\[[0-9;]*m")
 WORLD = render.MapView(11.0, [render.Turtle(5.5, 5.5, 0.0, "turtle1")])

@@ -11,7 +11,7 @@ from rich.cells import cell_len
 
 from turtleact import render
 from turtleact.actions.patrol import Patrol
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import Message, float64, int32, string, to_dict
 from turtleact.interfaces.standard import Fibonacci, PatrolCommandInterface, Point
 

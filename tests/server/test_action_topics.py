@@ -11,13 +11,13 @@ import pytest
 
 import turtleact
 from turtleact import Abort, GoalStatus
-from turtleact.goal import Goal
-from turtleact.goal_wire import GoalReason, reason_topic
+from turtleact.goals.observers import FeedbackLost, GoalObserver, News
+from turtleact.goals.server import LocalActionServer
+from turtleact.goals.server_topics import FeedbackTopic, StatusTopic
+from turtleact.goals.state import Goal
+from turtleact.goals.wire import GoalReason, reason_topic
 from turtleact.interfaces import WireFormat, decode
 from turtleact.interfaces.standard import GoalStatusArray
-from turtleact.observers import FeedbackLost, GoalObserver, News
-from turtleact.server.action_topics import FeedbackTopic, StatusTopic
-from turtleact.server.local_server import LocalActionServer
 
 from ..lab import Count, Lab, goal, lab, result, settle
 

@@ -22,9 +22,9 @@ from turtleact.errors import (
     InvalidMessage,
     InvalidTransition,
 )
-from turtleact.feedback import FeedbackLog
-from turtleact.goal import CURRENT_GOAL
-from turtleact.server.execution import BURST
+from turtleact.goals.execution import BURST
+from turtleact.goals.feedback import FeedbackLog
+from turtleact.goals.state import CURRENT_GOAL
 from turtleact.summaries import LONGEST
 
 from ..lab import (

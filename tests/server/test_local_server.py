@@ -24,7 +24,7 @@ from turtleact.errors import (
     ServerUnavailable,
     TurtleactError,
 )
-from turtleact.goal import CancelCode
+from turtleact.goals.state import CancelCode
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.tasks import current_tasks
 

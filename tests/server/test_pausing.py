@@ -11,10 +11,10 @@ import pytest
 
 import turtleact
 from turtleact import GoalStatus, ServerGoalHandle
-from turtleact.clock import VirtualClock
 from turtleact.errors import GoalAborted, GoalCanceled, InvalidOption, PauseRefused
 from turtleact.interfaces.standard.std_srvs.srv import Trigger
 from turtleact.journal import open_journal
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 
 from ..client.test_remote_server import Apart

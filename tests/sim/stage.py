@@ -8,7 +8,6 @@ from contextlib import aclosing, asynccontextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from turtleact.clock import Clock, VirtualClock
 from turtleact.interfaces.standard import (
     Color,
     Empty,
@@ -26,6 +25,7 @@ from turtleact.node import Node, open_node
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
 from turtleact.tasks import Background
+from turtleact.tasks.clock import Clock, VirtualClock
 from turtleact.transports import MemoryTransport, QoS
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from turtleact.clock import make_clock
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import (
     GetSimulationState,
     GetSimulatorFeatures,
@@ -21,6 +20,7 @@ from turtleact.interfaces.standard import (
     StepSimulation,
 )
 from turtleact.tasks import wait_until_idle
+from turtleact.tasks.clock import make_clock
 
 from .stage import TICK, stage
 from .test_ticking import LEAPING, SPEEDS

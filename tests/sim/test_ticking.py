@@ -8,10 +8,10 @@ from contextlib import aclosing, asynccontextmanager
 import anyio
 import pytest
 
-from turtleact.clock import VirtualClock, WallClock, make_clock
 from turtleact.errors import SimError
 from turtleact.sim.world_services import Ticking
 from turtleact.tasks import Background, current_tasks, wait_until_idle
+from turtleact.tasks.clock import VirtualClock, WallClock, make_clock
 from turtleact.testing import virtual_backend
 
 from ..lab import running, settle

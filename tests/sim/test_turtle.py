@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from turtleact.errors import GoalAborted, GoalRejected
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import RotateAbsolute
 from turtleact.node import open_node
 from turtleact.sim.drawing import Pens

@@ -8,8 +8,7 @@ import math
 import anyio
 import pytest
 
-from turtleact.clock import VirtualClock
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import (
     DescribeParameters,
     GetParameters,
@@ -24,6 +23,7 @@ from turtleact.sim.paint import Pen
 from turtleact.sim.pictures import to_png
 from turtleact.sim.turtle import Turtle
 from turtleact.sim.world_services import Poses
+from turtleact.tasks.clock import VirtualClock
 
 from ..actions.arena import tasks_alive
 from ..lab import running

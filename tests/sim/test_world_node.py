@@ -12,11 +12,11 @@ import pytest
 
 from turtleact import open_world
 from turtleact.actions.patrol import Patrol
-from turtleact.clock import ScaledClock, WallClock
 from turtleact.errors import SimError
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import Point, TurtlePose, Twist, Vector3
 from turtleact.tasks import wait_until_idle
+from turtleact.tasks.clock import ScaledClock, WallClock
 
 from ..actions.arena import tasks_alive
 from ..lab import ON_ASYNCIO, settle
@@ -153,7 +153,7 @@ async def test_a_machine_that_is_too_slow_makes_time_slower_and_misses_nothing(m
     """Between any two looks at the clock, 20 ms have passed: two simulated seconds."""
     moments = itertools.count()
     slow = SimpleNamespace(monotonic=lambda: 1e6 + next(moments) * 0.02, time_ns=time.time_ns)
-    monkeypatch.setattr("turtleact.clock.time", slow)
+    monkeypatch.setattr("turtleact.tasks.clock.time", slow)
     async with open_world(speed=100) as node:
         goal = Patrol.Goal(targets=TARGETS, stop_on_failure=True)
         async with node.action_client(Patrol, "patrol").send_goal(goal) as handle:

@@ -9,8 +9,8 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from turtleact.clock import VirtualClock
 from turtleact.tasks import Background, new_event_loop, wait_until_idle
+from turtleact.tasks.clock import VirtualClock
 from turtleact.tasks.idle import ready_callbacks as ready_of
 
 from ..lab import running

@@ -13,9 +13,9 @@ from prometheus_client.parser import text_string_to_metric_families
 
 import turtleact
 from turtleact import GoalRejected, TurtleactError
-from turtleact.clock import VirtualClock
-from turtleact.goal import Goal
-from turtleact.observers import FeedbackLost
+from turtleact.goals.observers import FeedbackLost
+from turtleact.goals.state import Goal
+from turtleact.tasks.clock import VirtualClock
 from turtleact.telemetry import GoalMetrics, instrument, measuring
 from turtleact.telemetry.prometheus import Totals
 from turtleact.transports import MemoryTransport

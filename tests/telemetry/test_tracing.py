@@ -23,10 +23,10 @@ from opentelemetry.trace import StatusCode
 
 import turtleact
 from turtleact import Abort, GoalAborted, GoalCanceled, GoalRejected, Reject, ServerUnavailable
-from turtleact.goal_wire import GoalNote
+from turtleact.goals.observers import FeedbackLost
+from turtleact.goals.wire import GoalNote
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.node import local_server_of
-from turtleact.observers import FeedbackLost
 from turtleact.telemetry import instrument, new_traces, tracing
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import REQUEST_NOTE

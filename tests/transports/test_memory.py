@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from turtleact.clock import VirtualClock, WallClock
+from turtleact.tasks.clock import VirtualClock, WallClock
 from turtleact.transports import MemoryTransport, Transport
 from turtleact.transports.base import RawFormat, Source
 

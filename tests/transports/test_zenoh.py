@@ -21,7 +21,6 @@ import pytest
 import zenoh
 
 import turtleact
-from turtleact.clock import VirtualClock
 from turtleact.errors import (
     InvalidMessage,
     InvalidOption,
@@ -43,6 +42,7 @@ from turtleact.interfaces import (
 from turtleact.interfaces.standard import UUID, CancelGoal, Fibonacci, GoalStatusArray
 from turtleact.interfaces.types import REGISTRY
 from turtleact.tasks import current_tasks
+from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
 from turtleact.transports.base import REQUEST_NOTE, Endpoint, Reply, Target
 from turtleact.transports.rmw_zenoh import service_clients

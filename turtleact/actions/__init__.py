@@ -11,7 +11,7 @@ from turtleact.actions import fibonacci, go_to, patrol
 from turtleact.actions.driving import Turtles
 from turtleact.actions.robots import Robot
 from turtleact.actions.steering import Area
-from turtleact.body import ServerOptions
+from turtleact.goals.body import ServerOptions
 
 if TYPE_CHECKING:
     from turtleact.node import Node

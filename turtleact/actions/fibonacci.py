@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, Unpack
 
-from turtleact.body import ServerOptions, action
 from turtleact.errors import Reject
-from turtleact.goal import GoalResponse
+from turtleact.goals.body import ServerOptions, action
+from turtleact.goals.state import GoalResponse
 from turtleact.interfaces.standard import ExampleFibonacci, Fibonacci
 
 if TYPE_CHECKING:

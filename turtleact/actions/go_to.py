@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING, ClassVar, Unpack
 
 from turtleact.actions.steering import Limits
-from turtleact.body import ServerOptions
 from turtleact.errors import Reject
-from turtleact.goal import GoalResponse
+from turtleact.goals.body import ServerOptions
+from turtleact.goals.state import GoalResponse
 from turtleact.interfaces import Action, Message, float64, string
 from turtleact.interfaces.standard import Point, TurtlePose
 

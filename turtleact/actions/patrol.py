@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 
-from turtleact.body import ServerOptions
 from turtleact.errors import Reject
 from turtleact.geometry import distance
-from turtleact.goal import GoalResponse
+from turtleact.goals.body import ServerOptions
+from turtleact.goals.state import GoalResponse
 from turtleact.interfaces import Action, Message, bool_, float64, int32, string
 from turtleact.interfaces.standard import PatrolCommandInterface, Point, TurtlePose
 

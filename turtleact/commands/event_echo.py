@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import anyio
 
-from turtleact.clock import within
 from turtleact.commands.graph import chosen_class
 from turtleact.commands.output import note, say_message
 from turtleact.interfaces import Action, Message, Service, implied
 from turtleact.interfaces.classes import event_message
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray, ServiceEventInfo
 from turtleact.names import EVENT_SUFFIX, action_names, event_topic, resolve_name
+from turtleact.tasks.clock import within
 from turtleact.transports import QoS
 from turtleact.transports.base import STATUS_QOS
 

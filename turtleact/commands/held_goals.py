@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import anyio
 
-from turtleact.clock import within
 from turtleact.commands import graph, send_goal
 from turtleact.commands.graph import interface_class, not_served
 from turtleact.commands.interrupts import Interrupts
@@ -37,7 +36,7 @@ from turtleact.errors import (
     TurtleactError,
     UsageError,
 )
-from turtleact.goal import CancelCode, GoalStatus, status_of
+from turtleact.goals.state import CancelCode, GoalStatus, status_of
 from turtleact.graph import types_by_name
 from turtleact.interfaces import (
     SECOND,
@@ -48,6 +47,7 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, GoalStatusArray
 from turtleact.names import action_names, resolve_name
+from turtleact.tasks.clock import within
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 from turtleact.commands.output import duration, note, say, say_table
 from turtleact.errors import InvalidMessage, TurtleactError, UsageError
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.journal.database import find_goals, prune, read_goals
 from turtleact.names import resolve_name
 
 if TYPE_CHECKING:
-    from turtleact.goal_journal import GoalRecord
+    from turtleact.goals.records import GoalRecord
     from turtleact.interfaces import Message
 
 __all__ = ["print_goals", "print_result", "prune_goals"]
@@ -87,9 +87,9 @@ def print_result(path: Path, wanted: str, interfaces: str | None) -> int:
         raise UsageError(f"'{wanted}' is the beginning of several goals: {shown}")
     if not goals:
         raise TurtleactError(f"journal '{path}' has no goal {wanted}")
-    from turtleact.client import Outcome
     from turtleact.commands.interfaces import make_known
     from turtleact.commands.transcript import result_text
+    from turtleact.goals.client import Outcome
 
     (goal,) = goals
     if not goal.ended:

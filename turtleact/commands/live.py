@@ -38,7 +38,7 @@ from turtleact.transports import QoS
 
 if TYPE_CHECKING:
     from turtleact.commands.transcript import Followed
-    from turtleact.goal import GoalStatus
+    from turtleact.goals.state import GoalStatus
     from turtleact.interfaces import Message
     from turtleact.node import ServerGoalHandle
     from turtleact.sim.turtlesim import Turtlesim

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar, cast
 
 import msgspec
 
-from turtleact.clock import within
 from turtleact.commands.message_text import read_text_file
 from turtleact.commands.output import note, say_names
 from turtleact.commands.settings import Override, quoted
@@ -40,6 +39,7 @@ from turtleact.interfaces.standard import (
 )
 from turtleact.interfaces.text import Document, block, tree_of
 from turtleact.parameters import flattened, message_of, out_of_range, value_of
+from turtleact.tasks.clock import within
 
 if TYPE_CHECKING:
     import re

@@ -1,7 +1,7 @@
 """Asks servers to pause or resume goals, and asks which goals are paused.
 
 ROS 2 cannot pause goals. Servers of turtleact offer a service and a topic for pauses, as soon as a
-client looks for the service or the topic; see `turtleact.goal_wire`.
+client looks for the service or the topic; see `turtleact.goals.wire`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Final
 
 import anyio
 
-from turtleact.clock import within
 from turtleact.errors import PauseRefused, ServiceTimeout
-from turtleact.goal_wire import PausedGoals, SetPaused, paused_topic, set_paused_service
+from turtleact.goals.wire import PausedGoals, SetPaused, paused_topic, set_paused_service
 from turtleact.interfaces.standard import UUID
+from turtleact.tasks.clock import within
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:

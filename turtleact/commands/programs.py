@@ -182,7 +182,10 @@ def _declares(names: Mapping[str, object]) -> str:
 
     The text names background functions only if the file declares no action.
     """
-    from turtleact.body import ActionDeclaration, BackgroundDeclaration  # help does without them
+    from turtleact.goals.body import (  # help does without them
+        ActionDeclaration,
+        BackgroundDeclaration,
+    )
 
     actions, tasks = list[str](), list[str]()
     for each in names.values():

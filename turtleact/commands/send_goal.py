@@ -41,7 +41,7 @@ from turtleact.commands.transcript import (
     watch_command,
 )
 from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError, UsageError
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import Action, from_text
 from turtleact.interfaces.standard import GetSimulationState, SimulationState
 from turtleact.names import resolve_name
@@ -51,10 +51,10 @@ from turtleact.transports.base import find_server
 if TYPE_CHECKING:
     from anyio.abc import TaskGroup
 
-    from turtleact.body import ActionType
-    from turtleact.client import ClientGoalHandle, Outcome
     from turtleact.commands.message_text import GoalText
     from turtleact.commands.settings import Place, Reach
+    from turtleact.goals.body import ActionType
+    from turtleact.goals.client import ClientGoalHandle, Outcome
     from turtleact.interfaces import Message
     from turtleact.node import Node
 

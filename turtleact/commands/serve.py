@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, Unpack, cast
 
 import anyio
 
-from turtleact.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.node_parameters import of_node, unheard
 from turtleact.commands.observing import json_line, observing, set_up_logging
@@ -28,7 +27,8 @@ from turtleact.commands.reloading import Stamps, restart, stamps_of, wait_for_ch
 from turtleact.commands.screen import can_move
 from turtleact.commands.targets import Found, Modules
 from turtleact.errors import ActionConflict, InvalidOption, TurtleactError, UsageError
-from turtleact.goal import GoalStatus
+from turtleact.goals.body import ActionDeclaration, BackgroundDeclaration
+from turtleact.goals.state import GoalStatus
 from turtleact.graph import types_by_name
 from turtleact.node import Node, close_withdrawn, open_node, resources_of
 from turtleact.tasks import GRACE, Background
@@ -37,13 +37,13 @@ from turtleact.transports import open_zenoh
 if TYPE_CHECKING:
     from contextlib import AbstractAsyncContextManager
 
-    from turtleact.clock import Clock
     from turtleact.commands.live import Dashboard
     from turtleact.commands.settings import Page, Service
-    from turtleact.goal_journal import OnRestart
+    from turtleact.goals.records import OnRestart
     from turtleact.journal import Journal
     from turtleact.node import ActionServer, ServerGoalHandle
     from turtleact.node.conflicts import OnConflict
+    from turtleact.tasks.clock import Clock
     from turtleact.transports import Transport, ZenohTransport
 
 __all__ = ["ServerLog", "listed", "run", "serve_declared"]
@@ -436,7 +436,7 @@ async def _open_node(
             )
             node: Node = await stack.enter_async_context(world)
         else:
-            from turtleact.clock import WallClock
+            from turtleact.tasks.clock import WallClock
 
             transport = await stack.enter_async_context(graph(WallClock()))
             opening = open_node(service.node_name, transport=transport)

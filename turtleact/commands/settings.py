@@ -14,7 +14,7 @@ from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.locks import Locks
-    from turtleact.goal_journal import OnRestart
+    from turtleact.goals.records import OnRestart
     from turtleact.introspection import Introspection
     from turtleact.transports import QoS
 

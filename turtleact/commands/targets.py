@@ -27,8 +27,8 @@ from typing import Any, NamedTuple
 
 import anyio
 
-from turtleact.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.errors import TurtleactError, UsageError
+from turtleact.goals.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.graph import names_like
 from turtleact.parameters import ParameterDeclaration
 from turtleact.summaries import summary, syntax_hint

@@ -24,7 +24,7 @@ from turtleact.commands.output import note, say
 from turtleact.commands.screen import Screen, can_move, can_read_keys, cbreak, typed_keys
 from turtleact.commands.send_goal import embedded_world
 from turtleact.errors import TurtleactError, UsageError
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.graph import SEND_GOAL
 from turtleact.interfaces.standard import RotateAbsolute, Twist, Vector3
 from turtleact.node import Node, open_node
@@ -32,8 +32,8 @@ from turtleact.transports import QoS
 
 if TYPE_CHECKING:
     from turtleact import render
-    from turtleact.client import ClientGoalHandle
     from turtleact.commands.settings import Reach
+    from turtleact.goals.client import ClientGoalHandle
 
 __all__ = ["Order", "run"]
 

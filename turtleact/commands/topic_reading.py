@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import anyio
 
-from turtleact.clock import within
 from turtleact.commands.graph import chosen_class, note_differing
 from turtleact.commands.message_text import Style
 from turtleact.commands.output import note, say, say_message, say_names
@@ -28,6 +27,7 @@ from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
 from turtleact.summaries import summary
+from turtleact.tasks.clock import within
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:

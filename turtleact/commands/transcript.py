@@ -15,8 +15,8 @@ from turtleact.commands.output import note, say
 from turtleact.interfaces import to_json, to_yaml
 
 if TYPE_CHECKING:
-    from turtleact.client import ClientGoalHandle, Outcome
-    from turtleact.goal import GoalStatus
+    from turtleact.goals.client import ClientGoalHandle, Outcome
+    from turtleact.goals.state import GoalStatus
     from turtleact.interfaces import Action, Message
     from turtleact.node import Node
 

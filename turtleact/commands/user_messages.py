@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 import anyio
 
-from turtleact.clock import within
 from turtleact.commands.graph import chosen_class
 from turtleact.commands.message_text import python_text
 from turtleact.commands.output import note, say
@@ -22,6 +21,7 @@ from turtleact.interfaces.text import Document, tree_of
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
 from turtleact.sim.world_services import TakeSnapshot
+from turtleact.tasks.clock import within
 
 if TYPE_CHECKING:
     from pathlib import Path

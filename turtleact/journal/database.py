@@ -24,7 +24,7 @@ from pathlib import Path
 import msgspec
 
 from turtleact.errors import TurtleactError
-from turtleact.goal_journal import GoalChange, GoalRecord
+from turtleact.goals.records import GoalChange, GoalRecord
 
 __all__ = [
     "Accept",

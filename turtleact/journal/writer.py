@@ -25,7 +25,7 @@ import anyio.to_thread
 import msgspec
 
 from turtleact.errors import InvalidOption
-from turtleact.goal_journal import GoalChange, GoalRecord
+from turtleact.goals.records import GoalChange, GoalRecord
 from turtleact.journal.database import (
     Accept,
     Change,
@@ -108,7 +108,7 @@ class Journal:
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._work, name=f"journal {path}", daemon=True)
 
-    # what servers ask for; see `turtleact.goal_journal.GoalJournal`
+    # what servers ask for; see `turtleact.goals.records.GoalJournal`
 
     def load(self, action: str) -> list[GoalRecord]:
         """Return the goals of an action that have not ended or whose results have not expired."""

@@ -2,7 +2,7 @@
 
 Each call of an action's tool sends one goal, and returns when the goal has ended. If the call is
 cancelled, the goal is canceled too, and the call waits for the goal's end. The ``async with`` block
-of `turtleact.client.action_client.SendGoal` ensures this. If a client disconnects, its calls are
+of `turtleact.goals.client.SendGoal` ensures this. If a client disconnects, its calls are
 cancelled in the same way.
 
 `Board` subscribes to the status topics when it is first asked for goals. The last message of a
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, cast
 import anyio
 
 from turtleact.errors import TurtleactError
-from turtleact.goal import GoalStatus, status_of
+from turtleact.goals.state import GoalStatus, status_of
 from turtleact.interfaces import nanoseconds
 from turtleact.interfaces.standard import GoalStatusArray
 from turtleact.mcp.replies import data_of, failure, one_line
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from mcp.types import CallToolResult
 
-    from turtleact.body import ActionType
-    from turtleact.client import ActionClient
+    from turtleact.goals.body import ActionType
+    from turtleact.goals.client import ActionClient
     from turtleact.interfaces import Action, Message
     from turtleact.mcp.offer import Limits
     from turtleact.node import Node

@@ -9,13 +9,13 @@ from mcp.server.context import ServerRequestContext
 from mcp.types import CallToolResult, TextContent
 
 from turtleact.errors import GoalAborted, GoalCanceled
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import to_dict
 from turtleact.interfaces.text import flow
 from turtleact.mcp.schema import Schema, output_schema, plain
 
 if TYPE_CHECKING:
-    from turtleact.client import Outcome
+    from turtleact.goals.client import Outcome
     from turtleact.interfaces import Action, Message
 
 __all__ = ["LONGEST_TEXT", "Request", "answer", "data_of", "failure", "goal_schema", "one_line"]

@@ -35,8 +35,8 @@ from mcp.types import (
 )
 
 from turtleact.errors import ServerUnavailable, TurtleactError
-from turtleact.goal import GoalStatus
-from turtleact.goal_id import new_goal_id
+from turtleact.goals.ids import new_goal_id
+from turtleact.goals.state import GoalStatus
 from turtleact.mcp.replies import data_of, failure, one_line
 from turtleact.tasks import Background
 
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
     from mcp.server.lowlevel import Server
 
-    from turtleact.client import ClientGoalHandle
+    from turtleact.goals.client import ClientGoalHandle
     from turtleact.interfaces import Action, Message
     from turtleact.mcp.goals import AnyClient, Board, Goals
     from turtleact.mcp.replies import Request

@@ -11,7 +11,7 @@ import anyio
 from mcp.types import CallToolResult, ImageContent, Tool
 
 from turtleact.errors import InvalidMessage, ServerUnavailable, TurtleactError, UnknownGoal
-from turtleact.goal_id import goal_id_bytes
+from turtleact.goals.ids import goal_id_bytes
 from turtleact.graph import graph_of, names_like
 from turtleact.interfaces import SECOND, Message, get_message
 from turtleact.interfaces.definition import did_you_mean
@@ -25,7 +25,7 @@ from turtleact.transports import QoS
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
 
-    from turtleact.client import ClientGoalHandle
+    from turtleact.goals.client import ClientGoalHandle
     from turtleact.interfaces import Service
     from turtleact.mcp.catalogue import Catalogue
     from turtleact.mcp.goals import Board, Goals, HeldGoal

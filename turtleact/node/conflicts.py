@@ -28,8 +28,8 @@ from typing import Literal, TypeAlias, get_args
 import anyio
 
 from turtleact.errors import ActionConflict, InvalidOption
-from turtleact.server.endpoints import ActionEndpoints
-from turtleact.server.local_server import LocalActionServer
+from turtleact.goals.server import LocalActionServer
+from turtleact.goals.server_endpoints import ActionEndpoints
 from turtleact.tasks import Background, current_tasks
 from turtleact.transports.base import Transport
 

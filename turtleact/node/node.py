@@ -13,7 +13,8 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast, overload
 
-from turtleact.body import (
+from turtleact.errors import TurtleactError
+from turtleact.goals.body import (
     ActionBody,
     ActionDeclaration,
     ActionType,
@@ -22,11 +23,15 @@ from turtleact.body import (
     check_declaration,
     check_option_names,
 )
-from turtleact.client import ActionClient
-from turtleact.client.client_endpoints import ClientEndpoints
-from turtleact.clock import Clock, check_timeout
-from turtleact.errors import TurtleactError
-from turtleact.goal import Goal, GoalStatus
+from turtleact.goals.client import ActionClient
+from turtleact.goals.client_endpoints import ClientEndpoints
+from turtleact.goals.execution import Execution, Served
+from turtleact.goals.observers import Hook
+from turtleact.goals.policies import Rules, Slot, Slots
+from turtleact.goals.server import LocalActionServer, SlotRequest, restore_all
+from turtleact.goals.server_endpoints import ActionEndpoints
+from turtleact.goals.server_handle import GoalHandle
+from turtleact.goals.state import Goal, GoalStatus
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.interfaces.types import expect_interface
@@ -34,12 +39,7 @@ from turtleact.names import ActionNames, action_names, resolve_name, validate_no
 from turtleact.node.conflicts import OnConflict, Rivals, ServedName, check_on_conflict
 from turtleact.node.resources import Resources
 from turtleact.node.timers import Timer
-from turtleact.observers import Hook
 from turtleact.opening import opening
-from turtleact.server.endpoints import ActionEndpoints
-from turtleact.server.execution import Execution, Served
-from turtleact.server.goal_handle import GoalHandle
-from turtleact.server.local_server import LocalActionServer, SlotRequest, restore_all
 from turtleact.services import (
     LocalServiceServer,
     ServiceClient,
@@ -47,8 +47,8 @@ from turtleact.services import (
     ServiceType,
     service_events,
 )
-from turtleact.slot import Rules, Slot, Slots
 from turtleact.tasks import Home, current_tasks
+from turtleact.tasks.clock import Clock, check_timeout
 from turtleact.topics import Matching, Publisher, Subscription
 from turtleact.transports import MemoryTransport, QoS, Transport
 from turtleact.transports.base import CallObserver, Closeable, Endpoint, EndpointKind

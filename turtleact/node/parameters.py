@@ -39,10 +39,10 @@ from turtleact.summaries import loggable, summary, text_of
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
-    from turtleact.clock import Clock
     from turtleact.node.resources import Resources
     from turtleact.services import ServiceType
     from turtleact.tasks import Home, Signal, Tasks
+    from turtleact.tasks.clock import Clock
     from turtleact.topics import Publisher
 
 __all__ = ["Changes", "NodeParameters", "Parameter"]

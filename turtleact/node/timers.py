@@ -10,9 +10,9 @@ import math
 from numbers import Real
 from typing import NamedTuple, Self, cast
 
-from turtleact.clock import Clock
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.node.resources import Resources
+from turtleact.tasks.clock import Clock
 
 __all__ = ["Tick", "Timer"]
 

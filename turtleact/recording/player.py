@@ -28,10 +28,9 @@ import anyio
 import anyio.to_thread
 import msgspec
 
-from turtleact.client import ActionClient, ClientGoalHandle
-from turtleact.clock import WallClock
 from turtleact.errors import InvalidInterface, InvalidOption, TurtleactError, UnknownInterface
-from turtleact.goal import GoalStatus
+from turtleact.goals.client import ActionClient, ClientGoalHandle
+from turtleact.goals.state import GoalStatus
 from turtleact.graph import SEND_GOAL
 from turtleact.interfaces import Message, WireFormat, get_action, nanoseconds, stamp_of, type_hash
 from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
@@ -43,6 +42,7 @@ from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import EVERYTHING, REQUESTS, Selection, owner_of, part_of
 from turtleact.recording.storage import Channel, Range, in_nanoseconds
 from turtleact.tasks import Background, current_tasks, thread_work
+from turtleact.tasks.clock import WallClock
 from turtleact.transports.base import Endpoint, Publication, QoS, RawFormat
 
 __all__ = ["PlayOptions", "Played", "play"]

@@ -15,7 +15,7 @@ from typing import Any, Final
 import anyio.to_thread
 import msgspec
 
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import nanoseconds
 from turtleact.recording.bag import Bag, Reading, Recorded
 from turtleact.recording.selection import REQUESTS, Selection, owner_of, part_of

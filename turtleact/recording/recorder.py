@@ -18,10 +18,9 @@ from typing import NamedTuple, TypedDict, Unpack
 import anyio
 import anyio.to_thread
 
-from turtleact.clock import WallClock
 from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface
 from turtleact.fault_reports import watching_disk
-from turtleact.goal_wire import GoalReason, reason_topic
+from turtleact.goals.wire import GoalReason, reason_topic
 from turtleact.graph import SEND_GOAL
 from turtleact.interfaces import Message, WireFormat, get_interface, type_hash
 from turtleact.introspection import GATHER
@@ -36,6 +35,7 @@ from turtleact.recording.selection import EVERYTHING, Selection
 from turtleact.recording.spool import CAPACITY, Spool
 from turtleact.recording.storage import Channel, in_nanoseconds
 from turtleact.tasks import Background, current_tasks, thread_work
+from turtleact.tasks.clock import WallClock
 from turtleact.transports.base import Closeable, Endpoint, QoS, RawFormat
 
 logger = logging.getLogger("turtleact.recording")

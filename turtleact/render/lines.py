@@ -9,7 +9,7 @@ from typing import Final, TypeAlias
 from rich.console import Console, RenderableType
 from rich.text import Text
 
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 
 __all__ = ["STYLES", "Picture", "cut", "inline", "lines", "printable", "shortened"]
 

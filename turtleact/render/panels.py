@@ -22,7 +22,7 @@ from turtleact.render.lines import STYLES, Picture, cut, inline, printable, shor
 from turtleact.render.world_map import TICK, MapView, Target, world_map
 
 if TYPE_CHECKING:
-    from turtleact.goal import GoalStatus
+    from turtleact.goals.state import GoalStatus
     from turtleact.interfaces import Message
 
 __all__ = [

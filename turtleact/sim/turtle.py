@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import anyio
 
 from turtleact.errors import Abort, Reject, SimError
-from turtleact.goal import GoalResponse
+from turtleact.goals.state import GoalResponse
 from turtleact.interfaces.standard import (
     Color,
     RotateAbsolute,

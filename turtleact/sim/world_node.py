@@ -10,8 +10,7 @@ from contextlib import AbstractAsyncContextManager, AsyncExitStack, aclosing, as
 from typing import TYPE_CHECKING, TypeAlias
 
 from turtleact.actions import serve_built_ins
-from turtleact.clock import Clock, make_clock
-from turtleact.goal_journal import GoalJournal, OnRestart
+from turtleact.goals.records import GoalJournal, OnRestart
 from turtleact.node import Node, Transition, close_withdrawn, open_node
 from turtleact.opening import opening
 from turtleact.sim.kinematics import SIDE
@@ -19,6 +18,7 @@ from turtleact.sim.pictures import Snapshot
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
 from turtleact.tasks import Background
+from turtleact.tasks.clock import Clock, make_clock
 from turtleact.transports import MemoryTransport, Transport
 
 if TYPE_CHECKING:

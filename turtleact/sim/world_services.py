@@ -45,9 +45,9 @@ from turtleact.tasks import Background, current_tasks
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
 
-    from turtleact.clock import Clock
     from turtleact.node import Node, ServerGoalHandle
     from turtleact.sim.world import World
+    from turtleact.tasks.clock import Clock
 
     Handle = ServerGoalHandle[SimulateSteps.Goal, SimulateSteps.Result, SimulateSteps.Feedback]
 

@@ -14,7 +14,7 @@ nothing about goals.
 from __future__ import annotations
 
 from turtleact.tasks.background import Background, current_tasks, run_in_daemon, wait_while
-from turtleact.tasks.base import GRACE, Home, Signal, Tasks, is_cancellation
+from turtleact.tasks.base import GRACE, Cancelable, Home, Signal, Tasks, is_cancellation
 from turtleact.tasks.idle import (
     idleness,
     new_event_loop,
@@ -25,6 +25,7 @@ from turtleact.tasks.idle import (
 __all__ = [
     "GRACE",
     "Background",
+    "Cancelable",
     "Home",
     "Signal",
     "Tasks",

@@ -13,12 +13,18 @@ from typing import Protocol
 import anyio
 
 from turtleact.errors import TurtleactError
-from turtleact.goal import Cancelable
 
-__all__ = ["GRACE", "Home", "Signal", "Tasks", "is_cancellation"]
+__all__ = ["GRACE", "Cancelable", "Home", "Signal", "Tasks", "is_cancellation"]
 
 GRACE = 5.0
 """How long to wait by default for a cancelled task (s), before the task is left running."""
+
+
+class Cancelable(Protocol):
+    """A running task that can be asked to stop."""
+
+    def cancel(self) -> object:
+        """Ask the task to stop. The task may take a while to stop."""
 
 
 class Signal(Protocol):

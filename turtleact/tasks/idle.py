@@ -147,9 +147,9 @@ class ThreadWork:
     While there is any work, virtual time stands still. Each piece of work must therefore be sure to
     end soon.
 
-    A `turtleact.clock.VirtualClock` asks this object whether work is under way. On the event loops
-    of `turtleact.testing`, time stands still while a token of anyio's thread limiter is borrowed.
-    This object therefore borrows one token while work is under way.
+    A `turtleact.tasks.clock.VirtualClock` asks this object whether work is under way. On the event
+    loops of `turtleact.testing`, time stands still while a token of anyio's thread limiter is
+    borrowed. This object therefore borrows one token while work is under way.
     """
 
     def __init__(self) -> None:

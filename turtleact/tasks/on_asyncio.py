@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from turtleact.goal import Cancelable
+from turtleact.tasks.base import Cancelable
 
 __all__ = ["AsyncioSignal", "AsyncioTasks", "is_in_shielded_scope"]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from anyio.lowlevel import RunVar
 
-from turtleact.goal import Cancelable
+from turtleact.tasks.base import Cancelable
 
 if TYPE_CHECKING:
     import trio

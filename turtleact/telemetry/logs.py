@@ -20,8 +20,8 @@ from typing import Any, Final
 
 import msgspec
 
-from turtleact.goal import CURRENT_GOAL
-from turtleact.server.execution import Execution
+from turtleact.goals.execution import Execution
+from turtleact.goals.state import CURRENT_GOAL
 from turtleact.summaries import encodable, summary, text_of
 
 __all__ = ["GoalFilter", "JsonFormatter", "TextFormatter"]

@@ -13,10 +13,10 @@ from typing import Any, Final, Protocol
 
 import anyio
 
-from turtleact.client import ActionClient
-from turtleact.goal import Goal, GoalStatus
+from turtleact.goals.client import ActionClient
+from turtleact.goals.observers import FeedbackLost, GoalObserver, Lost, News
+from turtleact.goals.state import Goal, GoalStatus
 from turtleact.node import ActionServer, Node, local_server_of, resources_of
-from turtleact.observers import FeedbackLost, GoalObserver, Lost, News
 
 __all__ = ["BOUNDS", "Measurements", "measure", "watch", "watch_loop"]
 

@@ -14,7 +14,7 @@ kind INTERNAL instead of CLIENT.
 
 The server's span is current in the body, so the spans of goals that the body sends are its
 children. A request to another process carries the ids of the client's span in a
-`turtleact.goal_wire.GoalNote`. If a request from another process carries no ids, the server's span
+`turtleact.goals.wire.GoalNote`. If a request from another process carries no ids, the server's span
 begins a new trace.
 
 If the client is in the server's process and the client's span is not sampled, the server makes no
@@ -39,12 +39,8 @@ from opentelemetry.trace import Link, Span, SpanKind, StatusCode
 from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
 from turtleact.errors import GoalRejected, TurtleactError
-from turtleact.goal import Goal, GoalOrder, GoalStatus
-from turtleact.goal_id import new_goal_id
-from turtleact.goal_wire import GoalNote
-from turtleact.names import action_names
-from turtleact.node import Node, local_server_of
-from turtleact.observers import (
+from turtleact.goals.ids import new_goal_id
+from turtleact.goals.observers import (
     BodyFailed,
     Detached,
     FeedbackLost,
@@ -53,6 +49,10 @@ from turtleact.observers import (
     News,
     Observers,
 )
+from turtleact.goals.state import Goal, GoalOrder, GoalStatus
+from turtleact.goals.wire import GoalNote
+from turtleact.names import action_names
+from turtleact.node import Node, local_server_of
 from turtleact.telemetry.linking import NEW_TRACES
 from turtleact.telemetry.measuring import AnyClient, AnyServer
 from turtleact.transports.base import REQUEST_NOTE

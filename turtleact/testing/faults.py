@@ -22,9 +22,9 @@ from typing import Self
 
 import msgspec
 
-from turtleact.clock import Clock
 from turtleact.errors import SimError
 from turtleact.tasks import Background
+from turtleact.tasks.clock import Clock
 from turtleact.transports import Transport
 from turtleact.transports.base import (
     EVERY_SERVER,

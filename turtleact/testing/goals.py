@@ -6,8 +6,8 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any, Generic, NamedTuple, TypeVar, overload
 
-from turtleact.body import ActionDeclaration
-from turtleact.client import ActionClient, Outcome
+from turtleact.goals.body import ActionDeclaration
+from turtleact.goals.client import ActionClient, Outcome
 from turtleact.interfaces import Message
 from turtleact.node import ActionServer, open_node
 

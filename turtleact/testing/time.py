@@ -106,7 +106,7 @@ class VirtualEventLoop(WatchedEventLoop):
     """asyncio's event loop, with a selector that moves time forward instead of waiting.
 
     Attributes:
-        is_virtual: True, which tells `turtleact.clock` that the loop's time is virtual.
+        is_virtual: True, which tells `turtleact.tasks.clock` that the loop's time is virtual.
     """
 
     is_virtual = True

@@ -33,8 +33,8 @@ import msgspec
 from turtleact.errors import InvalidMessage, TurtleactError
 
 if TYPE_CHECKING:
-    from turtleact.clock import Clock
     from turtleact.tasks import Home
+    from turtleact.tasks.clock import Clock
 
 __all__ = [
     "EVERY_SERVER",
@@ -651,7 +651,7 @@ async def wait_until_served(
     Raises:
         InvalidOption: if ``timeout`` is not a number.
     """
-    from turtleact.clock import check_timeout, within  # slow to import, and rarely needed
+    from turtleact.tasks.clock import check_timeout, within  # slow to import, and rarely needed
 
     check_timeout(timeout)
     async with within(timeout, transport.clock):

@@ -13,10 +13,10 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeAlias
 
-from turtleact.clock import Clock, WallClock
 from turtleact.errors import ServerUnavailable, ServiceError, TurtleactError
 from turtleact.summaries import summary
 from turtleact.tasks import Signal, current_tasks
+from turtleact.tasks.clock import Clock, WallClock
 from turtleact.transports.base import (
     EVERY_SERVER,
     AsyncHandler,

@@ -15,7 +15,7 @@ from typing import Final
 
 import msgspec
 
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import Message
 from turtleact.web.page_values import Plain, excerpt, numbers_in
 

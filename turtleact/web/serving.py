@@ -14,10 +14,10 @@ from typing import Any, Final, Protocol, cast
 
 import anyio
 
-from turtleact.body import ActionType
 from turtleact.errors import Abort, Cancel, ServiceError, TurtleactError
-from turtleact.goal import GoalStatus
-from turtleact.goal_wire import GoalNote
+from turtleact.goals.body import ActionType
+from turtleact.goals.state import GoalStatus
+from turtleact.goals.wire import GoalNote
 from turtleact.interfaces import Message
 from turtleact.node import Node, ServerGoalHandle
 from turtleact.services import ServiceType

@@ -25,11 +25,11 @@ from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar, cast
 
 import msgspec
 
-from turtleact.body import ActionType
-from turtleact.client import ActionClient, ClientGoalHandle
 from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError
-from turtleact.goal_id import new_goal_id
-from turtleact.goal_wire import GoalNote
+from turtleact.goals.body import ActionType
+from turtleact.goals.client import ActionClient, ClientGoalHandle
+from turtleact.goals.ids import new_goal_id
+from turtleact.goals.wire import GoalNote
 from turtleact.interfaces import Message
 from turtleact.node import Node
 from turtleact.services import ServiceClient, ServiceType

@@ -28,14 +28,6 @@ from typing import Any, Final, Protocol, TypeAlias
 
 import anyio
 
-from turtleact.client import (
-    ActionClient,
-    ClientGoalHandle,
-    Event,
-    FeedbackReceived,
-    ResultReceived,
-    StatusChanged,
-)
 from turtleact.errors import (
     InvalidMessage,
     ServerUnavailable,
@@ -43,9 +35,17 @@ from turtleact.errors import (
     UnknownGoal,
     UnknownInterface,
 )
-from turtleact.goal import GoalStatus, status_of
-from turtleact.goal_id import new_goal_id
-from turtleact.goal_wire import PausedGoals, paused_topic
+from turtleact.goals.client import (
+    ActionClient,
+    ClientGoalHandle,
+    Event,
+    FeedbackReceived,
+    ResultReceived,
+    StatusChanged,
+)
+from turtleact.goals.ids import new_goal_id
+from turtleact.goals.state import GoalStatus, status_of
+from turtleact.goals.wire import PausedGoals, paused_topic
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.standard import GoalStatusArray
 from turtleact.node import Node

@@ -400,7 +400,7 @@ def hertz(given: str | float) -> float:
 
 def speed(given: str | float) -> float:
     """Parse how fast a clock runs, as a factor: above 0, at most `clock.FASTEST`."""
-    from turtleact.clock import FASTEST
+    from turtleact.tasks.clock import FASTEST
 
     value = _finite(given)
     if not 0 < value <= FASTEST:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from weakref import WeakValueDictionary
 
 from turtleact.errors import InvalidMessage, TurtleactError
-from turtleact.goal_wire import read_states
+from turtleact.goals.wire import read_states
 from turtleact.interfaces.wire_format import GOAL_ID
 from turtleact.rclpy.action.names import ActionKind, goal_key
 from turtleact.rclpy.executors import await_or_execute

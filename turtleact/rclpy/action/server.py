@@ -2,8 +2,8 @@
 
 Requests wait in one queue. An executor answers them in the callback group of the server. An execute
 callback runs as a task of the executor, outside every callback group. So with a
-`MultiThreadedExecutor`, the callback may block, for example in ``time.sleep``. `turtleact.goal`
-defines the states of a goal and how they change.
+`MultiThreadedExecutor`, the callback may block, for example in ``time.sleep``.
+`turtleact.goals.state` defines the states of a goal and how they change.
 
 Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions"; rclpy
 ``action/server.py`` for names and texts.
@@ -20,8 +20,8 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
 
 from turtleact.errors import InvalidMessage, InvalidTransition
-from turtleact.goal import Goal, GoalEvent, GoalStatus, cancel_code, select
-from turtleact.goal_wire import GoalNote
+from turtleact.goals.state import Goal, GoalEvent, GoalStatus, cancel_code, select
+from turtleact.goals.wire import GoalNote
 from turtleact.rclpy.action.names import ActionKind, goal_key
 from turtleact.rclpy.action.status import StatusTopic
 from turtleact.rclpy.exceptions import InvalidHandle, RCLError

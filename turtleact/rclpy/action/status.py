@@ -11,8 +11,8 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from turtleact.goal import Goal
-from turtleact.goal_wire import pack_state, write_states
+from turtleact.goals.state import Goal
+from turtleact.goals.wire import pack_state, write_states
 from turtleact.rclpy.action.names import ActionKind
 from turtleact.rclpy.messages.codec import hash_of
 from turtleact.rclpy.qos import QoSProfile

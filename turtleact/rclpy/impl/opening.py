@@ -13,9 +13,9 @@ from functools import partial
 
 import anyio
 
-from turtleact.clock import Clock
 from turtleact.errors import TurtleactError
 from turtleact.rclpy.impl.settings import SETTINGS, Place
+from turtleact.tasks.clock import Clock
 from turtleact.transports import MemoryTransport, Transport, open_zenoh
 
 __all__ = ["open_chosen"]

@@ -24,10 +24,10 @@ import anyio
 import anyio.to_thread
 import msgspec
 
-from turtleact.clock import Clock, check_timeout
 from turtleact.errors import TurtleactError
 from turtleact.opening import opening
 from turtleact.tasks import current_tasks
+from turtleact.tasks.clock import Clock, check_timeout
 from turtleact.transports.base import (
     EVERY_SERVER,
     AsyncHandler,

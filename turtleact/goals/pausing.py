@@ -25,11 +25,11 @@ from typing import Any, Protocol
 
 import anyio
 
-from turtleact.body import Body, ServerOptions
 from turtleact.errors import PauseRefused
-from turtleact.goal import Goal, GoalStatus
-from turtleact.observers import Observers
-from turtleact.server.durable import DurableGoals
+from turtleact.goals.body import Body, ServerOptions
+from turtleact.goals.durable import DurableGoals
+from turtleact.goals.observers import Observers
+from turtleact.goals.state import Goal, GoalStatus
 from turtleact.summaries import loggable, summary
 from turtleact.tasks import Background, Signal, Tasks
 
@@ -62,7 +62,7 @@ class Hold:
 
 
 class Keeper(Protocol):
-    """The interface of `turtleact.server.execution.Execution` that `Pauses` uses."""
+    """The interface of `turtleact.goals.execution.Execution` that `Pauses` uses."""
 
     durable: DurableGoals | None
     observers: Observers

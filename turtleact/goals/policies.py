@@ -35,7 +35,7 @@ from weakref import WeakValueDictionary
 import msgspec
 
 from turtleact.errors import InvalidOption
-from turtleact.goal import Goal
+from turtleact.goals.state import Goal
 
 __all__ = ["Admission", "Claim", "Entry", "Policy", "Rules", "Slot", "Slots"]
 

@@ -1,7 +1,7 @@
 """Opens the endpoints with which other processes pause and resume goals.
 
 An endpoint is declared only when another process has an endpoint of the same name.
-`turtleact.goal_wire` has the messages.
+`turtleact.goals.wire` has the messages.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 import anyio
 
 from turtleact.errors import PauseRefused, TurtleactError
-from turtleact.goal import Goal, GoalStatus
-from turtleact.goal_wire import PausedGoals, SetPaused, paused_topic, set_paused_service
+from turtleact.goals.observers import GoalObserver
+from turtleact.goals.state import Goal, GoalStatus
+from turtleact.goals.wire import PausedGoals, SetPaused, paused_topic, set_paused_service
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import UUID
 from turtleact.interfaces.standard.std_srvs.srv import Trigger
-from turtleact.observers import GoalObserver
 from turtleact.services import LocalServiceServer
 from turtleact.transports.base import STATUS_QOS, Closeable, Publication, Source
 
 if TYPE_CHECKING:
-    from turtleact.server.local_server import LocalActionServer
+    from turtleact.goals.server import LocalActionServer
     from turtleact.tasks import Tasks
     from turtleact.transports.base import MakeEndpoint, Transport
 

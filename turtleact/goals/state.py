@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 import msgspec
 
 from turtleact.errors import GoalAborted, GoalCanceled, InvalidTransition, TurtleactError
-from turtleact.feedback import FeedbackLog, Listener
+from turtleact.goals.feedback import FeedbackLog, Listener
 
 if TYPE_CHECKING:
     from turtleact.interfaces import Message
@@ -220,7 +220,7 @@ class Goal(msgspec.Struct, eq=False):
             this process.
         is_paused: Whether the goal is paused: the goal's body waits until the goal is resumed.
         is_paused_by_parent: Whether the goal is paused only because its parent is paused.
-        hold: The object that asks the goal's body to pause; see `turtleact.server.pausing`.
+        hold: The object that asks the goal's body to pause; see `turtleact.goals.pausing`.
         paused_ns: The total length of the goal's earlier pauses (ns), by the server's clock.
         children: The active goals that this goal's body has sent, each with an object that can
             pause it.

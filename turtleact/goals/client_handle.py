@@ -2,7 +2,7 @@
 
 The handle reads a `Goal` object. If the server is in the same process, the handle reads the
 server's own object. Otherwise the client has a `Goal` object of its own, and messages from the
-server keep the object up to date (`turtleact.client.remote_goals`).
+server keep the object up to date (`turtleact.goals.remote_goals`).
 
 Source: rclpy ``action/client.py`` for names and behaviour.
 """
@@ -15,9 +15,9 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, ca
 
 import msgspec
 
-from turtleact.feedback import FeedbackLog
-from turtleact.goal import Goal, GoalStatus, failure
-from turtleact.goal_server import GoalServer, cancel_and_wait
+from turtleact.goals.feedback import FeedbackLog
+from turtleact.goals.goal_server import GoalServer, cancel_and_wait
+from turtleact.goals.state import Goal, GoalStatus, failure
 from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.tasks import Home

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import Generic, TypeVar, cast
 
-from turtleact.goal import Goal, GoalStatus
-from turtleact.goal_journal import Resumed
+from turtleact.goals.execution import Execution
+from turtleact.goals.records import Resumed
+from turtleact.goals.state import Goal, GoalStatus
 from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import Time
-from turtleact.server.execution import Execution
 
 __all__ = ["GoalHandle"]
 

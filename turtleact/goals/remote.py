@@ -1,8 +1,8 @@
 """Represents an action server in another process.
 
-`RemoteActionServer` implements `turtleact.goal_server.GoalServer` by exchanging messages with the
-server. `turtleact.client.remote_goals` sends goals and follows them. Feedback and status arrive on
-topics.
+`RemoteActionServer` implements `turtleact.goals.goal_server.GoalServer` by exchanging messages with
+the server. `turtleact.goals.remote_goals` sends goals and follows them. Feedback and status arrive
+on topics.
 
 - The client subscribes to feedback before it sends the first request, so no early feedback is lost.
 - If a result arrives before all of the goal's feedback, the client waits for the missing feedback.
@@ -23,8 +23,6 @@ from typing import Final, cast
 
 import anyio
 
-from turtleact.client.client_endpoints import ClientEndpoints
-from turtleact.client.remote_goals import RemoteGoal, RemoteGoals
 from turtleact.errors import (
     GoalRejected,
     PauseRefused,
@@ -32,17 +30,19 @@ from turtleact.errors import (
     TurtleactError,
     UnknownGoal,
 )
-from turtleact.goal import CURRENT_GOAL, Goal, GoalOrder, GoalStatus, status_of
-from turtleact.goal_id import new_goal_id
-from turtleact.goal_wire import State
+from turtleact.goals.client_endpoints import ClientEndpoints
+from turtleact.goals.ids import new_goal_id
+from turtleact.goals.observers import Observers
+from turtleact.goals.remote_goals import RemoteGoal, RemoteGoals
+from turtleact.goals.state import CURRENT_GOAL, Goal, GoalOrder, GoalStatus, status_of
+from turtleact.goals.wire import State
 from turtleact.interfaces import Message, snapshotter
 from turtleact.interfaces.standard import CancelGoal
-from turtleact.observers import Observers
 from turtleact.tasks import Tasks
 
 __all__ = ["RemoteActionServer"]
 
-logger = logging.getLogger("turtleact.client")
+logger = logging.getLogger("turtleact.goals.client")
 
 STATUS_WITHIN: Final = 5.0
 """How long to wait for a server's first status, and for the result of an ended goal (s)."""

@@ -1,8 +1,8 @@
 """Action clients: send goals, attach to other clients' goals, and cancel goals.
 
-`turtleact.client.goal_handle` defines the client's handle of a goal. A client calls a server in the
-same process directly, and sends messages to a server in another process. The client uses both kinds
-of server through the interface `turtleact.goal_server.GoalServer`.
+`turtleact.goals.client_handle` defines the client's handle of a goal. A client calls a server in
+the same process directly, and sends messages to a server in another process. The client uses both
+kinds of server through the interface `turtleact.goals.goal_server.GoalServer`.
 
 Source: rclpy ``action/client.py`` for names and behaviour.
 """
@@ -24,27 +24,47 @@ import anyio
 import anyio.lowlevel
 import msgspec
 
-from turtleact.body import ActionType
-from turtleact.client.client_endpoints import ClientEndpoints
-from turtleact.client.goal_handle import ClientGoalHandle, GoalReader
-from turtleact.client.remote_server import RemoteActionServer
-from turtleact.clock import check_timeout
 from turtleact.errors import InvalidOption, ServerUnavailable, TurtleactError, UnknownGoal
-from turtleact.goal import Goal, GoalOrder, GoalStatus, failure
-from turtleact.goal_id import goal_id_bytes, new_goal_id
-from turtleact.goal_server import GoalServer, OffersGoals, cancel_and_wait
+from turtleact.goals.body import ActionType
+from turtleact.goals.client_endpoints import ClientEndpoints
+from turtleact.goals.client_handle import (
+    Accepted,
+    ClientGoalHandle,
+    Event,
+    FeedbackReceived,
+    GoalReader,
+    Outcome,
+    ResultReceived,
+    StatusChanged,
+)
+from turtleact.goals.goal_server import GoalServer, OffersGoals, cancel_and_wait
+from turtleact.goals.ids import goal_id_bytes, new_goal_id
+from turtleact.goals.observers import Detached, GoalObserver, News, Observers
+from turtleact.goals.remote import RemoteActionServer
+from turtleact.goals.state import Goal, GoalOrder, GoalStatus, failure
 from turtleact.graph import graph_of
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.definition import nearest
 from turtleact.interfaces.standard import CancelGoal, Time
-from turtleact.observers import Detached, GoalObserver, News, Observers
 from turtleact.tasks import Home, Tasks
+from turtleact.tasks.clock import check_timeout
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Owner, find_server, wait_until_served
 
-__all__ = ["ActionClient", "Attach", "SendGoal"]
+__all__ = [
+    "Accepted",
+    "ActionClient",
+    "Attach",
+    "ClientGoalHandle",
+    "Event",
+    "FeedbackReceived",
+    "Outcome",
+    "ResultReceived",
+    "SendGoal",
+    "StatusChanged",
+]
 
-logger = logging.getLogger("turtleact.client")
+logger = logging.getLogger("turtleact.goals.client")
 
 _SUCCEEDED: Final = GoalStatus.SUCCEEDED  # Python 3.11 looks up an enum's members slowly
 

@@ -11,9 +11,9 @@ from inspect import isawaitable
 
 import anyio
 
-from turtleact.body import ServerOptions
 from turtleact.errors import GoalRejected, Reject
-from turtleact.goal import CancelResponse, GoalResponse
+from turtleact.goals.body import ServerOptions
+from turtleact.goals.state import CancelResponse, GoalResponse
 from turtleact.summaries import loggable, summary, text_of
 from turtleact.tasks import Tasks
 

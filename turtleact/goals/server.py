@@ -1,8 +1,8 @@
 """The server of one action in this process: accepts, cancels and restores goals.
 
-`turtleact.goal` has the rules for a goal's states, `turtleact.slot` decides which goals may run,
-and `execution` runs bodies. Clients in the same process call the `LocalActionServer` and share its
-`Goal` objects. Requests from other processes arrive through `endpoints`.
+`turtleact.goals.state` has the rules for a goal's states, `turtleact.goals.policies` decides which
+goals may run, and `execution` runs bodies. Clients in the same process call the `LocalActionServer`
+and share its `Goal` objects. Requests from other processes arrive through `endpoints`.
 
 Source: rcl_action ``action_server.c``; rclpy ``action/server.py``.
 """
@@ -18,9 +18,17 @@ from typing import cast
 import anyio
 import msgspec
 
-from turtleact.body import ServerOptions, check_options
 from turtleact.errors import GoalRejected, ServerUnavailable
-from turtleact.goal import (
+from turtleact.goals.body import ServerOptions, check_options
+from turtleact.goals.callbacks import Callbacks
+from turtleact.goals.durable import DurableGoals
+from turtleact.goals.execution import Execution, Served
+from turtleact.goals.goal_server import cancel_and_wait
+from turtleact.goals.ids import new_goal_id
+from turtleact.goals.observers import Observers
+from turtleact.goals.policies import Admission, Slot
+from turtleact.goals.records import GoalRecord
+from turtleact.goals.state import (
     CURRENT_GOAL,
     CancelCode,
     Goal,
@@ -31,16 +39,8 @@ from turtleact.goal import (
     cancel_code,
     select,
 )
-from turtleact.goal_id import new_goal_id
-from turtleact.goal_journal import GoalRecord
-from turtleact.goal_server import cancel_and_wait
 from turtleact.interfaces import Action, FeedbackFormat, Message, snapshotter, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
-from turtleact.observers import Observers
-from turtleact.server.callbacks import Callbacks
-from turtleact.server.durable import DurableGoals
-from turtleact.server.execution import Execution, Served
-from turtleact.slot import Admission, Slot
 from turtleact.tasks import GRACE, Background, Signal, Tasks
 
 __all__ = ["SHUTDOWN", "LocalActionServer", "SlotRequest", "restore_all"]
@@ -105,7 +105,7 @@ class SlotRequest:
 
 
 class LocalActionServer:
-    """Implements `turtleact.goal_server.GoalServer` for one action.
+    """Implements `turtleact.goals.goal_server.GoalServer` for one action.
 
     Args:
         served: The action, its name and its body.
@@ -488,7 +488,7 @@ class LocalActionServer:
     # canceling
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
-        """Cancel the goals that `turtleact.goal.select` chooses, and return the answer."""
+        """Cancel the goals that `turtleact.goals.state.select` chooses, and return the answer."""
         wanted = goal_id if goal_id and any(goal_id) else None
         named = self.find(wanted) if wanted else None
         by_id = wanted is not None and not stamp

@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
-from turtleact.goal import Goal, GoalStatus
-from turtleact.goal_wire import GoalReason, pack_state, reason_topic, write_states
+from turtleact.goals.observers import FeedbackLost, GoalObserver
+from turtleact.goals.server import LocalActionServer
+from turtleact.goals.state import Goal, GoalStatus
+from turtleact.goals.wire import GoalReason, pack_state, reason_topic, write_states
 from turtleact.interfaces import SECOND, Action, FeedbackFormat, Message, WireFormat, implied
 from turtleact.interfaces.standard import UUID, GoalStatusArray, GoalStatusMessage
-from turtleact.observers import FeedbackLost, GoalObserver
-from turtleact.server.local_server import LocalActionServer
 from turtleact.transports.base import Endpoint, MakeEndpoint, Publication, QoS, Source, Transport
 
 if TYPE_CHECKING:

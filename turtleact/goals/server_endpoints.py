@@ -25,8 +25,11 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 
 from turtleact.errors import GoalRejected
-from turtleact.goal import CancelCode, Goal, GoalOrder, GoalStatus
-from turtleact.goal_wire import GoalNote
+from turtleact.goals.pause_endpoints import PauseEndpoints
+from turtleact.goals.server import LocalActionServer
+from turtleact.goals.server_topics import FeedbackTopic, ReasonTopic, StatusTopic
+from turtleact.goals.state import CancelCode, Goal, GoalOrder, GoalStatus
+from turtleact.goals.wire import GoalNote
 from turtleact.interfaces import (
     Action,
     Implied,
@@ -37,9 +40,6 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
-from turtleact.server.action_topics import FeedbackTopic, ReasonTopic, StatusTopic
-from turtleact.server.local_server import LocalActionServer
-from turtleact.server.pause_endpoints import PauseEndpoints
 from turtleact.services import LocalServiceServer, service_events
 from turtleact.summaries import CUT_OFF, STOPPED
 from turtleact.tasks import GRACE, Tasks, wait_while
@@ -264,8 +264,8 @@ class _SendGoal(_ActionService):
 
     Attributes:
         goal_server: The server that clients in the same process call directly; see
-            `turtleact.goal_server`. If introspection is on, `goal_server` is missing. Clients in
-            the same process then send requests, as clients in other processes do.
+            `turtleact.goals.goal_server`. If introspection is on, `goal_server` is missing. Clients
+            in the same process then send requests, as clients in other processes do.
         expect_readers: Called when the first goal from another process arrives. A client that sends
             a goal also reads feedback.
         on_rejection: Called when a goal is rejected, with the goal's id and the reason.

@@ -18,8 +18,8 @@ from typing import cast
 import anyio
 
 from turtleact.errors import GoalRejected, InvalidMessage, TurtleactError
-from turtleact.goal import Goal, GoalEvent, GoalStatus
-from turtleact.goal_journal import GoalChange, GoalJournal, GoalRecord, OnRestart, Resumed
+from turtleact.goals.records import GoalChange, GoalJournal, GoalRecord, OnRestart, Resumed
+from turtleact.goals.state import Goal, GoalEvent, GoalStatus
 from turtleact.interfaces import Action, Message, WireFormat, type_hash
 from turtleact.summaries import encodable
 

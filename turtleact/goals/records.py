@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
-from turtleact.goal import GoalStatus
+from turtleact.goals.state import GoalStatus
 
 if TYPE_CHECKING:
     from turtleact.interfaces import Message

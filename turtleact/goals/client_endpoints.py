@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar, cast
 
 import anyio
 
-from turtleact.body import ActionType
 from turtleact.errors import PauseRefused, ServerUnavailable
-from turtleact.goal import CancelCode, Goal, GoalStatus
-from turtleact.goal_wire import (
+from turtleact.goals.body import ActionType
+from turtleact.goals.state import CancelCode, Goal, GoalStatus
+from turtleact.goals.wire import (
     PausedGoals,
     SetPaused,
     State,

@@ -19,7 +19,7 @@ from typing import Any, Final, TypeAlias
 
 import msgspec
 
-from turtleact.goal import CURRENT_GOAL, Goal, GoalOrder, GoalStatus
+from turtleact.goals.state import CURRENT_GOAL, Goal, GoalOrder, GoalStatus
 from turtleact.summaries import STOPS, loggable
 
 __all__ = [

@@ -42,12 +42,12 @@ from typing import (
 )
 
 from turtleact.errors import InvalidBody, InvalidOption
-from turtleact.goal import CancelResponse, GoalResponse
-from turtleact.goal_journal import GoalJournal, OnRestart
+from turtleact.goals.policies import Policy
+from turtleact.goals.records import GoalJournal, OnRestart
+from turtleact.goals.state import CancelResponse, GoalResponse
 from turtleact.interfaces import Action, Message
 from turtleact.interfaces.types import expect_interface
 from turtleact.names import validate_name
-from turtleact.slot import Policy
 
 if TYPE_CHECKING:
     from turtleact.introspection import Introspection

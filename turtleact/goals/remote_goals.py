@@ -30,7 +30,6 @@ from typing import Any, Final, cast
 import anyio
 import msgspec
 
-from turtleact.client.client_endpoints import ClientEndpoints
 from turtleact.errors import (
     GoalRejected,
     ServerUnavailable,
@@ -38,19 +37,20 @@ from turtleact.errors import (
     TurtleactError,
     UnknownGoal,
 )
-from turtleact.feedback import FeedbackLog
-from turtleact.goal import Cancelable, Goal, GoalEvent, GoalStatus, status_of
-from turtleact.goal_wire import GoalNote, State
+from turtleact.goals.client_endpoints import ClientEndpoints
+from turtleact.goals.feedback import FeedbackLog
+from turtleact.goals.observers import FeedbackLost, Observers
+from turtleact.goals.state import Cancelable, Goal, GoalEvent, GoalStatus, status_of
+from turtleact.goals.wire import GoalNote, State
 from turtleact.interfaces import SECOND, Message, nanoseconds, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
-from turtleact.observers import FeedbackLost, Observers
 from turtleact.summaries import STOPS, loggable, summary
 from turtleact.tasks import Signal, Tasks, wait_while
 from turtleact.transports.base import REQUEST_NOTE, PendingCall, Reply
 
 __all__ = ["RemoteGoal", "RemoteGoals", "goal_lost"]
 
-logger = logging.getLogger("turtleact.client")
+logger = logging.getLogger("turtleact.goals.client")
 
 MOST_UNREAD: Final = 1 << 16
 """How many feedback messages may be unread before the oldest are dropped."""

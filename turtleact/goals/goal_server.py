@@ -1,8 +1,8 @@
 """The interface of an action server as its clients see it, in the same process or another.
 
 In the same process, a client uses the server's own `Goal` objects and sends no messages. For a
-server in another process, `turtleact.client` has a proxy, whose goals are updated by messages. The
-server and the proxy implement the interface below.
+server in another process, `turtleact.goals.client` has a proxy, whose goals are updated by
+messages. The server and the proxy implement the interface below.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import anyio
 
 from turtleact.errors import TurtleactError
-from turtleact.goal import Goal, GoalOrder
+from turtleact.goals.state import Goal, GoalOrder
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.tasks import Signal
 

@@ -19,16 +19,16 @@ from functools import partial
 from types import CoroutineType
 from typing import NamedTuple, Protocol, TypeAlias, cast
 
-from turtleact.body import ActionType, Body, ServerOptions, Steps
 from turtleact.errors import Abort, Cancel, InvalidMessage, InvalidTransition, TurtleactError
-from turtleact.feedback import FeedbackLog
-from turtleact.goal import CURRENT_GOAL, Goal, GoalEvent, GoalStatus, GoalTable
-from turtleact.goal_id import new_goal_id
+from turtleact.goals.body import ActionType, Body, ServerOptions, Steps
+from turtleact.goals.body_task import BodyTask
+from turtleact.goals.durable import DurableGoals
+from turtleact.goals.feedback import FeedbackLog
+from turtleact.goals.ids import new_goal_id
+from turtleact.goals.observers import BodyFailed, Lost, Observers
+from turtleact.goals.pausing import Pauses
+from turtleact.goals.state import CURRENT_GOAL, Goal, GoalEvent, GoalStatus, GoalTable
 from turtleact.interfaces import Message, snapshotter
-from turtleact.observers import BodyFailed, Lost, Observers
-from turtleact.server.body_task import BodyTask
-from turtleact.server.durable import DurableGoals
-from turtleact.server.pausing import Pauses
 from turtleact.summaries import CUT_OFF, STOPPED, STOPS, loggable, summary, text_of
 from turtleact.tasks import Home, Signal, Tasks, is_cancellation, wait_while
 

@@ -16,7 +16,7 @@ from contextvars import Context
 from time import monotonic
 from typing import Any, Protocol, Self
 
-from turtleact.goal import Cancelable, Goal
+from turtleact.goals.state import Cancelable, Goal
 from turtleact.tasks import Tasks
 
 __all__ = ["BLOCKING", "BodyTask"]
@@ -26,7 +26,7 @@ BLOCKING = 0.5
 
 
 class Runner(Protocol):
-    """What a body task needs from the server; see `turtleact.server.execution`."""
+    """What a body task needs from the server; see `turtleact.goals.execution`."""
 
     def open_body(self, goal: Goal, task: BodyTask) -> Coroutine[object, object, object]:
         """Return the coroutine that runs the goal's body. Called in the body's task."""
