@@ -282,10 +282,9 @@ class ServeVerb(Verb):
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as in `Verb`
         """Parse the arguments. A ``--web`` that no ``[HOST:]PORT`` follows gets `WEB_PORT`."""
-        nexts = [*args[1:], ""]
         full = [
             f"--web={WEB_PORT}" if arg == "--web" and not _PORT.fullmatch(after) else arg
-            for arg, after in zip(args, nexts, strict=True)
+            for arg, after in zip(args, [*args[1:], ""], strict=False)
         ]
         return super().parse_args(ctx, full)
 
