@@ -468,22 +468,30 @@ def test_a_full_disk_leaves_a_closed_file_and_all_losses_are_counted(tmp_path, d
     assert lost_in(info) == writer.lost
 
 
-@pytest.mark.parametrize("room", range(100_000, 101_000, 97))
-def test_room_is_kept_for_the_end_of_a_bag(tmp_path, disk, room):
-    disk(room)
+def test_a_full_disk_leaves_a_folder_that_counts_its_losses(tmp_path, disk):
+    disk(100_000)
     path = tmp_path / "run"
     writer = opened(path)
     given = fill_up(writer)
-    with contextlib.suppress(OSError):  # the last chunk may still not fit
+    with contextlib.suppress(OSError):  # it fits if messages are removed
         writer.close({"/other": 3})
-    assert sorted(each.name for each in path.iterdir()) == ["metadata.yaml", "run_0.mcap"]
-    assert writer.lost.total() <= 10  # the last chunk
     described, alone = info_of(path), info_of(path / "run_0.mcap")
     assert described.count + writer.lost.total() == given
     assert len(by_rosbags(path)) == described.count == alone.count
     assert lost_in(described) == lost_in(alone) == {**writer.lost, "/other": 3}
-    assert described.is_closed
-    assert alone.is_closed
+
+
+def test_a_folder_whose_description_found_no_room_is_read(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    writer = opened(tmp_path / "run")
+    fill(writer, 10)
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OSError, match="No space left"):
+        writer.close({})
+    assert [each.name for each in (tmp_path / "run").iterdir()] == ["run_0.mcap"]
+    assert len(stamps(tmp_path / "run")) == info_of(tmp_path / "run").count == 10
 
 
 def test_an_index_that_takes_the_room_of_messages_is_an_error(tmp_path, disk):
@@ -518,27 +526,9 @@ def test_a_bag_says_that_its_file_could_not_be_closed(tmp_path, disk, monkeypatc
     assert info.custom["lost:/other"] == "3"
 
 
-@pytest.mark.parametrize("gone", ["run", "run/run_0.mcap"])
-def test_a_bag_that_was_deleted_is_noticed(tmp_path, gone):
-    writer = opened(tmp_path / "run")
-    fill(writer, 10)
-    (tmp_path / gone).rename(tmp_path / "moved")
-    for step in (writer.flush, lambda: writer.close({})):
-        with pytest.raises(FileNotFoundError, match="it was deleted, moved or renamed") as caught:
-            step()
-        assert caught.value.filename == str(tmp_path / gone)
-
-
 def test_a_name_that_is_not_utf8_is_refused(tmp_path):
     with pytest.raises(BagError, match="its name is not UTF-8, as ROS 2's file metadata"):
         BagWriter(tmp_path / os.fsdecode(b"bad\xffname"), Split())
-    assert not list(tmp_path.iterdir())
-
-
-def test_without_room_no_folder_is_left(tmp_path, disk):
-    disk(1_000)
-    with pytest.raises(BagError, match="it cannot be created: No space left"):
-        BagWriter(tmp_path / "run", Split())
     assert not list(tmp_path.iterdir())
 
 
@@ -567,6 +557,8 @@ def test_without_room_for_its_head_no_file_is_left(tmp_path, disk):
     disk(0)
     with pytest.raises(OSError, match="No space left"):
         McapWriter(tmp_path / "run.mcap")
+    with pytest.raises(BagError, match="it cannot be created: No space left"):
+        BagWriter(tmp_path / "run", Split())
     assert not list(tmp_path.iterdir())
 
 

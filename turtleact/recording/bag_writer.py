@@ -1,7 +1,7 @@
 """Writes a bag: a single file, or a folder with files and ``metadata.yaml``.
 
-A disk may fill up during a recording. A hidden file in the folder therefore reserves disk space for
-the index of the last file and for ``metadata.yaml``.
+If the disk fills up, the last file loses chunks until its index fits. A bag whose ``metadata.yaml``
+found no room can be read without it.
 
 A write may block while the disk is busy, so `turtleact.recording.spool` writes in a thread of its
 own.
@@ -12,9 +12,7 @@ Source: rosbag2 ``sequential_writer.cpp``.
 from __future__ import annotations
 
 import contextlib
-import errno
 from collections import Counter
-from io import FileIO
 from pathlib import Path
 from typing import Final
 
@@ -40,24 +38,8 @@ __all__ = ["BagWriter", "Split"]
 ABOUT: Final = "rosbag2"
 """The name of the metadata records that describe the bag."""
 
-GONE: Final = "it was deleted, moved or renamed while it was written"
-"""The text of the error if a file or the folder is missing."""
-
 DISTRO: Final = "turtleact"
 """The text that a bag has in place of a ROS distribution."""
-
-
-STEP: Final = 32 * 1024
-"""The reserved disk space grows in steps of this many bytes."""
-
-TOPIC_SIZE: Final = 500
-"""An upper bound for the size of a topic's entry in ``metadata.yaml`` (bytes).
-
-The bound does not count the names and the QoS profiles in the entry.
-"""
-
-FILE_SIZE: Final = 300
-"""The maximum size of a file's entry in ``metadata.yaml``, without the file's name (bytes)."""
 
 
 class Split(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,7 +74,6 @@ class BagWriter:
     """
 
     _writer: McapWriter
-    _room: _Room | None = None
 
     def __init__(self, path: Path, split: Split) -> None:
         self.path = path
@@ -108,7 +89,6 @@ class BagWriter:
         self._head = {"serialized_metadata": embedded(BagInfo(distro=DISTRO))}
         self._total: Counter[int] = Counter()
         self._files: list[BagFile] = []
-        self._described_size = STEP  # about how many bytes the description will have
         self._first = 0
         self._is_open = False
         self._not_closed = ""  # the file that could not be closed
@@ -129,16 +109,13 @@ class BagWriter:
             "offered_qos_profiles": offers_text(channel.offers),
             "topic_type_hash": channel.type_hash,
         }
-        about = 3 * len(self._about[number]["offered_qos_profiles"])
-        names = 4 * len(channel.topic) + len(channel.schema.name)
-        self._described_size += TOPIC_SIZE + about + names
         self._register(number)
 
     def write(self, number: int, stamp: int, sent: int, data: bytes) -> None:
         """Add a message to the current chunk. The chunk is written to disk when it is full.
 
         Raises:
-            OSError: if the disk is full or gone, or the file was deleted. The caller must then call
+            OSError: if the disk is full or gone. The caller must then call
                 `close`.
         """
         if self._is_time_to_split(stamp):
@@ -158,12 +135,9 @@ class BagWriter:
         """Write all messages added so far to disk, so that they survive if the process is killed.
 
         Raises:
-            OSError: if the disk is full or gone, or the file was deleted. The caller must then call
+            OSError: if the disk is full or gone. The caller must then call
                 `close`.
         """
-        self._look_for([self._name])
-        if self._room is not None:
-            self._room.keep(self._writer.index_size + self._described_size)
         self._writer.flush()
 
     def close(self, lost: dict[str, int]) -> None:
@@ -173,8 +147,8 @@ class BagWriter:
             lost: How many messages of each topic were dropped instead of being passed to `write`.
 
         Raises:
-            OSError: if something could not be written, or a file or the folder was deleted. The
-                messages that were written and not deleted can still be read.
+            OSError: if something could not be written, or the folder was deleted. The messages that
+                were written can still be read.
         """
         errors: list[OSError] = []
         for step in (self._close_file, self._describe):
@@ -182,7 +156,6 @@ class BagWriter:
                 step(lost)
             except OSError as problem:
                 errors.append(problem)
-        self._look_for([each.path for each in self._files])
         if errors:
             raise errors[0]
 
@@ -208,12 +181,8 @@ class BagWriter:
             if not self._is_single:
                 path.mkdir(parents=True)
                 is_made = True
-                self._room = _Room(path / f".{METADATA}")
-                self._room.keep(STEP)
             self._writer = self._begin()
         except OSError as error:
-            if self._room is not None:
-                self._room.close()
             if is_made:  # an empty folder would only be in the way
                 with contextlib.suppress(OSError):
                     path.rmdir()
@@ -221,18 +190,6 @@ class BagWriter:
                 problem = "it exists already; give another name, or delete it"
                 raise BagError(path, problem) from None
             raise BagError(path, f"it cannot be created: {error.strerror}") from error
-
-    def _look_for(self, names: list[str]) -> None:
-        """Check that nobody has deleted these files or the folder.
-
-        Raises:
-            FileNotFoundError: if the folder or one of the files is missing.
-        """
-        if not self._folder.exists():
-            raise FileNotFoundError(errno.ENOENT, GONE, str(self._folder))
-        for name in names:
-            if not (self._folder / name).exists():
-                raise FileNotFoundError(errno.ENOENT, GONE, str(self._folder / name))
 
     def _begin_another(self) -> None:
         """Close the current file and begin another."""
@@ -243,7 +200,6 @@ class BagWriter:
             self._register(each)
 
     def _begin(self) -> McapWriter:
-        self._described_size += FILE_SIZE + 3 * len(self._name)
         writer = McapWriter(self._folder / self._name, self._split.compression)
         writer.add_metadata(ABOUT, self._head)
         self._offered.clear()
@@ -266,7 +222,7 @@ class BagWriter:
         )
 
     def _close_file(self, lost: dict[str, int]) -> None:
-        """Close the last file, after freeing the disk space that is reserved for its index."""
+        """Close the last file."""
         if not self._is_open:
             return
         problem: OSError | None = None
@@ -274,8 +230,6 @@ class BagWriter:
             self._writer.flush()
         except OSError as error:
             problem = error
-        if self._room is not None:
-            self._room.leave_only(self._described_size)
         self._end(lost)
         if problem is not None:
             raise problem
@@ -319,7 +273,7 @@ class BagWriter:
 
     def _describe(self, lost: dict[str, int]) -> None:
         """Write ``metadata.yaml``, completely or not at all."""
-        if self._room is None:
+        if self._is_single:
             return
         custom = _custom(self.lost + Counter(lost))
         if self._not_closed:
@@ -342,76 +296,13 @@ class BagWriter:
             distro=DISTRO,
             custom=custom,
         )
+        draft = self.path / f".{METADATA}"
         try:
-            self._room.become(self.path / METADATA, write_info(info).encode())
-        finally:
-            self._room.close()
-
-
-class _Room:
-    """Reserves disk space with a hidden file, which becomes ``metadata.yaml`` in the end.
-
-    The file is filled with zeros, which can be overwritten even if the disk is full.
-
-    Args:
-        path: The hidden file, which must not exist yet.
-
-    Raises:
-        OSError: if the file cannot be created.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._file: FileIO = path.open("xb", buffering=0)
-        self._size = 0
-
-    def keep(self, size: int) -> None:
-        """Reserve at least ``size`` bytes. Raise OSError if the disk has too little space."""
-        if size <= self._size:
-            return
-        wanted = (size // STEP + 1) * STEP
-        self._file.seek(self._size)
-        try:
-            _write(self._file, bytes(wanted - self._size))
+            draft.write_text(write_info(info), encoding="utf-8", newline="\n")
+            draft.replace(self.path / METADATA)
         except OSError:
-            self._file.truncate(self._size)
+            draft.unlink(missing_ok=True)
             raise
-        self._size = wanted
-
-    def leave_only(self, size: int) -> None:
-        """Keep the first ``size`` bytes of the reserved space, and free the rest."""
-        if size < self._size:
-            self._file.truncate(size)
-            self._size = size
-
-    def become(self, path: Path, content: bytes) -> None:
-        """Replace the zeros in the file by ``content``, and rename the file to ``path``.
-
-        Raises:
-            OSError: if the file cannot be written or renamed.
-        """
-        self._file.seek(0)
-        _write(self._file, content)
-        self._file.truncate()
-        self._file.close()  # Windows does not rename an open file
-        self._path.replace(path)
-
-    def close(self) -> None:
-        """Close the file, and delete it unless it was renamed."""
-        self._file.close()
-        with contextlib.suppress(OSError):
-            self._path.unlink()
-
-
-def _write(file: FileIO, data: bytes) -> None:
-    """Write all of the data.
-
-    On a nearly full disk, the first call of ``file.write`` writes only a part of the data, and the
-    second call raises OSError.
-    """
-    view = memoryview(data)
-    while view:
-        view = view[file.write(view) or 0 :]
 
 
 def _custom(lost: Counter[str]) -> dict[str, str]:

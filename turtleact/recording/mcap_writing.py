@@ -67,9 +67,6 @@ MESSAGE: Final = struct.Struct("<BQHIQQ")
 The fields are opcode, length, channel, sequence, log time and publish time.
 """
 
-INDEX_SIZE: Final = 1000
-"""An upper bound for the size of an index without channels and chunks (bytes)."""
-
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
 
 
@@ -96,14 +93,12 @@ class McapWriter:
         end: The time of the latest message in the written chunks (ns since 1970); 0 if there is
             none.
         waiting: How many messages wait in the current chunk.
-        index_size: The approximate number of bytes that `finish` will write.
         is_finished: Whether the index has been written.
     """
 
     def __init__(self, path: Path, compression: Compression = "none") -> None:
         self.counts: Counter[int] = Counter()
         self.start = self.end = 0
-        self.index_size = INDEX_SIZE
         self.is_finished = False
         self._compress = _compressor(compression)
         self._compression = "" if compression == "none" else "zstd"
@@ -219,7 +214,6 @@ class McapWriter:
             uncompressed_size=len(content),
         )
         self._chunk_index.append(_bytes_of(index))
-        self.index_size += len(self._chunk_index[-1])
         counts = Counter({channel: len(numbers) // 2 for channel, numbers in entries.items()})
         self._last.append(_Written(offset, counts))
         self.start = min(first, self.start) if self.counts else first
@@ -278,7 +272,6 @@ class McapWriter:
         data = _bytes_of(record)
         self._parts.append(data)
         self._chunk_size += len(data)
-        self.index_size += len(data)
 
     def _append(self, data: bytes | bytearray) -> None:
         """Write all of the data at the end of the file, or none of it."""
