@@ -183,7 +183,6 @@ def test_half_a_surrogate_pair_is_never_written(field):
             wide: wstring = ""
 
     feedback = Said.Feedback(**{field: "caf\udce9"})
-    assert FeedbackFormat(Said).write_unchecked(bytes(16), feedback) is None
     with pytest.raises(InvalidMessage, match=rf"{field}: character 3 is half a surrogate pair"):
         FeedbackFormat(Said).write(bytes(16), feedback)
 

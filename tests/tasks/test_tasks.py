@@ -201,15 +201,6 @@ async def test_a_task_that_was_just_spawned_has_run_after_a_checkpoint():
         assert log == ["ran"]
 
 
-@ON_ASYNCIO
-async def test_the_first_step_has_run_when_spawn_returns_where_python_can_start_eagerly():
-    log: list[object] = []
-    current_tasks().spawn(note(log, "ran"), "lab", is_eager=True)
-    assert log == (["ran"] if sys.version_info >= (3, 12) else [])
-    await settle()
-    assert log == ["ran"]
-
-
 async def test_a_task_cancelled_before_its_first_step_runs_that_step_all_the_same():
     log: list[object] = []
     current_tasks().spawn(wait_forever(log), "lab").cancel()
@@ -228,22 +219,6 @@ async def test_a_step_runs_inside_its_own_task():
     current_tasks().spawn(body(), "lab")
     await settle()
     assert seen[0] == seen[1] != anyio.get_current_task().id
-
-
-@ON_ASYNCIO
-async def test_tasks_that_start_one_another_are_not_nested_without_end():
-    log: list[int] = []
-    tasks = current_tasks()
-
-    async def body(depth: int) -> None:
-        log.append(depth)
-        if depth:
-            tasks.spawn(body(depth - 1), "lab", is_eager=True)
-
-    tasks.spawn(body(2000), "lab", is_eager=True)
-    while len(log) <= 2000:
-        await asyncio.sleep(0)
-    assert log[-1] == 0
 
 
 def test_a_task_in_no_shielded_scope_is_not_shielded():

@@ -59,7 +59,6 @@ class BodyTask(Coroutine[object, object, None]):
 
     __slots__ = (
         "_goal",
-        "_has_ended",
         "_is_cancel_due",
         "_is_dropped",
         "_runner",
@@ -78,38 +77,24 @@ class BodyTask(Coroutine[object, object, None]):
         self._task: Cancelable | None = None
         self._is_cancel_due = False
         self._is_dropped = False
-        self._has_ended = False
 
     def start(self, name: str, context: Context | None) -> None:
-        """Start the task in ``context``, or in a copy of the current context.
-
-        The task is eager, so its first step runs inside this call. The first step may end the body.
-        The first step may also cancel the goal, but cannot cancel the task, because `_task` is not
-        set yet. In this case, `start` cancels the task after the step.
-        """
-        task = self._tasks.spawn(self, name, context, is_eager=True)
-        if not self._has_ended:
-            self._task = task
-            if self._is_cancel_due and not self._goal.is_decided:
-                self.cancel()
+        """Start the task in ``context``, or in a copy of the current context."""
+        self._task = self._tasks.spawn(self, name, context)
 
     def cancel(self) -> None:
         """Cancel the body at its next await outside a shield.
 
         If the body has not started yet, it never starts.
         """
-        # There are four cases. (1) The body has not begun: `send` never begins it. The goal ends
-        # now, or stays unfinished in the journal while the server is suspended. (2) The body is in
-        # its first step, so `start` has not stored the task yet: `start` or `send` cancels
-        # afterwards. (3) The task is in an anyio shield, which `asyncio.Task.cancel` would break:
-        # `send` cancels after the step that leaves the shield. (4) Otherwise the task is cancelled
-        # now.
+        # There are three cases. (1) The body has not begun: `send` never begins it. The goal ends
+        # now, or stays unfinished in the journal while the server is suspended. (2) The task is in
+        # an anyio shield, which `asyncio.Task.cancel` would break: `send` cancels after the step
+        # that leaves the shield. (3) Otherwise the task is cancelled now.
         if self._steps is None:
             self._is_dropped = True
             self._runner.end_unstarted(self._goal)
-        elif self._task is None:
-            self._is_cancel_due = True
-        else:
+        elif self._task is not None:
             self._is_cancel_due = self._tasks.is_shielded(self._task)
             if not self._is_cancel_due:
                 self._task.cancel()
@@ -165,7 +150,6 @@ class BodyTask(Coroutine[object, object, None]):
         try:
             waits_for = resume(value)
         except BaseException as error:
-            self._has_ended = True
             self._task = None  # breaks the cycle with the task, so that both are freed at once
             self._runner.close_body(self._goal, self, error)
             raise StopIteration from None  # the task has ended, too

@@ -576,10 +576,6 @@ class _Relay(GoalObserver):
         self._client = client
         self._observers = observers
 
-    @property
-    def wants_acceptance(self) -> bool:
-        return self._observers.want_acceptance
-
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         if goal.sender is self._client:
             self._observers.goal_changed(goal, before, after)

@@ -75,9 +75,6 @@ class FeedbackOutlet(Protocol):
     def is_congested(self) -> bool:
         """Whether bodies should wait before they publish more."""
 
-    def emit(self, goal: Goal, feedback: object) -> bool:
-        """Send feedback without copying it. Return False, without sending, if a copy is needed."""
-
     def publish(self, goal: Goal, message: Message) -> None:
         """Send a message that is already a checked copy of the feedback."""
 
@@ -205,7 +202,9 @@ class Execution:
             item = await step(None)
             while type(item) is not result_type:
                 try:
-                    if self._publish_or_emit(goal, item):
+                    status = goal.status
+                    self.publish(goal, item)
+                    if goal.status is not status:
                         countdown = 1  # a callback has cancelled the goal: deliver that now
                     if goal.hold is not None:
                         await self.pauses.stand(goal)
@@ -231,25 +230,6 @@ class Execution:
             raise Abort(f"the body's result does not fit: {misfit}") from None
         await self._finish(steps)
         return result
-
-    def _publish_or_emit(self, goal: Goal, feedback: object) -> bool:
-        """Publish feedback, and return whether a callback or observer has canceled the goal.
-
-        Without a journal, this method repeats the code of `publish`, because another function call
-        for each message would be too slow.
-        """
-        if self.durable is not None:
-            self.publish(goal, feedback)
-            return False  # callbacks and observers hear of it later
-        outlet = self.outlet
-        if outlet is not None and not self.observers.want_feedback and outlet.emit(goal, feedback):
-            return False
-        status, reason = goal.status, goal.reason
-        message = self._check_feedback(feedback)
-        if goal.is_decided:
-            raise InvalidTransition(status, "feedback", goal.hex)
-        self._announce(goal, message)
-        return goal.status is not status or goal.reason is not reason
 
     async def _yield_turn(self, goal: Goal) -> None:
         """Let other tasks run, and wait while the journal or a reader of feedback is far behind."""

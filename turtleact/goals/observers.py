@@ -14,7 +14,6 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable
-from operator import attrgetter
 from typing import Any, Final, TypeAlias
 
 import msgspec
@@ -76,16 +75,6 @@ class GoalObserver:
 
     A subclass overrides only the methods that the subclass needs.
     """
-
-    @property
-    def wants_acceptance(self) -> bool:
-        """Whether the observer needs the state ACCEPTED even for a goal that starts at once.
-
-        If no observer of a server needs ACCEPTED, a goal that starts at once goes directly from
-        UNKNOWN to EXECUTING. This saves a tenth of the server's work for a goal from another
-        process.
-        """
-        return True
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Called after a goal has changed its state. For a new goal, ``before`` is UNKNOWN."""
@@ -160,9 +149,6 @@ class Hook(GoalObserver):
             CURRENT_GOAL.reset(token)
 
 
-_wants_acceptance = attrgetter("wants_acceptance")
-
-
 class Observers:
     """The observers of one server or client.
 
@@ -185,7 +171,6 @@ class Observers:
         "_listeners",
         "_observers",
         "_untold",
-        "_watchers",
         "are_any",
         "want_bodies",
         "want_calls",
@@ -208,11 +193,6 @@ class Observers:
     def remove(self, observer: GoalObserver) -> None:
         """Stop notifying ``observer`` of changes. Do nothing if ``observer`` was not added."""
         self._set(tuple(each for each in self._observers if each is not observer))
-
-    @property
-    def want_acceptance(self) -> bool:
-        """Whether any observer needs the state ACCEPTED; see `GoalObserver.wants_acceptance`."""
-        return any(map(_wants_acceptance, self._watchers))
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Tell all observers of a goal's new state."""
@@ -263,10 +243,6 @@ class Observers:
             )
             for method in _METHODS
         }
-        # Those that hear of states. Most servers have one, the status topic.
-        self._watchers = tuple(
-            each for each in observers if type(each).goal_changed is not GoalObserver.goal_changed
-        )
         # Every server has an observer that only hears of pauses. It must not slow down all goals.
         self.are_any = any(
             self._listeners[method] for method in ("goal_changed", "feedback_published", "noted")

@@ -39,7 +39,7 @@ from turtleact.goals.state import (
     cancel_code,
     select,
 )
-from turtleact.interfaces import Action, FeedbackFormat, Message, snapshotter, stamp_of
+from turtleact.interfaces import Action, Message, snapshotter, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.tasks import GRACE, Background, Signal, Tasks
 
@@ -50,12 +50,6 @@ _ACCEPTED = GoalStatus.ACCEPTED
 _EXECUTING = GoalStatus.EXECUTING
 _CANCELING = GoalStatus.CANCELING
 _CANCEL_GOAL = GoalEvent.CANCEL_GOAL
-_AT_ONCE = ((_EXECUTING, 0),)  # the history of a goal that starts without being seen ACCEPTED
-
-IN_A_ROW = 64
-"""After this many goals in a row from this process, other tasks get a turn.
-
-Between goals from other processes, the transport lets other tasks run."""
 
 SHUTDOWN = "shutdown"
 """The default reason for goals that end because their server closes."""
@@ -162,7 +156,6 @@ class LocalActionServer:
         self.observers: Observers = self.execution.observers
         goal_type = cast("type[Message]", served.action_type.Goal)
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
-        self._until_turn = IN_A_ROW
         self._preparing: Counter[object] = Counter()  # goals not decided yet, counted by sender
         self._lost: set[object] = set()  # those of these senders that have gone
         self._accepting: dict[bytes, anyio.Event] = {}  # goals on their way to the disk, by id
@@ -192,12 +185,9 @@ class LocalActionServer:
             InvalidGoal: if the request does not fit the action.
             GoalRejected: if the goal is rejected.
         """
-        goal = self._take_in_turn(order, is_streamed=True) or await self.take(
-            order, is_streamed=True
-        )
-        # Yield once, so that the body has begun when the client gets its handle. On every loop and
-        # Python version, a cancel that the client sends next then reaches the running body. A body
-        # that starts eagerly has begun already.
+        goal = await self.take(order, is_streamed=True)
+        # Yield once, so that the body has begun when the client gets its handle. A cancel that the
+        # client sends next then reaches the running body.
         if goal.runner is None:
             try:
                 await self._tasks.checkpoint()
@@ -211,7 +201,7 @@ class LocalActionServer:
 
         Cancelling: cancels the goal and waits at most ``order.cancel_timeout`` s for its end.
         """
-        goal = self._take_in_turn(order) or await self.take(order)
+        goal = await self.take(order)
         if not goal.ended:
             signal = self.signal(goal)
             try:
@@ -221,11 +211,6 @@ class LocalActionServer:
                 await cancel_and_wait(self, goal, order.cancel_timeout)
                 raise
         return goal
-
-    def _take_in_turn(self, order: GoalOrder, *, is_streamed: bool = False) -> Goal | None:
-        """Call `take_nowait`, or return None if other tasks need a turn first."""
-        self._until_turn -= 1
-        return self.take_nowait(order, is_streamed=is_streamed) if self._until_turn > 0 else None
 
     async def take(self, order: GoalOrder, *, is_streamed: bool = False) -> Goal:
         """Accept a goal after asking the ``goal_callback``, if there is one.
@@ -281,8 +266,7 @@ class LocalActionServer:
         """Write a goal to the journal and admit it, or return the known goal with the same id."""
         request = await self._prepare(order)
         goal = self._new_goal(order, request, is_streamed=is_streamed)
-        status = _EXECUTING if self.slot is None else _ACCEPTED
-        known = await durable.accept(goal, status)
+        known = await durable.accept(goal)
         if known is not None:
             held = self._find_known(known, durable)
             return self._join(held, goal.request, is_streamed=is_streamed)
@@ -313,7 +297,7 @@ class LocalActionServer:
         return goal
 
     async def _prepare(self, order: GoalOrder) -> object:
-        """Let other tasks run, ask the ``goal_callback``, and return the request of the goal.
+        """Ask the ``goal_callback``, and return the request of the goal.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
@@ -322,9 +306,6 @@ class LocalActionServer:
         request, sender = order.request, order.sender
         self._preparing[sender] += 1
         try:
-            if self._until_turn <= 0:
-                self._until_turn = IN_A_ROW
-                await self._tasks.checkpoint()
             if self._callbacks.ask_about_goals:
                 request = self._check_goal(request)
                 await self._callbacks.may_start(request)
@@ -343,7 +324,7 @@ class LocalActionServer:
         return f"the server of '{self.name}' is shutting down"
 
     def _new_goal(self, order: GoalOrder, request: object, *, is_streamed: bool = False) -> Goal:
-        """Make an EXECUTING goal. If there is a slot, `_enter` later makes the goal ACCEPTED.
+        """Make an ACCEPTED goal.
 
         Raises:
             InvalidGoal: if the request does not fit the action.
@@ -357,13 +338,11 @@ class LocalActionServer:
         return Goal(
             self._check_goal(request),
             self._now(),
-            _EXECUTING,
-            _AT_ONCE,
-            order.goal_id,
-            on_feedback,
-            is_streamed,
-            CURRENT_GOAL.get(),
-            order.sender,
+            id=order.goal_id,
+            on_feedback=on_feedback,
+            is_streamed=is_streamed,
+            parent=CURRENT_GOAL.get(),
+            sender=order.sender,
         )
 
     def _admit(self, goal: Goal) -> Goal:
@@ -377,31 +356,25 @@ class LocalActionServer:
         if goal.parent is not None:
             self.pauses.enter(goal, goal.parent)
         if self.slot is None:
-            if self.observers.are_any:
-                self._show_accepted(goal)
-            self.execution.start(goal)
+            self._show(goal)
+            self._begin(goal)
         else:
             self._enter(goal, self.slot)
         return goal
 
-    def _show_accepted(self, goal: Goal) -> None:
-        """Tell the observers the state of a goal that starts without waiting for its turn.
+    def _show(self, goal: Goal) -> None:
+        """Tell the observers of a new goal. They may cancel the goal."""
+        if self.observers.are_any:
+            self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)
 
-        If the ``wants_acceptance`` of an observer is true, the goal is first ACCEPTED and then
-        EXECUTING. Otherwise, the goal is EXECUTING from the beginning. If an observer cancels the
-        ACCEPTED goal, the goal never becomes EXECUTING.
-        """
-        if not self.observers.want_acceptance:
-            self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _EXECUTING)
-            return
-        goal.status, goal.history = _ACCEPTED, ()
-        self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)
+    def _begin(self, goal: Goal) -> None:
+        """Start a goal's body, unless an observer has canceled the goal already."""
         if goal.status is _ACCEPTED:
             self.execution.move(goal, GoalEvent.EXECUTE)
+        self.execution.start(goal)
 
     def _enter(self, goal: Goal, slot: Slot[SlotRequest]) -> None:
         """Request a place in the slot for a goal: the goal starts, waits or is rejected."""
-        goal.status, goal.history = _ACCEPTED, ()
         request = goal.body = SlotRequest(self, goal)
         entry = slot.enter(request)
         if entry.admission is Admission.REJECT:
@@ -409,14 +382,12 @@ class LocalActionServer:
             self.pauses.end(goal)
             goal.leave_parent()
             raise GoalRejected(entry.reason)
-        if self.observers.are_any:
-            self.observers.goal_changed(goal, GoalStatus.UNKNOWN, _ACCEPTED)
-        if goal.is_decided:  # an observer has cancelled it
-            return
+        self._show(goal)
         if entry.admission is Admission.START:
             goal.body = None
-            self.execution.move(goal, GoalEvent.EXECUTE)
-            self.execution.start(goal)
+            self._begin(goal)
+            return
+        if goal.is_decided:  # an observer has cancelled it
             return
         for each in (entry.displaced, *entry.evicted):
             if each is not None:
@@ -446,9 +417,6 @@ class LocalActionServer:
         goal = self.find(goal_id)
         if goal is not None:
             goal.is_streamed = True
-            if isinstance(goal.last_feedback, bytes):  # sent as bytes, since nobody here read it
-                format = FeedbackFormat(cast("type[Action]", self.served.action_type))
-                goal.last_feedback = format.read(goal.last_feedback)
         return goal
 
     def held_ids(self) -> Collection[bytes]:
@@ -622,8 +590,7 @@ class LocalActionServer:
         if not self.is_open or goal.is_decided:
             return
         if self.slot is None:
-            self.execution.move(goal, GoalEvent.EXECUTE)
-            self.execution.start(goal)
+            self._begin(goal)
             return
         try:
             self._enter(goal, self.slot)

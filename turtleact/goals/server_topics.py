@@ -28,9 +28,6 @@ __all__ = ["FeedbackTopic", "ReasonTopic", "StatusTopic"]
 class FeedbackTopic(Source):
     """Publishes the feedback of a server's goals.
 
-    If nobody in this process reads the feedback, the body's message is encoded without copying it
-    first. Encoding checks the values, and the bytes are kept as the goal's last feedback.
-
     Args:
         server: The server.
         transport: The transport to open the topic on.
@@ -81,25 +78,6 @@ class FeedbackTopic(Source):
     async def drained(self) -> None:
         """Wait until the topic is not congested. Cancelling: safe."""
         await self._publication.drained()
-
-    def emit(self, goal: Goal, feedback: object) -> bool:
-        """Encode and send a body's feedback.
-
-        If a copy is needed, for example for a client in this process, return False and send
-        nothing.
-        """
-        publication = self._publication
-        if goal.is_streamed or goal.on_feedback or goal.ended or publication.has_object_readers:
-            return False
-        data = self._format.write_unchecked(goal.id or self._server.name_goal(goal), feedback)
-        if data is None:
-            return False
-        goal.published += 1
-        goal.last_feedback = data  # `LocalActionServer.attach` decodes it if needed
-        publication.send(data)
-        if publication.dropped != self._dropped:
-            self._tell_of_loss(goal)
-        return True
 
     def publish(self, goal: Goal, message: Message) -> None:
         """Publish feedback that has been checked and copied."""
@@ -173,15 +151,6 @@ class StatusTopic(GoalObserver):
         if has_readers:
             self._server.observers.add(self)
 
-    @property
-    def wants_acceptance(self) -> bool:
-        """Whether to publish that a goal is ACCEPTED. True if this process has a reader.
-
-        Only readers in this process get every state of a goal. Readers in other processes get the
-        newest states at the next turn of the event loop.
-        """
-        return self._publication is not None and self._publication.has_near_readers
-
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
         """Publish the status of all goals again.
 
@@ -223,11 +192,6 @@ class ReasonTopic(Source, GoalObserver):
         name, type_name = reason_topic(server.name), GoalReason.type_name
         described = endpoint("publisher", name, type_name, QoS(depth=100))
         self._publication = transport.advertise(described, WireFormat(GoalReason), self)
-
-    @property
-    def wants_acceptance(self) -> bool:
-        """False: this topic publishes nothing when a goal is accepted."""
-        return False
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Start to observe goals if the topic has readers; otherwise stop observing.

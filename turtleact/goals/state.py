@@ -193,8 +193,7 @@ class Goal(msgspec.Struct, eq=False):
     Attributes:
         request: The goal message.
         stamp: When the server accepted the goal (ns since the epoch).
-        status: The goal's state. Only `apply` changes it. A new goal may have the state EXECUTING
-            from the start.
+        status: The goal's state. Only `apply` changes it.
         history: The goal's states since its acceptance, without the final one. Each state comes
             with the number of feedback messages published before it.
         id: The 16 bytes of the goal's id; None until the id is first needed.
@@ -204,8 +203,7 @@ class Goal(msgspec.Struct, eq=False):
         sender: The client that sent the goal.
         feedback: The feedback messages that are kept for readers. None until a message is kept or a
             reader starts.
-        last_feedback: The newest feedback message, which is always kept. The message may stay
-            encoded until it is read in this process.
+        last_feedback: The newest feedback message, which is always kept.
         result: The partial result until the goal ends, then the result.
         reason: Why the goal was aborted, or will be aborted soon.
         listener: The object whose ``fire`` method wakes the tasks that wait for a change of the
@@ -243,7 +241,7 @@ class Goal(msgspec.Struct, eq=False):
     parent: Goal | None = None
     sender: object = None
     feedback: FeedbackLog | None = None
-    last_feedback: Message | bytes | None = None
+    last_feedback: Message | None = None
     result: object = None
     reason: str = ""
     listener: Listener | None = None

@@ -172,17 +172,6 @@ class FeedbackFormat(WireFormat):
             message: Any = self._classes[0]
             return self.encode(message(UUID(goal_id), feedback))
 
-    def write_unchecked(self, goal_id: bytes, feedback: object) -> bytes | None:
-        """Encode a feedback message from an object that may not be valid feedback.
-
-        Return None if the object may be invalid or may need conversion. In this case, the caller
-        must convert the object and call `write`.
-        """
-        try:
-            return self._write_strictly(feedback, self._header + goal_id)
-        except self._cdr.UNFIT:
-            return None
-
     def read(self, data: bytes) -> Message:
         """Decode only the feedback in a feedback message. The goal id is ``data[GOAL_ID]``.
 

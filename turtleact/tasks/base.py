@@ -62,17 +62,13 @@ class Tasks(Protocol):
         body: Coroutine[object, object, None],
         name: str,
         context: Context | None = None,
-        *,
-        is_eager: bool = False,
     ) -> Cancelable:
         """Run a coroutine in a new task.
 
         The caller owns the task, cancels it if necessary, and waits for its end. The coroutine must
         handle its own exceptions.
 
-        Normally, the first step of the coroutine runs after this method has returned. With
-        ``is_eager``, on asyncio from Python 3.12 on, the first step runs before this method
-        returns.
+        The first step of the coroutine runs after this method has returned.
         """
 
     def is_shielded(self, task: Cancelable) -> bool:

@@ -1,7 +1,4 @@
-"""Implements tasks and signals on asyncio and uvloop.
-
-Source: asyncio ``Task(eager_start=...)``, Python 3.12.
-"""
+"""Implements tasks and signals on asyncio and uvloop."""
 
 from __future__ import annotations
 
@@ -18,13 +15,6 @@ import msgspec
 from turtleact.tasks.base import Cancelable
 
 __all__ = ["AsyncioSignal", "AsyncioTasks", "is_in_shielded_scope"]
-
-DEEPEST = 32
-"""The maximum depth of nested eager tasks, where each task starts the next in its first step.
-
-A body that starts eagerly may send a goal, the body of that goal may also start eagerly, and so on.
-Each level takes about six of the 1,000 frames on Python's stack. A body beyond this depth starts in
-the loop's next turn."""
 
 
 def is_in_shielded_scope(task: object) -> bool:
@@ -50,31 +40,11 @@ class AsyncioTasks:
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
-        self._depth = 0
 
     def spawn(
-        self,
-        body: Coroutine[object, object, None],
-        name: str,
-        context: Context | None = None,
-        *,
-        is_eager: bool = False,
+        self, body: Coroutine[object, object, None], name: str, context: Context | None = None
     ) -> Cancelable:
-        """Run a coroutine in a new task.
-
-        With ``is_eager``, from Python 3.12 on, the first step runs before this method returns,
-        unless the task is nested deeper than `DEEPEST` levels.
-        """
-        if sys.version_info >= (3, 12) and is_eager and self._depth < DEEPEST:
-            # An eager task runs its first step inside this call. That step may spawn another task,
-            # and so on, which is why the depth is limited.
-            self._depth += 1
-            try:
-                return asyncio.Task(
-                    body, loop=self._loop, name=name, context=context, eager_start=True
-                )
-            finally:
-                self._depth -= 1
+        """Run a coroutine in a new task. Its first step runs after this method has returned."""
         if isinstance(body, CoroutineType):
             body = _Begun(body)
         return asyncio.Task(body, loop=self._loop, name=name, context=context)
@@ -84,11 +54,7 @@ class AsyncioTasks:
         return is_in_shielded_scope(task)
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Schedule a callback for the loop's next turn.
-
-        The callback may run the first step of a goal's body. This first step must not run inside a
-        step of another body.
-        """
+        """Schedule a callback for the loop's next turn."""
         self._loop.call_soon(callback)
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
@@ -110,11 +76,7 @@ class AsyncioTasks:
         return task is None or task.cancelling() > 0
 
     def stop_program(self, error: BaseException) -> None:
-        """Raise the error in a callback of the loop, so that `asyncio.run` ends with the error.
-
-        An eager task must not raise the error itself, because the code that started the task would
-        get it.
-        """
+        """Raise the error in a callback of the loop, so that `asyncio.run` ends with the error."""
         self._loop.call_soon(_throw, error)
 
     def stoppable(self) -> AbstractContextManager[None]:

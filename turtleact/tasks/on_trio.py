@@ -44,8 +44,6 @@ class TrioTasks:
         body: Coroutine[object, object, None],
         name: str,
         context: Context | None = None,
-        *,
-        is_eager: bool = False,  # noqa: ARG002  # for asyncio
     ) -> TrioTask:
         """Run a coroutine in a new task. Its first step runs after this method has returned."""
         task = TrioTask(self._trio.CancelScope())

@@ -110,11 +110,6 @@ class _ServerMeter(GoalObserver):
         for goal in local_server_of(server).held():
             self._move(GoalStatus.UNKNOWN, goal.status)
 
-    @property
-    def wants_acceptance(self) -> bool:
-        """Always False, because a goal that starts at once has no waiting time to measure."""
-        return False
-
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Count the goal in its new state.
 

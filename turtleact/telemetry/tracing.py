@@ -181,11 +181,6 @@ class _Spans(GoalObserver):
         self.records.setdefault(goal_id, record)
         return record
 
-    @property
-    def wants_acceptance(self) -> bool:
-        """Always False, because `goal_changed` already records the event "accepted"."""
-        return False
-
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Record a change of a goal's state in the goal's span."""
         record = self.records.get(goal.id)
