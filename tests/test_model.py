@@ -592,7 +592,7 @@ class Model:
                 self.evict(each, reason)
 
     def execute(self, goal: ModelGoal) -> None:
-        """Start a body; eager start, on asyncio from Python 3.12 on, shows no difference."""
+        """Start a body."""
         goal.enter("EXECUTING")
         goal.process = Process(self, self.body(goal))
         self.soon(goal.process.begin)
@@ -742,7 +742,9 @@ class Model:
             self.end(goal, "SUCCEEDED", (goal.number,))
             return
         if verdict == "nothing":
-            self.end(goal, "ABORTED", None, "no result")
+            yields = goal.server.plan.is_generator
+            way = "the last value yielded must be" if yields else "the body must return"
+            self.end(goal, "ABORTED", None, f"no result: {way} a Result")
             return
         is_canceling = goal.status == "CANCELING"
         if verdict == "abort":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import anyio
@@ -36,29 +35,25 @@ UNCLEAR = ServerUnavailable("/count", "the server went away", otherwise="dropped
 class Early:
     """A request that was sent early."""
 
-    is_over = False
     came: Reply | Exception
 
     def __init__(self) -> None:
         self.is_dropped = False
-        self._told: Callable[[], object] = lambda: None
+        self._is_over = anyio.Event()
 
     def come(self, what: Reply | Exception) -> None:
         """Be over."""
-        self.came, self.is_over = what, True
-        self._told()
+        self.came = what
+        self._is_over.set()
 
-    def tell(self, told: Callable[[], object]) -> None:
-        self._told = told
-
-    def take(self) -> Reply:
-        assert self.is_over
+    async def reply(self) -> Reply:
+        try:
+            await self._is_over.wait()
+        finally:
+            self.is_dropped = not self._is_over.is_set()
         if isinstance(self.came, Exception):
             raise self.came
         return self.came
-
-    async def reply(self) -> Reply:
-        return self.take()
 
     def drop(self) -> None:
         self.is_dropped = True
@@ -136,8 +131,10 @@ async def test_a_goal_ends_with_the_reply_to_the_second_request():
     server = Server()
     goals, sent = follow(server)
     server.sent.come(ACCEPTED)
+    await settle()
     assert not sent.ended
     server.asked.come(SUCCEEDED)
+    await settle()
     assert (sent.status, sent.result) == (GoalStatus.SUCCEEDED, result(7))
     assert goals.by_id == {}
 
@@ -146,24 +143,23 @@ async def test_a_result_that_comes_first_waits_for_the_acceptance():
     server = Server()
     _, sent = follow(server)
     server.asked.come(SUCCEEDED)
+    await settle()
     assert not sent.ended
     server.sent.come(ACCEPTED)
+    await settle()
     assert sent.status is GoalStatus.SUCCEEDED
 
 
-async def test_a_result_is_handled_in_its_turn_after_the_feedback_before_it():
+async def test_a_result_waits_for_the_feedback_before_it():
     server = Server()
     goals, sent = follow(server)
-    message = SUCCEEDED.message
-    server.asked.came = Reply(message, GoalNote(feedback=1).write())
-    server.asked.is_over = True  # a thread has brought it; the loop has not come to it yet
     server.sent.come(ACCEPTED)
-    remote = goals.by_id[bytes(16)]
-    assert remote.task is None
+    server.asked.come(Reply(SUCCEEDED.message, GoalNote(feedback=1).write()))
+    await settle()
     assert not sent.ended
-    remote.received = 1
-    server.asked.come(server.asked.came)
-    assert remote.task is None
+    goals.by_id[bytes(16)].received = 1
+    goals.signal(sent).fire()
+    await settle()
     assert sent.status is GoalStatus.SUCCEEDED
 
 
@@ -217,7 +213,8 @@ async def test_a_client_that_is_closed_drops_both(is_accepted):
     goals, sent = follow(server)
     if is_accepted:
         server.sent.come(ACCEPTED)
-    goals.close()
+        await settle()
+    await goals.aclose()
     assert sent.ended
     assert server.asked.is_dropped
     assert server.sent.is_dropped is not is_accepted
@@ -246,6 +243,7 @@ async def test_one_without_a_note_is_asked_one_by_one_from_then_on():
     goals, _ = follow(server)
     server.sent.come(Reply(ACCEPTED.message))
     server.asked.come(FOREIGN)
+    await settle()
     server.early = [Early(), Early()]
     goals.send(Goal(goal(), 0, id=bytes(16)))
     await settle()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextvars import ContextVar
@@ -43,7 +44,11 @@ from ..lab import (
     settle,
 )
 
-ENDED_WITHOUT_RESULT = Outcome(GoalStatus.ABORTED, result(), "no result")
+
+def ended_without_result(body) -> Outcome[Any]:
+    yields = inspect.isasyncgenfunction(body)
+    ending = "the last value yielded must be" if yields else "the body must return"
+    return Outcome(GoalStatus.ABORTED, result(), f"no result: {ending} a Result")
 
 
 async def awaited(served: Lab, request: Count.Goal) -> Outcome[Count.Result]:
@@ -148,14 +153,14 @@ WITHOUT_RESULT = in_both_styles(give_nothing) + in_both_styles(give_nothing_at_o
 
 @pytest.mark.parametrize("body", WITHOUT_RESULT)
 async def test_a_body_that_ends_without_a_result_is_aborted(body, send):
-    assert await end_of(body, send) == ENDED_WITHOUT_RESULT
+    assert await end_of(body, send) == ended_without_result(body)
 
 
 async def test_a_generator_that_ends_after_its_feedback_is_aborted(send):
     async def body(goal):
         yield feedback(1)
 
-    assert await end_of(body, send) == ENDED_WITHOUT_RESULT
+    assert await end_of(body, send) == ended_without_result(body)
 
 
 async def swallow():
@@ -167,7 +172,7 @@ async def swallow():
 
 @both_styles(swallow)
 async def test_a_canceled_body_that_ends_without_a_result_is_aborted(body, send):
-    assert await canceled_end_of(body, send) == ENDED_WITHOUT_RESULT
+    assert await canceled_end_of(body, send) == ended_without_result(body)
 
 
 async def test_the_result_is_a_snapshot(send):

@@ -76,10 +76,12 @@ class DurableGoals:
 
     # accepting
 
-    async def accept(self, goal: Goal) -> GoalRecord | None:
+    async def accept(self, goal: Goal, status: GoalStatus) -> GoalRecord | None:
         """Write a new goal to disk.
 
         If the journal has a goal with this id already, return that goal's record instead.
+
+        ``status`` is EXECUTING if the goal starts at once, and ACCEPTED if it may have to wait.
 
         Cancelling: takes effect only when the goal has been written.
 
@@ -95,6 +97,7 @@ class DurableGoals:
             request=self._goals.encode(goal.request),
             stamp=goal.stamp,
             accepted=time.time_ns(),
+            status=status,
             is_built_in=self.is_built_in,
             is_nested=goal.parent is not None,
             sender=sender,

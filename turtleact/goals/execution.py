@@ -447,11 +447,17 @@ class Execution:
             callback()
 
     def _succeed(self, goal: Goal, result: object) -> None:
-        if result is None or not self._body.is_generator:  # `_drive` has checked the others
+        generates = self._body.is_generator
+        if result is None or not generates:  # `_drive` has checked the others
             try:
                 result = self.check_result(result)
             except InvalidMessage as error:
-                why = "no result" if result is None else f"the body's result does not fit: {error}"
+                why = f"the body's result does not fit: {error}"
+                if result is None:
+                    ending = (
+                        "the last value yielded must be" if generates else "the body must return"
+                    )
+                    why = f"no result: {ending} a Result"
                 self.end(goal, GoalEvent.ABORT, None, why)
                 return
         self.end(goal, _SUCCEED, result)

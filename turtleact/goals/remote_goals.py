@@ -5,16 +5,13 @@ takes two requests: the goal request sends the goal, and the result request asks
 client sends these requests in one of two ways:
 
 - The client sends a turtleact server the goal request and the result request at once, which saves a
-  round trip. The server answers the result request when the goal ends. No task waits for the
-  replies: the client handles each reply when it arrives. If the result request arrives before the
-  server knows the goal, the server replies that the goal is unknown. From then on, the client sends
-  a result request to that server only after the reply to the goal request.
+  round trip. The server answers the result request when the goal ends. If the result request
+  arrives before the server knows the goal, the server replies that the goal is unknown. From then
+  on, the client sends a result request to that server only after the reply to the goal request.
 - The client sends any other ROS 2 server the result request only after the server has accepted the
   goal, because ROS 2 services may handle requests in any order.
 
-The client starts a task for a goal only if it must wait for something: for the replies of a server
-that is not known to run turtleact, for the answer to a cancel request, for feedback that arrives
-after the result, or for a server to return.
+One task follows a goal: it waits for both replies, and for feedback that arrives after the result.
 
 Source: rcl_action ``action_client.c``, ``goal_state_machine.c``, and
 ``rcl_action_process_result_request``.
@@ -24,7 +21,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Coroutine, Mapping
-from functools import partial
 from typing import Any, Final, cast
 
 import anyio
@@ -115,17 +111,15 @@ class RemoteGoal(msgspec.Struct, eq=False):
         is_accepted: Whether the server has accepted the goal.
         is_abandoned: Whether the goal must be canceled as soon as it is accepted.
         is_awaited: Whether a task waits for the goal's acceptance.
-        is_answered: Whether the event loop has received the reply to the request for the goal's
-            result.
         is_observed: Whether the observers were told about the goal.
         note: A text that is sent with the goal request; see `REQUEST_NOTE`.
         received: How many feedback messages of the goal have arrived.
         reattach: How long to wait for the return of a server that has gone (s, event loop time).
-        sent: The pending request that sends the goal; None if there is none, or if a task already
+        sent: The pending request that sends the goal; None if there is none, or if the task waits
+            for its reply.
+        asked: The pending request for the goal's result; None if there is none, or if the task
             waits for its reply.
-        asked: The pending request for the goal's result; None if there is none, or if a task
-            already waits for its reply.
-        task: The task that follows the goal, if there is one.
+        task: The task that follows the goal.
     """
 
     goal: Goal
@@ -134,7 +128,6 @@ class RemoteGoal(msgspec.Struct, eq=False):
     is_accepted: bool = False
     is_abandoned: bool = False
     is_awaited: bool = False
-    is_answered: bool = False
     is_observed: bool = False
     note: str = ""
     received: int = 0
@@ -191,10 +184,9 @@ class RemoteGoals:
             self.open()
         goal_id = cast("bytes", goal.id)
         remote = RemoteGoal(goal, goal_id, reattach=reattach, note=REQUEST_NOTE.get())
-        is_under_way = self._send_both(remote)
+        self._ask_at_once(remote)
         self.by_id[remote.goal_id] = remote
-        if not is_under_way:
-            self._follow_in_task(remote)
+        self._follow_in_task(remote)
         return remote
 
     def attach(self, goal: Goal, state: State) -> None:
@@ -267,71 +259,22 @@ class RemoteGoals:
         self.close()
         await wait_while(lambda: self._running, self._ended, CLOSING)
 
-    # two requests at once, without a task
+    # following a goal
 
-    def _send_both(self, remote: RemoteGoal) -> bool:
-        """Send the goal request and the result request at once, if the server allows it.
+    def _ask_at_once(self, remote: RemoteGoal) -> None:
+        """Send the goal request and the result request now, if the server allows it.
 
-        Return whether both requests were sent. If only the goal request was sent, the goal's task
-        must wait for the reply to the goal request.
+        The goal's task waits for the replies, and sends what could not be sent here.
         """
         endpoints = self._endpoints
         if not (endpoints.knows_ours() and endpoints.takes_both):
-            return False
+            return
         implied, goal_id = endpoints.implied, UUID(remote.goal_id)
         goal: Any = remote.goal.request
         request = implied.send_goal.Request(goal_id, goal)
-        sent = remote.sent = endpoints.send_goal.ask(request, note=remote.note)
-        if sent is None:
-            return False
-        asked = remote.asked = endpoints.get_result.ask(implied.get_result.Request(goal_id))
-        if asked is None:
-            return False
-        sent.tell(partial(self._on_reply, remote))
-        asked.tell(partial(self._on_result, remote))
-        return True
-
-    def _on_result(self, remote: RemoteGoal) -> None:
-        # A thread may have brought this reply long ago, while the feedback before it was still in
-        # line for the event loop. Only now has the loop handled that feedback.
-        remote.is_answered = True
-        self._on_reply(remote)
-
-    def _on_reply(self, remote: RemoteGoal) -> None:
-        """Handle the replies to a goal's requests. Start a task if something must be awaited.
-
-        This is called for each of the two replies. The replies may arrive in any order, but the
-        result is handled only after the acceptance. If a request has failed, a task is started that
-        handles the error.
-        """
-        if remote.task is not None:
-            return
-        try:
-            sent = remote.sent
-            if sent is not None:
-                if not sent.is_over:
-                    return
-                self._accept(remote, sent.take())
-                remote.sent = None
-            asked = remote.asked
-            if asked is None or remote.is_abandoned:
-                self._follow_in_task(remote)
-                return
-            if not remote.is_answered:
-                return
-            reply = asked.take()
-            note = GoalNote.read(reply.note)
-            is_complete = self._has_ended(reply) and note.feedback <= remote.received
-        except Exception:
-            is_complete = False
-        if is_complete:
-            remote.asked = None
-            self._conclude(remote, reply, note)
-            self._let_go(remote)
-        else:
-            self._follow_in_task(remote)
-
-    # one after the other, in a task
+        remote.sent = endpoints.send_goal.ask(request, note=remote.note)
+        if remote.sent is not None:
+            remote.asked = endpoints.get_result.ask(implied.get_result.Request(goal_id))
 
     def _follow_in_task(self, remote: RemoteGoal) -> None:
         name = f"a goal of {self._endpoints.name}"
@@ -341,8 +284,6 @@ class RemoteGoals:
         """Send a goal unless it was sent already, and follow it to its end."""
         goal = remote.goal
         try:
-            if remote.asked is not None:  # a message that explains a missing reply may be next
-                await self._tasks.checkpoint()
             if not remote.is_accepted:
                 await self._send(remote)
             if remote.is_abandoned:

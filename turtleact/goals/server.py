@@ -266,7 +266,10 @@ class LocalActionServer:
         """Write a goal to the journal and admit it, or return the known goal with the same id."""
         request = await self._prepare(order)
         goal = self._new_goal(order, request, is_streamed=is_streamed)
-        known = await durable.accept(goal)
+        # A crash in the body's first step must count, so the record of a goal that starts at once
+        # says EXECUTING from the beginning.
+        status = _EXECUTING if self.slot is None else _ACCEPTED
+        known = await durable.accept(goal, status)
         if known is not None:
             held = self._find_known(known, durable)
             return self._join(held, goal.request, is_streamed=is_streamed)
