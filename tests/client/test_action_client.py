@@ -919,3 +919,18 @@ async def test_what_is_used_in_another_event_loop_says_so(use, backend):
             )
         gate.opened.set()
         assert await handle.result() == result(3)
+
+
+async def test_a_loop_over_a_goal_that_was_not_sent_says_what_to_write():
+    async with lab(count) as served:
+        with pytest.raises(TypeError, match="write 'async with"):
+            async for _ in served.client.send_goal(goal(3)):
+                pass
+
+
+async def test_a_goal_to_be_sent_is_shown_by_its_action():
+    async with lab(count) as served:
+        sending = served.client.send_goal(goal(3))
+        assert repr(sending) == "<goal for '/count', not yet sent>"
+        await sending
+        assert repr(sending) == "<goal for '/count', already sent>"

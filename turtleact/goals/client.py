@@ -18,7 +18,7 @@ from contextvars import copy_context
 from functools import partial
 from inspect import CO_COROUTINE
 from types import CodeType, TracebackType
-from typing import TYPE_CHECKING, Any, Final, Generic, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, NoReturn, Self, TypeAlias, TypeVar
 
 import anyio
 import anyio.lowlevel
@@ -397,6 +397,17 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     _offset: int
     _reader: GoalReader | None = None
     _calling: Coroutine[object, object, R] | None = None
+
+    def __repr__(self) -> str:
+        state = "already sent" if self._order is None else "not yet sent"
+        return f"<goal for '{self._client.name}', {state}>"
+
+    def __aiter__(self) -> NoReturn:
+        self._order = None  # the error below says enough: no warning that it was never sent
+        raise TypeError(
+            "a goal is sent before its feedback is read: write 'async with client.send_goal(...) "
+            "as goal', and in that block 'async for feedback in goal'"
+        )
 
     def __await__(self) -> Generator[object, object, R]:
         client = self._client
