@@ -120,7 +120,7 @@ async def read_queue(queue: Queue) -> int:
 
 
 def start(body: Coroutine[object, object, T]) -> asyncio.Task[T]:
-    """Start a plain task, eagerly where Python can, like the bodies of turtleact."""
+    """Start a plain task, eagerly where Python can."""
     if sys.version_info >= (3, 12):
         return asyncio.Task(body, loop=asyncio.get_running_loop(), eager_start=True)
     return asyncio.create_task(body)
@@ -385,18 +385,18 @@ def rows(node: turtleact.Node, group: TaskGroup) -> list[Row]:
     fan_1_peer = partial(peer(count_in_step).feedback, WATCHERS)
     stop, stop_peer = floor_cancel, peer(wait_for_ever).cancel
     return [
-        Row("call", 500, one, one_peer, ours(call, "answer"), goal(2.6)),
-        Row("send", 500, one, one_peer, ours(send, "answer"), goal(2.8)),
+        Row("call", 500, one, one_peer, ours(call, "answer"), goal(3.0)),
+        Row("send", 500, one, one_peer, ours(send, "answer"), goal(3.2)),
         Row("   of that, snapshots", 500, one, None, snapshots(0)),
         Row("call, the body waits", 300, waiting, waiting_peer, ours(call, "wait_once")),
         Row("send, the body waits", 300, waiting, waiting_peer, ours(send, "wait_once")),
-        Row("10 feedback, call", 200, ten, ten_peer, ours(call_with_feedback, "count"), goal(1.8)),
-        Row("10 feedback, send", 200, ten, ten_peer, ours(read_one, "count"), goal(2.2)),
+        Row("10 feedback, call", 200, ten, ten_peer, ours(call_with_feedback, "count"), goal(2.0)),
+        Row("10 feedback, send", 200, ten, ten_peer, ours(read_one, "count"), goal(2.4)),
         Row("   of that, snapshots", 200, ten, None, snapshots(FEEDBACK)),
         Row("10 feedback, one by one", 100, step, step_peer, ours(read_one, "count_in_step")),
-        Row("1,000 watchers", 1, fan_out, fan_out_peer, ours(read_all, "count"), 0.75),
+        Row("1,000 watchers", 1, fan_out, fan_out_peer, ours(read_all, "count"), 1.0),
         Row("1,000 watchers, one by one", 1, fan_1, fan_1_peer, ours(read_all, "count_in_step")),
-        Row("cancel", 200, stop, stop_peer, ours(cancel, "wait_for_ever"), goal(3.0)),
+        Row("cancel", 200, stop, stop_peer, ours(cancel, "wait_for_ever"), goal(3.5)),
         Row("cancel by leaving the block", 200, stop, stop_peer, ours(leave, "wait_for_ever")),
     ]
 

@@ -934,3 +934,24 @@ async def test_a_goal_to_be_sent_is_shown_by_its_action():
         assert repr(sending) == "<goal for '/count', not yet sent>"
         await sending
         assert repr(sending) == "<goal for '/count', already sent>"
+
+
+async def test_a_loop_that_sends_rejected_goals_again_lets_other_tasks_run():
+    gate = Gate()
+
+    async def let_go() -> None:
+        gate.opened.set()
+
+    async with (
+        lab(gate.wait, policy="reject") as served,
+        anyio.create_task_group() as group,
+        served.client.send_goal(goal()) as holder,
+    ):
+        group.start_soon(let_go)  # runs only if the loop below lets it
+        while True:
+            try:
+                await served.client.send_goal(goal())
+                break
+            except GoalRejected:
+                continue
+        assert (await holder.outcome()).status is GoalStatus.SUCCEEDED

@@ -224,6 +224,8 @@ class LocalActionServer:
             return self._admit(self._new_goal(order, request, is_streamed=is_streamed))
         except GoalRejected as rejected:
             self.observers.goal_rejected(rejected.reason)
+            # Whoever sends again until the goal is accepted must not keep all others from running.
+            await self._tasks.checkpoint()
             raise
 
     def take_nowait(self, order: GoalOrder, *, is_streamed: bool = False) -> Goal | None:
