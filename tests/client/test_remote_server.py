@@ -95,28 +95,19 @@ class Early:
     """
 
     def __init__(self, call: Callable[[], Awaitable[Reply]]) -> None:
-        self.is_over = False
         self._call = call
         self._over = anyio.Event()
-        self._told: Callable[[], object] = lambda: None
         self._came: Reply | Exception
         current_tasks().spawn(self._run(), "an early request")
 
-    def tell(self, told: Callable[[], object]) -> None:
-        self._told = told
-
-    def take(self) -> Reply:
-        assert self.is_over
+    async def reply(self) -> Reply:
+        await self._over.wait()
         if isinstance(self._came, Exception):
             raise self._came
         return self._came
 
-    async def reply(self) -> Reply:
-        await self._over.wait()
-        return self.take()
-
     def drop(self) -> None:
-        self._told = lambda: None
+        """Stop waiting. Nobody is told then."""
 
     async def _run(self) -> None:
         await anyio.lowlevel.checkpoint()
@@ -124,9 +115,7 @@ class Early:
             self._came = await self._call()
         except Exception as error:
             self._came = error
-        self.is_over = True
         self._over.set()
-        self._told()
 
 
 @pytest.fixture(autouse=True, params=["one by one", "both at once"])

@@ -1172,14 +1172,21 @@ async def test_replies_that_come_with_the_news_that_their_server_has_gone_are_al
         caller: Any = peers.there.join(client(), ASKING)
         await peers.settle()
         taken: list[Any] = []
-        for number in (1, 2):
-            call = caller.ask(numbers(number))
-            call.tell(lambda call=call: taken.append(call.take().message))
-            # as in a thread of Zenoh; the loop hears of it behind the news
-            call.replied(SERVING.encode(Sum.Response(total=number)), b"")
-        (token,) = peers.there.graph.tokens
-        peers.there.token_gone(token)
-        await settle()
+
+        async def take(call: Any) -> None:
+            taken.append((await call.reply()).message)
+
+        calls = [caller.ask(numbers(number)) for number in (1, 2)]
+        async with anyio.create_task_group() as group:
+            for call in calls:
+                group.start_soon(take, call)
+            await settle()
+            for number, call in enumerate(calls, 1):
+                # as in a thread of Zenoh; the loop hears of it behind the news
+                call.replied(SERVING.encode(Sum.Response(total=number)), b"")
+            (token,) = peers.there.graph.tokens
+            peers.there.token_gone(token)
+            await settle()
         assert sorted(each.total for each in taken) == [1, 2]
 
 

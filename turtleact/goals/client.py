@@ -64,7 +64,7 @@ __all__ = [
     "StatusChanged",
 ]
 
-logger = logging.getLogger("turtleact.goals.client")
+logger = logging.getLogger("turtleact.client")
 
 _SUCCEEDED: Final = GoalStatus.SUCCEEDED  # Python 3.11 looks up an enum's members slowly
 

@@ -202,9 +202,9 @@ class Execution:
             item = await step(None)
             while type(item) is not result_type:
                 try:
-                    status = goal.status
+                    status, reason = goal.status, goal.reason
                     self.publish(goal, item)
-                    if goal.status is not status:
+                    if goal.status is not status or goal.reason is not reason:
                         countdown = 1  # a callback has cancelled the goal: deliver that now
                     if goal.hold is not None:
                         await self.pauses.stand(goal)

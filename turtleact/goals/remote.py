@@ -42,7 +42,7 @@ from turtleact.tasks import Tasks
 
 __all__ = ["RemoteActionServer"]
 
-logger = logging.getLogger("turtleact.goals.client")
+logger = logging.getLogger("turtleact.client")
 
 STATUS_WITHIN: Final = 5.0
 """How long to wait for a server's first status, and for the result of an ended goal (s)."""

@@ -46,7 +46,7 @@ from turtleact.transports.base import REQUEST_NOTE, PendingCall, Reply
 
 __all__ = ["RemoteGoal", "RemoteGoals", "goal_lost"]
 
-logger = logging.getLogger("turtleact.goals.client")
+logger = logging.getLogger("turtleact.client")
 
 MOST_UNREAD: Final = 1 << 16
 """How many feedback messages may be unread before the oldest are dropped."""
@@ -163,7 +163,7 @@ class RemoteGoals:
         self._now = now
         self._observers = observers
         self._is_open = True
-        self._running: dict[object, Cancelable | None] = {}
+        self._running: dict[object, Cancelable] = {}
         self._ended = tasks.signal()
 
     # called by the client
@@ -247,8 +247,7 @@ class RemoteGoals:
         """Stop following goals. Every caller that waits for a goal gets `ServerUnavailable`."""
         self._is_open = False
         for task in tuple(self._running.values()):
-            if task is not None:
-                task.cancel()
+            task.cancel()
         for remote in tuple(self.by_id.values()):
             if remote.task is None:
                 self._lose(remote, self._closed())
@@ -551,10 +550,7 @@ class RemoteGoals:
                 del self._running[key]
                 self._ended.fire()
 
-        self._running[key] = None
-        task = self._tasks.spawn(run(), name)
-        if key in self._running:  # an eager task may already have ended
-            self._running[key] = task
+        task = self._running[key] = self._tasks.spawn(run(), name)
         return task
 
 

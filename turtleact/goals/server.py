@@ -502,9 +502,8 @@ class LocalActionServer:
         if not self._callbacks.ask_about_cancels:
             self._cancel(goal)
         elif goal.status.is_active and goal not in self._cancels:
-            asking = Background(self._ask_later(goal), f"a cancel of {self.name}", self._tasks)
-            if not asking.has_ended:
-                self._cancels[goal] = asking
+            asking = self._ask_later(goal)
+            self._cancels[goal] = Background(asking, f"a cancel of {self.name}", self._tasks)
 
     async def _ask_and_cancel(self, goal: Goal) -> bool:
         """Cancel a goal if the ``cancel_callback`` agrees. Return whether it is being canceled."""

@@ -386,9 +386,6 @@ class PendingCall(Protocol):
     def stamp(self) -> int | None:
         """When the reply was sent (ns since the epoch, by its sender's clock); None if unknown."""
 
-    def tell(self, told: Callable[[], object]) -> None:
-        """When the call is over, the event loop runs ``told`` once or several times."""
-
     def take(self) -> Reply:
         """Return the reply of a call that is over. Raises the same errors as `Caller.call`."""
 

@@ -183,9 +183,7 @@ class Crew:
         """Run a coroutine in a new task."""
         self._count += 1
         number = self._count
-        background = Background(self._run(running, number), name, self._tasks)
-        if not background.has_ended:  # an eager task may already have ended
-            self.running[number] = background
+        self.running[number] = Background(self._run(running, number), name, self._tasks)
 
     async def aclose(self) -> None:
         """Cancel all tasks one after another, and wait at most `GRACE` seconds for each to end."""

@@ -306,7 +306,6 @@ class WireCall(msgspec.Struct, eq=False):
     is_observed: bool = False
     _is_wanted: bool = True
     _changed: Signal | None = None  # created when somebody waits
-    _told: Callable[[], object] | None = None
     _give_up: Callable[[], None] | None = None
 
     @property
@@ -321,10 +320,6 @@ class WireCall(msgspec.Struct, eq=False):
             return None if self.answer is None else read_attachment(self.answer[1]).stamp
         except InvalidMessage:
             return None
-
-    def tell(self, told: Callable[[], object]) -> None:
-        """Call ``told`` when the call is over; see `turtleact.transports.base.PendingCall`."""
-        self._told = told
 
     def take(self) -> Reply:
         """Return the reply of a call that is over; see `turtleact.transports.base.PendingCall`."""
@@ -364,8 +359,6 @@ class WireCall(msgspec.Struct, eq=False):
     def _tell(self) -> None:
         if self._changed is not None:
             self._changed.fire()
-        if self._told is not None and self._is_wanted:
-            self._told()
         if self.on_end is not None:
             self._end_here(self.on_end)
 
