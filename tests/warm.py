@@ -228,7 +228,8 @@ class Program(subprocess.Popen[Any]):
     def send_signal(self, sig: int) -> None:
         """Send a signal, unless the program has ended."""
         if self.poll() is None:
-            os.kill(self.pid, sig)
+            with suppress(ProcessLookupError):  # ended since, but its status has not come yet
+                os.kill(self.pid, sig)
 
     def terminate(self) -> None:
         """Send SIGTERM."""
