@@ -12,6 +12,7 @@ import pytest
 
 import turtleact
 from turtleact.goals.server import LocalActionServer
+from turtleact.goals.state import Goal
 from turtleact.interfaces import Action, Message, int32
 from turtleact.tasks import current_tasks, new_event_loop
 from turtleact.tasks.clock import VirtualClock
@@ -57,6 +58,11 @@ class Count(Action, type_name="lab_interfaces/action/Count"):
 
 def goal(upto: int = 3) -> Count.Goal:
     return Count.Goal(upto=upto)
+
+
+def bare_goal(**facts: Any) -> Goal:
+    """A goal of no server; nothing can wait for it."""
+    return Goal(bytes(range(16)), None, cast("Any", None), **facts)
 
 
 def feedback(*numbers: int) -> Count.Feedback:
@@ -135,7 +141,7 @@ class Lab(NamedTuple):
     @property
     def active(self) -> list[Any]:
         """The goals that the server considers active."""
-        return [goal for goal in self.local.held() if goal.status.is_active]
+        return [goal for goal in self.local.held().values() if goal.status.is_active]
 
 
 def local_server(server: turtleact.ActionServer[Any, Any, Any]) -> LocalActionServer:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -12,7 +12,7 @@ import turtleact
 from turtleact.errors import InvalidBody, InvalidName
 from turtleact.goals.body import ActionDeclaration, Body, action, background
 
-from .lab import Count, count, feedback, goal, lab, result
+from .lab import Count, bare_goal, count, feedback, goal, lab, result
 from .tables import together
 
 
@@ -143,11 +143,25 @@ NO_BODIES = [
 ]
 
 
+class Run:
+    """The run of a body, which notes whether the body gets a handle."""
+
+    goal = bare_goal()
+
+    def __init__(self) -> None:
+        self.made_handle = False
+        self.source: Any = None
+
+    def make_handle(self) -> None:
+        self.made_handle = True
+
+
 @together
 @pytest.mark.parametrize(("execute", "is_generator", "wants_handle"), BODIES)
 def test_a_body_is_known_by_what_the_function_is(execute, is_generator, wants_handle):
-    body = Body("count", execute)
-    assert (body.is_generator, body.wants_handle) == (is_generator, wants_handle)
+    body, run = Body("count", execute), Run()
+    body.run(cast("Any", run)).close()
+    assert (body.is_generator, run.made_handle) == (is_generator, wants_handle)
 
 
 @pytest.mark.parametrize(("execute", "problem"), NO_BODIES)

@@ -60,7 +60,7 @@ async def test_a_body_canceled_before_its_first_step_never_begins(style):
 
         def cancel(handle, old, new):
             if new is GoalStatus.EXECUTING:
-                served.local.cancel_goal_nowait(served.active[0])
+                served.local.request_cancel(served.active[0])
 
         served.node.on_transition(cancel)
         async with served.client.send_goal(goal()) as handle:
@@ -238,7 +238,7 @@ async def test_who_is_told_of_a_message_may_cancel_at_it(style):
 
     def cancel(message):
         if message == feedback(3):
-            served.local.cancel_goal_nowait(served.active[0])
+            served.local.request_cancel(served.active[0])
 
     async with (
         lab(generator if style == "generator" else coroutine) as served,

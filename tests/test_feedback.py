@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import AsyncIterator, Callable
+from typing import Any
 
 import anyio
 import pytest
@@ -11,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from turtleact import GoalStatus
-from turtleact.goals.execution import BURST
 from turtleact.goals.feedback import FeedbackLog
+from turtleact.goals.generators import BURST
 
 from .lab import Count, Gate, feedback, goal, lab, result, running, settle
 
@@ -36,7 +37,7 @@ class Bell:
 
 
 def log_of(count: int) -> FeedbackLog:
-    log = FeedbackLog()
+    log = FeedbackLog(is_kept=True)
     for number in range(count):
         log.append(number)
     return log
@@ -46,7 +47,7 @@ def log_of(count: int) -> FeedbackLog:
 
 
 def test_a_new_log_is_empty():
-    log = FeedbackLog()
+    log = FeedbackLog(is_kept=True)
     assert (log.items, log.dropped, log.count, log.read) == ([], 0, 0, None)
     assert not log.is_full
 
@@ -71,7 +72,7 @@ def test_the_newest_are_kept_without_a_reader(count: int):
 
 @pytest.mark.parametrize("read", [0, 1, KEPT, 3 * KEPT])
 def test_what_the_sender_has_not_read_is_kept(read: int):
-    log = FeedbackLog()
+    log = FeedbackLog(is_kept=True)
     log.read = read
     for number in range(10 * KEPT):
         log.append(number)
@@ -79,7 +80,7 @@ def test_what_the_sender_has_not_read_is_kept(read: int):
 
 
 def test_what_the_sender_has_read_is_kept_for_others_as_far_as_it_is_new():
-    log = FeedbackLog()
+    log = FeedbackLog(is_kept=True)
     log.read = 0
     for number in range(10 * KEPT):
         log.append(number)
@@ -97,7 +98,7 @@ def test_trimming_moves_the_rest_only_once_it_is_worth_it():
 
 
 def test_a_reader_far_behind_does_not_make_each_message_dear():
-    log = FeedbackLog()
+    log = FeedbackLog(is_kept=True)
     log.read = 0
     log.items += range(50 * KEPT)
     moves = 0
@@ -135,7 +136,7 @@ def test_a_sender_that_waits_for_the_end_is_not_waited_for():
 
 @pytest.mark.parametrize(("unread", "full"), [(10, False), (11, True)])
 def test_a_body_should_wait_once_so_many_bytes_are_unread(unread: int, full: bool):
-    log = FeedbackLog()
+    log = FeedbackLog(is_kept=True)
     log.read = 0
     for _ in range(unread):
         log.append(LARGE)
@@ -144,7 +145,7 @@ def test_a_body_should_wait_once_so_many_bytes_are_unread(unread: int, full: boo
 
 
 def test_an_empty_log_has_no_weight():
-    log = FeedbackLog()
+    log = FeedbackLog(is_kept=True)
     log.read = 0
     log.weigh()
     assert not log.is_full
@@ -153,7 +154,7 @@ def test_an_empty_log_has_no_weight():
 @pytest.mark.parametrize("period", [1, 2, 3, 5, 8, 16])
 @pytest.mark.parametrize("phase", [0, 1])
 def test_large_messages_among_small_ones_are_found(period: int, phase: int):
-    log = FeedbackLog()
+    log = FeedbackLog(is_kept=True)
     log.read = 0
     for number in range(2 * BURST * BURST):
         log.append(LARGE if number % period == phase % period else feedback(1))
@@ -163,7 +164,7 @@ def test_large_messages_among_small_ones_are_found(period: int, phase: int):
 
 
 def test_one_large_message_is_forgotten_in_time():
-    log = FeedbackLog()
+    log = FeedbackLog(is_kept=True)
     log.append(LARGE)
     log.read = 0
     log.weigh()
@@ -177,12 +178,13 @@ def test_one_large_message_is_forgotten_in_time():
 
 def test_a_body_is_told_once_it_need_not_wait():
     log = log_of(KEPT)
-    log.read, log.drained = 0, Bell()
+    bell: Any = Bell()
+    log.read, log.drained = 0, bell
     log.relieve()
-    assert log.drained.rung == 0
+    assert bell.rung == 0
     log.read = 1
     log.relieve()
-    assert log.drained.rung == 1
+    assert bell.rung == 1
 
 
 def test_nobody_is_told_where_no_body_waits():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import pytest
@@ -63,8 +64,20 @@ class Bell:
         self.rung += 1
 
 
-def make_goal(stamp: int = START, status: GoalStatus = GoalStatus.EXECUTING, **facts) -> Goal:
-    return Goal("request", stamp, status, **facts)
+_numbers = itertools.count(1 << 32)
+
+
+def make_goal(
+    stamp: int = START,
+    status: GoalStatus = GoalStatus.EXECUTING,
+    *,
+    id: bytes | None = None,
+    changed: Any = None,
+    **facts,
+) -> Goal:
+    goal_id = next(_numbers).to_bytes(16, "big") if id is None else id
+    signal: Any = changed or Bell()
+    return Goal(goal_id, "request", signal, stamp, status, **facts)
 
 
 # --- states and events ----------------------------------------------------------------------
@@ -97,7 +110,7 @@ def test_a_goal_moves_with_a_legal_event(status, event, after):
 @pytest.mark.parametrize(("status", "event", "after"), ILLEGAL)
 def test_a_goal_stays_as_it_is_with_an_illegal_event(status, event, after):
     bell = Bell()
-    goal = make_goal(status=status, listener=bell)
+    goal = make_goal(status=status, changed=bell)
     with pytest.raises(InvalidTransition):
         goal.apply(event)
     assert (goal.status, bell.rung) == (status, 0)
@@ -124,22 +137,22 @@ def test_the_error_of_an_illegal_event_holds_its_facts():
     assert (caught.value.status, caught.value.event) == (GoalStatus.ACCEPTED, GoalEvent.ABORT)
 
 
-def test_each_event_tells_the_listener_once():
+def test_each_event_fires_the_signal_once():
     bell = Bell()
-    goal = make_goal(listener=bell)
+    goal = make_goal(changed=bell)
     goal.apply(GoalEvent.CANCEL_GOAL)
     goal.apply(GoalEvent.CANCELED)
     assert bell.rung == 2
 
 
-def test_the_listener_hears_of_an_event_after_the_state_has_changed():
+def test_the_signal_fires_after_the_state_has_changed():
     seen = []
 
     class Reader:
         def fire(self) -> None:
             seen.append(goal.status)
 
-    goal = make_goal(listener=Reader())
+    goal = make_goal(changed=Reader())
     goal.apply(GoalEvent.SUCCEED)
     assert seen == [GoalStatus.SUCCEEDED]
 
@@ -161,10 +174,6 @@ def test_the_terminal_states_are_those_from_succeeded_on(status):
 def test_the_answers_have_the_values_of_rclpy():
     assert (GoalResponse.REJECT, GoalResponse.ACCEPT) == (1, 2)
     assert (CancelResponse.REJECT, CancelResponse.ACCEPT) == (1, 2)
-
-
-def test_a_goal_without_an_id_says_so():
-    assert (make_goal().hex, make_goal().suffix) == ("", "")
 
 
 def test_a_goal_shows_its_id_in_hexadecimal():
@@ -215,10 +224,6 @@ def test_a_cancel_request_means(goal_id, stamp, meant):
 @pytest.mark.parametrize("status", GoalStatus)
 def test_only_active_goals_are_meant(status):
     assert bool(select([make_goal(status=status)], None, NONE)) == status.is_active
-
-
-def test_a_goal_without_an_id_is_not_meant_by_an_id():
-    assert select([make_goal()], ID_1, NONE) == []
 
 
 def test_an_id_does_not_mean_a_goal_of_the_time_zero():
@@ -284,7 +289,7 @@ def test_goals_of_one_time_are_held_in_the_order_of_their_acceptance():
     for goal in goals:
         table.add(goal)
     table.end(goals[0], START)
-    assert table.held(START) == goals
+    assert list(table.held(START).values()) == goals
 
 
 def test_a_goal_is_held_as_long_as_it_is_active():
@@ -293,46 +298,42 @@ def test_a_goal_is_held_as_long_as_it_is_active():
     assert held(table, ID_1, 1_000_000)
 
 
-def test_a_result_is_pinned_while_somebody_waits_for_it():
-    table = GoalTable()
-    ended_goal(table, waiters=1)
-    assert held(table, ID_1, 100)
-
-
-def test_a_pinned_result_is_forgotten_once_nobody_waits():
-    table = GoalTable()
-    goal = ended_goal(table, waiters=1)
-    held(table, ID_1, 100)
-    goal.waiters = 0
-    table.unpin(goal)
-    assert not held(table, ID_1, 101)
-
-
-def test_a_pinned_result_holds_no_other_one():
-    table = GoalTable()
-    ended_goal(table, waiters=1)
-    other = make_goal(id=ID_2)
-    table.add(other)
-    table.end(other, START + 1)
-    assert not held(table, ID_2, 11)
-
-
 def test_without_a_timeout_a_result_is_kept_for_ever():
     table = GoalTable(None)
     ended_goal(table)
     assert held(table, ID_1, 1e9)
+    assert table.next_expiry() is None
+
+
+def test_the_table_says_when_the_next_goal_expires():
+    table = GoalTable()
+    assert table.next_expiry() is None
+    ended_goal(table, 5)
+    assert table.next_expiry() == START + 15 * SECOND
+
+
+def test_only_the_newest_ended_goals_are_kept_while_time_stands_still():
+    table = GoalTable()
+    goals = [make_goal() for _ in range(GoalTable.KEPT + 2)]
+    for goal in goals:
+        table.add(goal)
+    for goal in goals:
+        table.end(goal, START)
+    assert list(table.held(START).values()) == goals[2:]
+
+
+def test_a_goal_restored_late_expires_in_its_turn():
+    table = GoalTable()
+    ended_goal(table, 5)
+    table.hold_ended(make_goal(id=ID_2, ended=START + SECOND))
+    assert [held(table, ID_2, 10.9), held(table, ID_2, 11)] == [True, False]
+    assert held(table, ID_1, 11)
 
 
 def test_with_a_timeout_of_zero_a_result_is_forgotten_at_its_end():
     table = GoalTable(0)
     ended_goal(table)
     assert not held(table, ID_1, 0)
-
-
-def test_with_a_timeout_of_zero_a_result_serves_those_who_wait():
-    table = GoalTable(0)
-    ended_goal(table, waiters=1)
-    assert held(table, ID_1, 1)
 
 
 def test_an_id_is_refused_while_its_goal_is_active():
@@ -369,47 +370,6 @@ def test_an_id_that_was_taken_again_is_not_forgotten_with_the_goal_before():
     assert table.find(ID_1, START + 1000 * SECOND) is again
 
 
-def test_a_goal_without_an_id_is_forgotten_at_its_end():
-    table = GoalTable(None)
-    goal = make_goal()
-    table.add(goal)
-    table.end(goal, START)
-    assert table.held(START) == []
-
-
-def test_an_active_goal_can_be_named_and_found():
-    table = GoalTable()
-    goal = make_goal()
-    table.add(goal)
-    table.name(goal, ID_1, START)
-    assert table.find(ID_1, START) is goal
-
-
-def test_a_goal_keeps_its_first_name():
-    table = GoalTable()
-    goal = make_goal()
-    table.add(goal)
-    assert [table.name(goal, name, START) for name in (ID_1, ID_2)] == [ID_1, ID_1]
-
-
-def test_an_ended_goal_that_is_named_is_kept_for_the_rest_of_its_time():
-    table = GoalTable()
-    goal = make_goal()
-    table.add(goal)
-    table.end(goal, START)
-    table.name(goal, ID_1, START + 4 * SECOND)
-    assert [held(table, ID_1, after) for after in (9.9, 10)] == [True, False]
-
-
-def test_an_ended_goal_that_is_named_too_late_is_not_kept():
-    table = GoalTable()
-    goal = make_goal()
-    table.add(goal)
-    table.end(goal, START)
-    table.name(goal, ID_1, START + 20 * SECOND)
-    assert not table.ids(START)
-
-
 def test_active_goals_are_listed_in_the_order_of_their_acceptance_even_at_one_time():
     table = GoalTable()
     goals = [make_goal(START) for _ in range(50)]
@@ -428,12 +388,11 @@ class Retention(RuleBasedStateMachine):
         self.table = GoalTable(None if self.keep_ns is None else self.keep_ns / SECOND)
         self.now = START
         self.goals: list[Goal] = []
-        self.names = 100
 
     def is_held(self, goal: Goal) -> bool:
         if not goal.ended or self.keep_ns is None:
             return True
-        return goal.waiters > 0 or self.now < goal.ended + self.keep_ns
+        return self.now < goal.ended + self.keep_ns
 
     def holder(self, goal_id: bytes) -> Goal | None:
         """The one of that id that is held; two of them would be a mistake of the model."""
@@ -454,12 +413,6 @@ class Retention(RuleBasedStateMachine):
         if taken:
             self.goals.append(goal)
 
-    @rule()
-    def accept_without_an_id(self):
-        goal = make_goal(self.now)
-        assert self.table.add(goal)
-        self.goals.append(goal)
-
     @precondition(lambda self: self.goals)
     @rule(data=st.data())
     def end(self, data):
@@ -467,28 +420,6 @@ class Retention(RuleBasedStateMachine):
         if not goal.ended:
             self.table.end(goal, self.now)
             goal.apply(GoalEvent.SUCCEED)
-
-    @precondition(lambda self: self.goals)
-    @rule(data=st.data())
-    def wait(self, data):
-        goal = data.draw(st.sampled_from(self.goals))
-        if self.is_held(goal):
-            goal.waiters += 1
-
-    @precondition(lambda self: self.goals)
-    @rule(data=st.data())
-    def wait_no_more(self, data):
-        goal = data.draw(st.sampled_from(self.goals))
-        goal.waiters = 0
-        self.table.unpin(goal)
-
-    @precondition(lambda self: self.goals)
-    @rule(data=st.data())
-    def name(self, data):
-        goal = data.draw(st.sampled_from(self.goals))
-        self.names += 1
-        known, fresh = goal.id, bytes([self.names % 256]) * 15 + bytes([self.names // 256])
-        assert self.table.name(goal, fresh, self.now) == (known or fresh)
 
     @rule(number=st.integers(1, 4))
     def find(self, number):
@@ -499,15 +430,9 @@ class Retention(RuleBasedStateMachine):
     def the_active_goals_are_those_that_have_not_ended(self):
         assert self.table.active == [goal for goal in self.goals if not goal.ended]
 
-    @invariant()
-    def nothing_is_held_beyond_what_was_named(self):
-        assert len(self.table.ids(0)) <= sum(goal.id is not None for goal in self.goals)
-
     def teardown(self) -> None:
         """Everything ended and its time over: nothing is left."""
         for goal in self.goals:
-            goal.waiters = 0
-            self.table.unpin(goal)
             if not goal.ended:
                 self.table.end(goal, self.now)
         if self.keep_ns is not None:
@@ -534,7 +459,7 @@ KEPT = FeedbackLog.KEPT
 
 
 def filled(count: int, read: int | None = None) -> FeedbackLog:
-    log = FeedbackLog()
+    log = FeedbackLog(is_kept=True)
     log.read = read
     for number in range(count):
         log.append(number)

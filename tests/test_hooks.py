@@ -13,7 +13,7 @@ import pytest
 import turtleact
 from turtleact import CancelResponse, GoalResponse, GoalStatus
 from turtleact.errors import Abort, GoalAborted, GoalCanceled, GoalRejected, InvalidOption
-from turtleact.goals.state import GoalOrder
+from turtleact.goals.state import GoalRequest
 from turtleact.interfaces import implied
 from turtleact.interfaces.standard import UUID
 from turtleact.transports import MemoryTransport
@@ -243,7 +243,7 @@ async def test_a_hook_may_cancel_a_goal_that_begins(send):
 
         def hook(handle, old, new):
             if new is GoalStatus.EXECUTING:
-                served.local.cancel_goal_nowait(served.active[0])
+                served.local.request_cancel(served.active[0])
 
         journal = Journal(served.node)
         served.node.on_transition(hook)
@@ -259,7 +259,7 @@ async def test_a_hook_may_cancel_a_goal_that_has_to_wait():
 
         def hook(handle, old, new):
             if new is GoalStatus.ACCEPTED:
-                served.local.cancel_goal_nowait(served.active[-1])
+                served.local.request_cancel(served.active[-1])
 
         served.node.on_transition(hook)
         async with served.client.send_goal(goal(2)) as handle:
@@ -315,7 +315,7 @@ async def test_a_hook_may_send_a_goal_itself(policy, state):
 
         def hook(handle, old, new):
             if handle.request.upto and new is state:
-                served.local.take_nowait(GoalOrder(goal(0), None, 6.0), is_streamed=False)
+                served.local.accept(GoalRequest(goal(0), None))
 
         served.node.on_transition(hook)
         with contextlib.suppress(GoalAborted):  # it may be preempted
@@ -602,7 +602,7 @@ async def test_a_hook_may_cancel_a_goal_that_is_accepted(send):
 
         def hook(handle, old, new):
             if new is GoalStatus.ACCEPTED:
-                served.local.cancel_goal_nowait(served.active[-1])
+                served.local.request_cancel(served.active[-1])
 
         served.node.on_transition(hook)
         assert (await send(served, goal(1))).status is GoalStatus.CANCELED
@@ -614,7 +614,7 @@ async def test_a_later_hook_hears_of_changes_in_order_although_an_earlier_one_ma
 
         def hook(handle, old, new):
             if new is GoalStatus.EXECUTING:
-                served.local.cancel_goal_nowait(served.active[0])
+                served.local.request_cancel(served.active[0])
 
         served.node.on_transition(hook)
         heard = []
@@ -630,7 +630,7 @@ async def test_a_hook_may_send_a_goal_at_the_end_of_another(policy):
 
         def hook(handle, old, new):
             if handle.request.upto and new is GoalStatus.SUCCEEDED:
-                served.local.take_nowait(GoalOrder(goal(0), None, 6.0), is_streamed=False)
+                served.local.accept(GoalRequest(goal(0), None))
 
         served.node.on_transition(hook)
         async with served.client.send_goal(goal(1)) as handle:

@@ -128,7 +128,7 @@ class Send(NamedTuple):
 
 class CancelGoal(NamedTuple):
     target: int
-    by: Literal["id", "stamp", "both", "all", "nowait", "unknown id"]
+    by: Literal["id", "stamp", "both", "all", "unknown id"]
 
 
 class Leave(NamedTuple):
@@ -248,7 +248,7 @@ def plans(draw) -> Plan:
         st.booleans(),
     )
     target = st.integers(0, 9)
-    by = st.sampled_from(["id", "stamp", "both", "all", "nowait", "unknown id"])
+    by = st.sampled_from(["id", "stamp", "both", "all", "unknown id"])
     cancels = st.builds(CancelGoal, target, by)
     leaves = st.builds(Leave, target)
     others = [st.builds(Attach, target), st.builds(CloseClient, at, st.integers(0, 1))]
@@ -397,7 +397,6 @@ class ModelGoal:
         self.feedback = 0
         self.kept_from = 0
         self.asked = 0
-        self.is_asked_for = False
         self.is_paused = False
         self.hold: ModelHold | None = None
         self.process: Process | None = None
@@ -878,13 +877,6 @@ class Model:
                 return False
         return self.cancel(goal)
 
-    def let_go_soon(self, goal: ModelGoal) -> Steps[None]:
-        """The same, unless it is under way."""
-        if goal.is_active and not goal.is_asked_for:
-            goal.is_asked_for = True
-            yield from self.let_go(goal)
-            goal.is_asked_for = False
-
     # operations
 
     def request(self, step: int, goal: ModelGoal, by: str) -> Steps[None]:
@@ -1049,8 +1041,6 @@ class Play:
             case Send(server, _, script, how):
                 steps = model.sender(script, model.servers[server], how, send=operation)
                 model.clients[script.number] = model.start(steps)
-            case CancelGoal(_, "nowait") if goal is not None:
-                model.start(model.let_go_soon(goal))
             case CancelGoal(_, by) if goal is not None:
                 model.start(model.request(step, goal, by))
             case Attach() if goal is not None:
@@ -1341,9 +1331,6 @@ class World:
                 start(sending.run)
             case Leave() if act.goal:
                 self._clients[act.goal].scope.cancel()
-            case CancelGoal(_, "nowait") if server is not None and goal is not None:
-                if goal.status.is_active:
-                    self._locals[server].cancel_goal_nowait(goal)
             case Pause(_, timeout) if server is not None and goal is not None:
                 limit = math.inf if self._hand is not None else span(timeout, "pause", step)
                 start(self._pause, step, server, goal, limit)
@@ -1356,7 +1343,7 @@ class World:
                     self._observe,
                     step,
                     self._server_number(act.goal),
-                    self._locals[server].name_goal(goal),
+                    goal.id,
                 )
             case CloseClient(at, client):
                 if self._servers[at].is_open:
@@ -1376,7 +1363,7 @@ class World:
         self, step: int, server: turtleact.ActionServer[Any, Any, Any], goal: Goal, by: str
     ) -> None:
         local = self._locals[server]
-        goal_id = local.name_goal(goal) if by in ("id", "both") else None
+        goal_id = goal.id if by in ("id", "both") else None
         if by == "unknown id":
             goal_id = b"unknown".ljust(16)
         response = await local.cancel(goal_id, goal.stamp if by in ("stamp", "both") else 0)
@@ -1393,7 +1380,7 @@ class World:
         timeout: float,
     ) -> None:
         try:
-            await self._locals[server].pause(goal, timeout)
+            await self._locals[server].pauses.pause(goal, timeout)
         except PauseRefused:
             self._answers[step] = ("refused",)
         else:
@@ -1402,7 +1389,7 @@ class World:
     async def _resume(
         self, step: int, server: turtleact.ActionServer[Any, Any, Any], goal: Goal
     ) -> None:
-        await self._locals[server].resume(goal)
+        await self._locals[server].pauses.resume(goal)
         self._answers[step] = ("resumed",)
 
     async def _observe(self, step: int, at: int, goal_id: bytes) -> None:
@@ -1431,10 +1418,14 @@ class World:
     def _compare(self, expected: Picture) -> None:
         plain = self._plain
         assert {n: goal.status.name for n, goal in self._goals.items()} == expected.statuses
-        assert {n for n, goal in self._goals.items() if goal.is_paused} == expected.paused
+        paused = {n for n, goal in self._goals.items() if self._is_paused(n, goal)}
+        assert paused == expected.paused
         assert plain(self._outcomes) == expected.outcomes
         assert plain(self._answers) == expected.answers
         assert rounded(self._log) == rounded(expected.log)
+
+    def _is_paused(self, number: int, goal: Goal) -> bool:
+        return self._locals[self._server_of(number)].pauses.is_paused(goal)
 
     def _plain(self, value: Any) -> Any:
         """Results as tuples, and numbers of goals for the ids that nobody has chosen."""
@@ -1477,7 +1468,7 @@ class World:
 
     def _compare_goal(self, goal: Goal, expected: ModelGoal) -> None:
         number = expected.number
-        history = [*(status.name for status, _ in goal.history), goal.status.name]
+        history = [*(status.name for status, _ in goal.log.history), goal.status.name]
         assert history == expected.history
         chain = itertools.pairwise(["ACCEPTED", *history])
         assert all(step in LEGAL for step in chain)

@@ -739,7 +739,7 @@ async def test_a_chain_of_detached_goals_keeps_no_goal_that_has_ended(options, c
     numbers: list[int] = []
     async with turtleact.open_node("home") as node:
         for name in "ab":
-            node.action_server(Count, name, relay(numbers, callback), **options)
+            node.action_server(Count, name, relay(numbers, callback), **options, result_timeout=0.0)
         before = count_goals()
         async with node.action_client(Count, "b").send_goal(goal(LINKS)) as first:
             first.detach()

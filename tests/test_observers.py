@@ -7,13 +7,11 @@ import pytest
 from turtleact.goals.observers import FeedbackLost, GoalObserver, Lost, News, Observers
 from turtleact.goals.state import Goal, GoalStatus
 
-
-def goal() -> Goal:
-    return Goal(None, 0)
+from .lab import bare_goal
 
 
 class OfPauses(GoalObserver):
-    def pause_changed(self, goal: Goal) -> None:
+    def pause_changed(self, goal: Goal, is_paused: bool) -> None:
         """Hear of it."""
 
 
@@ -39,8 +37,8 @@ class OfBodies(GoalObserver):
 def test_an_observer_hears_of_all_that_happens():
     observers = Observers("/count")
     observers.add(observer := OfNews())
-    observers.noted(goal(), FeedbackLost(3))
-    observers.noted(goal(), Lost(GoalStatus.EXECUTING))
+    observers.noted(bare_goal(), FeedbackLost(3))
+    observers.noted(bare_goal(), Lost(GoalStatus.EXECUTING))
     observers.goal_rejected("busy")
     observers.closed()
     assert observer.heard == [FeedbackLost(3), Lost(GoalStatus.EXECUTING), "busy", "closed"]
@@ -58,5 +56,5 @@ def test_an_observer_that_fails_as_a_body_begins_is_logged(caplog):
     assert not observers.want_bodies
     observers.add(OfBodies())
     assert observers.want_bodies
-    observers.enter_body(goal())
+    observers.enter_body(bare_goal())
     assert "a bad observer" in caplog.text

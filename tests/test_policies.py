@@ -412,7 +412,7 @@ async def one_waits(stage: Stage, send: Send, **options: Any) -> AsyncIterator[t
 async def test_a_waiting_goal_that_is_canceled_by_id_is_canceled_at_once(send, options):
     async with one_waits(Stage(1), send, **options) as (served, _, two):
         waiting = served.active[1]
-        handle = await served.client.attach(served.local.name_goal(waiting))
+        handle = await served.client.attach(waiting.id)
         response = await handle.cancel()
         assert (response.return_code, ids(response)) == (CancelCode.NONE, [waiting.id])
         assert handle.status is GoalStatus.CANCELED
@@ -512,7 +512,7 @@ async def test_a_goal_whose_turn_comes_while_the_callback_is_asked_is_canceled_i
         lab(stage.act, policy="queue", cancel_callback=let_go_later) as served,
         sending(send, served, 1, 2) as sent,
     ):
-        handle = await served.client.attach(served.local.name_goal(served.active[1]))
+        handle = await served.client.attach(served.active[1].id)
         async with running(handle.cancel):
             await asked.wait()
             stage.open(1)
@@ -626,7 +626,7 @@ async def test_a_goal_that_is_canceled_while_it_gives_way_is_canceled(send):
     stage = Stage(1)
     async with lab(stage.act, policy="preempt") as served, sending(send, served, 1, 2) as sent:
         first = served.active[0]
-        response = await served.local.cancel(served.local.name_goal(first), 0)
+        response = await served.local.cancel(first.id, 0)
         assert (ids(response), first.status) == ([first.id], GoalStatus.CANCELING)
         stage.wash(1)
         stage.open(2)

@@ -16,6 +16,7 @@ from turtleact.errors import InvalidOption
 from turtleact.goals.policies import Admission, Rules, Slot, Slots
 from turtleact.goals.state import Goal
 
+from .lab import bare_goal
 from .tables import together
 
 START, WAIT, REFUSE = Admission.START, Admission.WAIT, Admission.REJECT
@@ -36,7 +37,7 @@ class Wish:
     def __init__(self, name: str, action: str = "/count", parent: Wish | None = None) -> None:
         self.name = name
         self.action = action
-        self.goal: Goal = Goal(name, 0, parent=None if parent is None else parent.goal)
+        self.goal: Goal = bare_goal(parent=None if parent is None else parent.goal)
 
     def __repr__(self) -> str:
         return self.name

@@ -335,13 +335,6 @@ async def test_canceling_who_waits_for_the_result_lets_the_goal_go_on():
         assert await handle.result() == result(7)
 
 
-async def test_a_waiter_that_was_canceled_does_not_pin_the_goal():
-    async with lab(Gate().wait) as served, served.client.send_goal(goal()) as handle:
-        async with running(handle.result) as waiter:
-            waiter.scope.cancel()
-        assert served.active[0].waiters == 0
-
-
 async def test_the_result_of_an_aborted_goal_raises():
     async with lab(abort) as served, served.client.send_goal(goal()) as handle:
         with pytest.raises(GoalAborted, match="no pen"):

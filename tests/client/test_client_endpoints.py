@@ -11,14 +11,13 @@ import pytest
 
 from turtleact.errors import PauseRefused, ServerUnavailable
 from turtleact.goals.client_endpoints import AT_ONCE, ClientEndpoints, RequestLimiter
-from turtleact.goals.state import Goal
 from turtleact.goals.wire import GoalNote
 from turtleact.interfaces import WireFormat, implied
 from turtleact.names import action_names
 from turtleact.transports import MemoryTransport, QoS
 from turtleact.transports.base import Closeable, Endpoint, EndpointKind, Reply
 
-from ..lab import ON_ASYNCIO, Count, running, settle
+from ..lab import ON_ASYNCIO, Count, bare_goal, running, settle
 
 NAMES = action_names("/count")
 SEND_GOAL = implied(Count).send_goal
@@ -206,5 +205,5 @@ async def test_a_server_that_is_gone_is_told_from_one_that_cannot_pause(
         serve(transport, number + 1)
     endpoints = client(transport)
     with pytest.raises(error, match=text):
-        await endpoints.set_paused(Goal(Count.Goal(), 0, id=bytes(16)), is_paused=True)
+        await endpoints.set_paused(bare_goal(), is_paused=True)
     endpoints.close()

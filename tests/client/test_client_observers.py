@@ -13,7 +13,7 @@ import pytest
 import turtleact
 from turtleact import Abort, GoalAborted, GoalStatus, TurtleactError
 from turtleact.goals.observers import GoalObserver
-from turtleact.goals.state import Goal, GoalOrder
+from turtleact.goals.state import Goal, GoalRequest
 from turtleact.transports import MemoryTransport
 
 from ..lab import Count, Gate, count, feedback, goal, result, settle
@@ -38,8 +38,8 @@ class Notes(GoalObserver):
     def feedback_published(self, goal: Goal, feedback: object) -> None:
         self.heard.append(feedback)
 
-    def pause_changed(self, goal: Goal) -> None:
-        self.heard.append("paused" if goal.is_paused else "resumed")
+    def pause_changed(self, goal: Goal, is_paused: bool) -> None:
+        self.heard.append("paused" if is_paused else "resumed")
 
 
 SUCCEEDS = [
@@ -155,11 +155,11 @@ class Calls(GoalObserver):
     def __init__(self) -> None:
         self.ended: list[tuple[bytes | None, type[BaseException] | None]] = []
 
-    def enter_call(self, order: GoalOrder) -> None:
+    def enter_call(self, order: GoalRequest) -> None:
         order.goal_id = order.goal_id or ID
         SENDING.set("a goal")
 
-    def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
+    def leave_call(self, order: GoalRequest, error: BaseException | None) -> None:
         assert SENDING.get() == "a goal"
         self.ended.append((order.goal_id, None if error is None else type(error)))
 

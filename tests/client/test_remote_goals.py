@@ -122,9 +122,13 @@ class Server:
             await anyio.sleep_forever()
 
 
+def new_goal() -> Goal:
+    return Goal(bytes(16), goal(), current_tasks().signal())
+
+
 def follow(server: Any) -> tuple[RemoteGoals, Goal]:
     goals = RemoteGoals(server, current_tasks(), lambda: 1, Observers("/count"))
-    return goals, goals.send(Goal(goal(), 0, id=bytes(16))).goal
+    return goals, goals.send(new_goal()).goal
 
 
 async def test_a_goal_ends_with_the_reply_to_the_second_request():
@@ -158,7 +162,7 @@ async def test_a_result_waits_for_the_feedback_before_it():
     await settle()
     assert not sent.ended
     goals.by_id[bytes(16)].received = 1
-    goals.signal(sent).fire()
+    sent.changed.fire()
     await settle()
     assert sent.status is GoalStatus.SUCCEEDED
 
@@ -232,7 +236,7 @@ async def test_one_that_does_not_know_the_goal_yet_is_asked_again_and_never_earl
     await settle()
     assert sent.status is GoalStatus.SUCCEEDED
     server.early = [Early(), Early()]
-    again = goals.send(Goal(goal(), 0, id=bytes(16)))
+    again = goals.send(new_goal())
     await settle()
     assert again.goal.status is GoalStatus.SUCCEEDED
     assert server.story == [*TOGETHER, "result", *ONE_BY_ONE]
@@ -245,7 +249,7 @@ async def test_one_without_a_note_is_asked_one_by_one_from_then_on():
     server.asked.come(FOREIGN)
     await settle()
     server.early = [Early(), Early()]
-    goals.send(Goal(goal(), 0, id=bytes(16)))
+    goals.send(new_goal())
     await settle()
     assert server.story == [*TOGETHER, *ONE_BY_ONE]
 

@@ -553,7 +553,10 @@ async def test_a_client_that_is_closed_has_no_task_left():
             for each in sending[1:]:
                 group.start_soon(failing, each)
             await settle()
-            assert tasks_of_clients() == ["a cancel of /count"] + ["a goal of /count"] * 3
+            assert (
+                tasks_of_clients()
+                == [f"a cancel of goal {handle.goal_id.hex()}"] + ["a goal of /count"] * 3
+            )
             await client.aclose()
             assert tasks_of_clients() == []
 

@@ -19,7 +19,7 @@ from turtleact.goals.wire import GoalReason, reason_topic
 from turtleact.interfaces import WireFormat, decode
 from turtleact.interfaces.standard import GoalStatusArray
 
-from ..lab import Count, Lab, goal, lab, result, settle
+from ..lab import Count, Lab, bare_goal, goal, lab, result, settle
 
 
 class Topic:
@@ -77,9 +77,9 @@ async def test_observers_hear_of_feedback_that_cannot_be_sent():
         local = served.local
         local.observers.add(losses := Losses())
         topic = FeedbackTopic(local, cast("Any", FullLane()), cast("Any", None))
-        sent = Goal(Count.Goal(), 0, id=bytes(range(16)))
+        sent = bare_goal()
         for number in range(4):
-            topic.publish(sent, Count.Feedback(so_far=[number]))
+            topic.send(sent, Count.Feedback(so_far=[number]))
         assert losses.heard == [FeedbackLost(1), FeedbackLost(1)]
 
 

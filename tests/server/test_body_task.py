@@ -20,10 +20,12 @@ async def count(request: Count.Goal) -> Count.Result:
 
 @pytest.mark.parametrize(("limit", "is_logged"), [(-1.0, True), (60.0, False)])
 async def test_a_step_that_blocks_the_event_loop_is_logged(monkeypatch, caplog, limit, is_logged):
-    monkeypatch.setattr("turtleact.goals.body_task.BLOCKING", limit)
+    monkeypatch.setattr("turtleact.goals.running.BLOCKING", limit)
     async with lab(count) as served:
         await served.client.send_goal(goal())
-    assert ("the body of /count blocked the event loop for 0.0 s, so" in caplog.text) == is_logged
+    assert (
+        "the body of /count blocked the event loop for 0.0 s (goal " in caplog.text
+    ) == is_logged
 
 
 async def wait_for_ever(request: Count.Goal) -> Count.Result:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import logging
+import re
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextvars import ContextVar
 from typing import Any
@@ -23,8 +24,8 @@ from turtleact.errors import (
     InvalidMessage,
     InvalidTransition,
 )
-from turtleact.goals.execution import BURST
 from turtleact.goals.feedback import FeedbackLog
+from turtleact.goals.generators import BURST
 from turtleact.goals.state import CURRENT_GOAL
 from turtleact.summaries import LONGEST
 
@@ -460,7 +461,7 @@ async def test_a_failure_is_logged_with_its_traceback(body, send, caplog):
     await end_of(body, send)
     (record,) = caplog.records
     assert (record.name, record.levelno) == ("turtleact.server", logging.ERROR)
-    assert record.getMessage() == "the body of /count failed"
+    assert re.fullmatch(r"the body of /count failed \(goal [0-9a-f]{32}\)", record.getMessage())
     assert record.exc_info is not None
     assert str(record.exc_info[1]) == "no pen"
 
@@ -1080,7 +1081,7 @@ async def test_a_listener_that_raises_does_not_reach_the_body(body, caplog):
     ):
         assert (await handle.outcome()).status is GoalStatus.SUCCEEDED
     assert [record.getMessage() for record in caplog.records] == [
-        "the feedback_callback of a goal of /count failed"
+        f"the feedback_callback of a goal of /count failed (goal {handle.goal_id.hex()})"
     ] * 3
 
 
@@ -1326,7 +1327,7 @@ async def test_an_awaited_goal_keeps_no_feedback_at_all():
 
     async with lab(body) as served:
         await served.client.send_goal(goal())
-    assert goals[0].feedback is None
+    assert goals[0].log.items == []
 
 
 async def test_a_body_that_only_yields_lets_others_run():

@@ -14,13 +14,12 @@ from prometheus_client.parser import text_string_to_metric_families
 import turtleact
 from turtleact import GoalRejected, TurtleactError
 from turtleact.goals.observers import FeedbackLost
-from turtleact.goals.state import Goal
 from turtleact.tasks.clock import VirtualClock
 from turtleact.telemetry import GoalMetrics, instrument, measuring
 from turtleact.telemetry.prometheus import Totals
 from turtleact.transports import MemoryTransport
 
-from ..lab import Count, Gate, count, goal, result
+from ..lab import Count, Gate, bare_goal, count, goal, result
 from .collector import collecting
 
 
@@ -143,7 +142,7 @@ async def test_lost_feedback_is_counted():
     async with turtleact.open_node("all") as node:
         metrics.watch(node)
         client = node.action_client(Count, "count")
-        client.observers.noted(Goal(None, 0), FeedbackLost(7))
+        client.observers.noted(bare_goal(), FeedbackLost(7))
     assert read(metrics)["ros_action_feedback_lost_total action=/count"] == 7
 
 
@@ -198,7 +197,7 @@ async def test_opentelemetry_gets_the_same_measurements_and_no_goal_id(monkeypat
             async with client.send_goal(goal()):
                 with pytest.raises(GoalRejected):
                     await client.send_goal(goal())
-            client.observers.noted(Goal(None, 0), FeedbackLost(7))
+            client.observers.noted(bare_goal(), FeedbackLost(7))
             await anyio.sleep(0.01)
         await anyio.to_thread.run_sync(provider.shutdown)
     goals = collector.points("ros.action.goals")

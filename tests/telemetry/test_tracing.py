@@ -423,7 +423,7 @@ async def test_lost_feedback_is_an_event(collector):
             lab(provider, Gate().wait) as made,
             made.client.send_goal(goal(), goal_id=bytes(range(16))),
         ):
-            (held,) = local_server_of(made.server).held()
+            (held,) = local_server_of(made.server).held().values()
             local_server_of(made.server).observers.noted(held, FeedbackLost(7))
     (lost,) = [each for each in collector.the("execute /count").events if each.name[-4:] == "lost"]
     assert (lost.name, values(lost.attributes)) == ("feedback lost", {"ros.feedback.count": 7})

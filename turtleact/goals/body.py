@@ -25,6 +25,8 @@ from collections.abc import (
     Coroutine,
     Mapping,
 )
+from functools import partial
+from types import CoroutineType
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -42,6 +44,7 @@ from typing import (
 )
 
 from turtleact.errors import InvalidBody, InvalidOption
+from turtleact.goals.generators import RunningBody, drive
 from turtleact.goals.policies import Policy
 from turtleact.goals.records import GoalJournal, OnRestart
 from turtleact.goals.state import CancelResponse, GoalResponse
@@ -58,7 +61,6 @@ __all__ = [
     "ActionType",
     "Body",
     "ServerOptions",
-    "Steps",
     "action",
     "check_declaration",
     "check_option_names",
@@ -75,8 +77,6 @@ H = TypeVar("H")
 G_co = TypeVar("G_co", bound=Message, covariant=True)
 R_co = TypeVar("R_co", bound=Message, covariant=True)
 F_co = TypeVar("F_co", bound=Message, covariant=True)
-
-Steps = AsyncGenerator[object, None]
 
 #: A body as type checkers see it. ``H`` is the class of the goal handle.
 ActionBody: TypeAlias = (
@@ -361,23 +361,53 @@ class Body:
     """A function that can do the work of an action.
 
     Attributes:
+        run: A function that takes a `RunningBody` and returns the coroutine that does the work. The
+            coroutine returns the result, in whichever style the user's function is written.
         is_generator: Whether the function yields its feedback and result.
-        wants_handle: Whether the function also takes the goal handle.
 
     Raises:
         InvalidBody: if the function cannot be a body.
     """
 
-    __slots__ = ("call", "is_generator", "wants_handle")
+    __slots__ = ("is_generator", "run")
 
     def __init__(self, name: str, execute: Callable[..., object]) -> None:
-        function = execute.execute if isinstance(execute, ActionDeclaration) else execute
-        self.call = cast("Callable[..., Coroutine[object, object, object] | Steps]", function)
+        function: Any = execute.execute if isinstance(execute, ActionDeclaration) else execute
         target = function if _is_function(function) else getattr(function, "__call__", function)  # noqa: B004  # a callable object's own method
         self.is_generator = inspect.isasyncgenfunction(target)
         if not self.is_generator and not inspect.iscoroutinefunction(target):
             raise InvalidBody(name, f"must be an 'async def', not {_kind_of(function)}")
-        self.wants_handle = _count_parameters(name, function) == 2
+        call = _with_handle if _count_parameters(name, function) == 2 else _without_handle
+        form = _generator if self.is_generator else _coroutine
+        self.run: Callable[[RunningBody], Coroutine[object, object, object]] = partial(
+            form, call, function
+        )
+
+
+def _with_handle(run: RunningBody, function: Callable[..., Any]) -> Any:  # noqa: ANN401
+    return function(run.goal.request, run.make_handle())
+
+
+def _without_handle(run: RunningBody, function: Callable[..., Any]) -> Any:  # noqa: ANN401
+    return function(run.goal.request)
+
+
+def _generator(
+    call: Callable[..., Any], function: Callable[..., Any], run: RunningBody
+) -> Coroutine[object, object, object]:
+    return drive(run, call(run, function))
+
+
+def _coroutine(
+    call: Callable[..., Any], function: Callable[..., Any], run: RunningBody
+) -> Coroutine[object, object, object]:
+    running = run.source = call(run, function)
+    # A decorated function may return another awaitable.
+    return running if isinstance(running, CoroutineType) else _awaiting(running)
+
+
+async def _awaiting(running: Awaitable[object]) -> object:
+    return await running
 
 
 def check_declaration(given: object) -> None:

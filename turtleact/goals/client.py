@@ -13,7 +13,7 @@ import logging
 import sys
 import uuid
 import warnings
-from collections.abc import Callable, Coroutine, Generator
+from collections.abc import Awaitable, Callable, Coroutine, Generator
 from contextvars import copy_context
 from functools import partial
 from inspect import CO_COROUTINE
@@ -37,16 +37,17 @@ from turtleact.goals.client_handle import (
     ResultReceived,
     StatusChanged,
 )
-from turtleact.goals.goal_server import GoalServer, OffersGoals, cancel_and_wait
+from turtleact.goals.goal_server import GoalServer, OffersGoals
 from turtleact.goals.ids import goal_id_bytes, new_goal_id
 from turtleact.goals.observers import Detached, GoalObserver, News, Observers
 from turtleact.goals.remote import RemoteActionServer
-from turtleact.goals.state import Goal, GoalOrder, GoalStatus, failure
+from turtleact.goals.running import BodyTask
+from turtleact.goals.state import CURRENT_GOAL, Goal, GoalRequest, GoalStatus, failure
 from turtleact.graph import graph_of
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.definition import nearest
 from turtleact.interfaces.standard import CancelGoal, Time
-from turtleact.tasks import Home, Tasks
+from turtleact.tasks import GRACE, Background, Home, Tasks
 from turtleact.tasks.clock import check_timeout
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Owner, find_server, wait_until_served
@@ -106,8 +107,10 @@ class ActionClient(Generic[G, R, F]):
         self._membership = owner.add(self, endpoints)
         self._cancel_timeout = cancel_timeout
         self._home = home.of(f"the client of action '{self.name}'")
+        self._tasks = tasks
         self._remote = RemoteActionServer(endpoints, tasks, self.observers)
         self._server: GoalServer | None = None
+        self._canceling: dict[bytes, Background] = {}
 
     def send_goal(
         self,
@@ -155,9 +158,9 @@ class ActionClient(Generic[G, R, F]):
             check_timeout(reattach, "reattach", may_be_none=False)
             if named is None:  # reattaching finds the goal by its id
                 named = new_goal_id()
-        order = GoalOrder(goal, self, self._cancel_timeout, named, on_feedback, reattach)
+        request = GoalRequest(goal, self, named, on_feedback, reattach)
         caller = sys._getframe(1)
-        return SendGoal(self, order, caller.f_code, caller.f_lasti)
+        return SendGoal(self, request, caller.f_code, caller.f_lasti)
 
     def attach(self, goal_id: bytes | uuid.UUID) -> Attach[R, F]:
         """Attach to a goal that somebody else sent: ``await`` this or use ``async with``.
@@ -215,6 +218,8 @@ class ActionClient(Generic[G, R, F]):
         if self._server is not None and self._server is not self._remote:
             self._server.client_lost(self)
         self._use(None)
+        for each in list(self._canceling.values()):
+            await each.aclose(GRACE)
         await self._remote.aclose()
         self._membership.close()
 
@@ -290,45 +295,62 @@ class ActionClient(Generic[G, R, F]):
 
     # goals
 
-    def _send(self, order: GoalOrder, send: Callable[[GoalOrder], _Sending[T]]) -> _Sending[T]:
+    def _send(
+        self, request: GoalRequest, send: Callable[[GoalRequest], _Sending[T]]
+    ) -> _Sending[T]:
         """Send a goal with ``send``, which is `_run` or `_enter`.
 
         If an observer wants reports about calls, send the goal in a copy of the caller's context.
         """
         if not self.observers.want_calls:
-            return send(order)
-        return _InOwnContext(self._send_observed(order, send))
+            return send(request)
+        return _InOwnContext(self._send_observed(request, send))
 
-    async def _send_observed(self, order: GoalOrder, send: Callable[[GoalOrder], _Sending[T]]) -> T:
+    async def _send_observed(
+        self, request: GoalRequest, send: Callable[[GoalRequest], _Sending[T]]
+    ) -> T:
         observers = self.observers
-        observers.enter_call(order)
+        observers.enter_call(request)
         try:
-            answer = await send(order)
+            answer = await send(request)
         except BaseException as error:
-            observers.leave_call(order, error)
+            observers.leave_call(request, error)
             raise
-        observers.leave_call(order, None)
+        observers.leave_call(request, None)
         return answer
 
-    async def _run(self, order: GoalOrder) -> R:
+    async def _run(self, request: GoalRequest) -> R:
         """Send a goal and wait for its result."""
-        reattach = order.reattach
-        # The common case is a plain call: a coroutine more for each goal would be noticed.
-        server = self._known_server() or await self._find_server(reattach)
-        goal = await server.run_goal(order)
-        while reattach and isinstance(goal.error, ServerUnavailable):
-            server, goal = await self._reattach(order, goal.error)
-            try:
-                await server.wait_for_end(goal)
-            except anyio.get_cancelled_exc_class():
-                await cancel_and_wait(server, goal, order.cancel_timeout)
-                raise
+        server, goal = await self._send_to_server(request)
+        await self._wait(server, goal, goal.wait_for_end)
+        while request.reattach and isinstance(goal.error, ServerUnavailable):
+            server, goal = await self._reattach(request, goal.error)
+            await self._wait(server, goal, goal.wait_for_end)
         if goal.status is _SUCCEEDED:
             return goal.result  # type: ignore[return-value]  # the server checked it
         raise failure(goal)
 
+    async def _send_to_server(self, request: GoalRequest) -> tuple[GoalServer, Goal]:
+        """Send a goal, and return it with its server. The goal may not be accepted yet."""
+        server = self._known_server() or await self._find_server(request.reattach)
+        goal = await server.send(request)
+        parent = CURRENT_GOAL.get()
+        if parent is not None and isinstance(parent.body, BodyTask):
+            parent.body.add_child(goal, server)
+        return server, goal
+
+    async def _wait(
+        self, server: GoalServer, goal: Goal, wait: Callable[[], Awaitable[None]]
+    ) -> None:
+        """Wait for a goal with ``wait``. If the wait is cancelled, cancel the goal."""
+        try:
+            await wait()
+        except self._tasks.cancelled:
+            await server.abandon(goal, self._cancel_timeout)
+            raise
+
     async def _reattach(
-        self, order: GoalOrder, error: ServerUnavailable
+        self, request: GoalRequest, error: ServerUnavailable
     ) -> tuple[GoalServer, Goal]:
         """Wait until a server in this process is back, and attach to the goal again.
 
@@ -337,21 +359,22 @@ class ActionClient(Generic[G, R, F]):
         """
         if self._server is self._remote:
             raise error
-        server = await self._find_server(order.reattach)
-        goal = await server.attach(goal_id_bytes(order.goal_id or b""))
+        server = await self._find_server(request.reattach)
+        goal = await server.attach(goal_id_bytes(request.goal_id or b""))
         if goal is None:
             raise UnknownGoal(f"the server of '{self.name}' is back, but does not hold the goal")
-        goal.sender = goal.sender or order.sender  # so that the client's observers hear of it again
-        on_feedback: Any = order.on_feedback
-        if on_feedback is not None and goal.on_feedback is None:  # runs in the sender's context
-            goal.on_feedback = partial(copy_context().run, on_feedback)
+        goal.sender = goal.sender or request.sender  # so that the client's observers hear of it
+        on_feedback: Any = request.on_feedback
+        if on_feedback is not None and goal.log.on_feedback is None:  # in the sender's context
+            goal.log.on_feedback = partial(copy_context().run, on_feedback)
         return server, goal
 
-    async def _enter(self, order: GoalOrder) -> GoalReader:
+    async def _enter(self, request: GoalRequest) -> GoalReader:
         """Send a goal and wait until it is accepted."""
-        server = self._known_server() or await self._find_server(order.reattach)
-        goal = await server.send_goal(order)
-        return GoalReader(server, goal, self._home, is_sender=True)
+        request.is_streamed = True
+        server, goal = await self._send_to_server(request)
+        await self._wait(server, goal, partial(server.wait_for_acceptance, goal))
+        return self._read(server, goal, is_sender=True)
 
     async def _attach(self, goal_id: bytes) -> GoalReader:
         """Attach to a goal that somebody else sent."""
@@ -359,7 +382,26 @@ class ActionClient(Generic[G, R, F]):
         goal = await server.attach(goal_id)
         if goal is None:
             raise UnknownGoal(f"'{self.name}' holds no goal {goal_id.hex()}")
-        return GoalReader(server, goal, self._home, is_sender=False)
+        return self._read(server, goal, is_sender=False)
+
+    def _read(self, server: GoalServer, goal: Goal, *, is_sender: bool) -> GoalReader:
+        home, tasks, cancel_soon = self._home, self._tasks, self._cancel_soon
+        return GoalReader(server, goal, home, tasks, cancel_soon, is_sender=is_sender)
+
+    def _cancel_soon(self, server: GoalServer, goal: Goal) -> None:
+        """Cancel a goal in a task, unless such a task runs already. A failure is logged."""
+        if goal.id not in self._canceling:
+            name = f"a cancel of goal {goal.hex}"
+            asking = Background(self._try_to_cancel(server, goal), name, self._tasks)
+            self._canceling[goal.id] = asking
+
+    async def _try_to_cancel(self, server: GoalServer, goal: Goal) -> None:
+        try:
+            await server.cancel(goal.id, 0)
+        except TurtleactError as error:
+            logger.warning("goal %s could not be canceled: %s", goal.hex, error)
+        finally:
+            del self._canceling[goal.id]
 
 
 if TYPE_CHECKING:
@@ -392,18 +434,18 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     """
 
     _client: ActionClient[G, R, F]
-    _order: GoalOrder | None
+    _request: GoalRequest | None
     _code: CodeType
     _offset: int
     _reader: GoalReader | None = None
     _calling: Coroutine[object, object, R] | None = None
 
     def __repr__(self) -> str:
-        state = "already sent" if self._order is None else "not yet sent"
+        state = "already sent" if self._request is None else "not yet sent"
         return f"<goal for '{self._client.name}', {state}>"
 
     def __aiter__(self) -> NoReturn:
-        self._order = None  # the error below says enough: no warning that it was never sent
+        self._request = None  # the error below says enough: no warning that it was never sent
         raise TypeError(
             "a goal is sent before its feedback is read: write 'async with client.send_goal(...) "
             "as goal', and in that block 'async for feedback in goal'"
@@ -412,7 +454,7 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     def __await__(self) -> Generator[object, object, R]:
         client = self._client
         if not client.observers.want_calls:
-            return client._run(self._take_order()).__await__()
+            return client._run(self._take_request()).__await__()
         return self._start().__await__()
 
     def send(self, value: object) -> object:
@@ -430,13 +472,13 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
 
     def close(self) -> None:
         """Close the coroutine. Only event loops need this method."""
-        self._order = None
+        self._request = None
         if self._calling is not None:
             self._calling.close()
 
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
         client = self._client
-        self._reader = await client._send(self._take_order(), client._enter)
+        self._reader = await client._send(self._take_request(), client._enter)
         return ClientGoalHandle(self._reader)
 
     async def __aexit__(
@@ -458,19 +500,19 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
 
     def _start(self) -> Coroutine[object, object, R]:
         client = self._client
-        return client._send(self._take_order(), client._run)
+        return client._send(self._take_request(), client._run)
 
-    def _take_order(self) -> GoalOrder:
-        order, self._order = self._order, None
-        if order is None:
+    def _take_request(self) -> GoalRequest:
+        request, self._request = self._request, None
+        if request is None:
             raise TurtleactError(
                 f"this goal for '{self._client.name}' was already sent: call send_goal again to "
                 "send another"
             )
-        return order
+        return request
 
     def __del__(self) -> None:
-        if self._order is not None:
+        if self._request is not None:
             # The line is computed here and not in `send_goal`, because most goals are sent.
             lines = (lines for *ends, lines in self._code.co_lines() if self._offset < ends[1])
             warnings.warn_explicit(
@@ -595,9 +637,9 @@ class _Relay(GoalObserver):
         if goal.sender is self._client:
             self._observers.feedback_published(goal, feedback)
 
-    def pause_changed(self, goal: Goal) -> None:
+    def pause_changed(self, goal: Goal, is_paused: bool) -> None:
         if goal.sender is self._client:
-            self._observers.pause_changed(goal)
+            self._observers.pause_changed(goal, is_paused)
 
     def noted(self, goal: Goal, news: News) -> None:
         if goal.sender is self._client:

@@ -291,7 +291,7 @@ class ClientEndpoints:
             raise ServerUnavailable(self.name, problem)
         if not caller.is_served:
             raise PauseRefused("its server does not offer that; is it a server of turtleact?")
-        request = SetPaused.Request(UUID(cast("bytes", goal.id)), is_paused, timeout)
+        request = SetPaused.Request(UUID(goal.id), is_paused, timeout)
         response: Any = (await caller.call(request)).message
         if not response.success:
             raise PauseRefused(response.message)

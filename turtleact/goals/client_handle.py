@@ -9,18 +9,17 @@ Source: rclpy ``action/client.py`` for names and behaviour.
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from threading import get_ident
 from typing import Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, cast
 
 import msgspec
 
-from turtleact.goals.feedback import FeedbackLog
-from turtleact.goals.goal_server import GoalServer, cancel_and_wait
+from turtleact.goals.goal_server import GoalServer
 from turtleact.goals.state import Goal, GoalStatus, failure
 from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import CancelGoal, Time
-from turtleact.tasks import Home
+from turtleact.tasks import Home, Tasks
 
 __all__ = [
     "Accepted",
@@ -124,7 +123,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     @property
     def goal_id(self) -> bytes:
         """The goal's id, 16 bytes."""
-        return self._reader.goal_id
+        return self._reader.goal.id
 
     @property
     def stamp(self) -> Time:
@@ -157,7 +156,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     @property
     def last_feedback(self) -> F | None:
         """The newest feedback message, whether or not it was read; None before the first."""
-        return cast("F | None", self._reader.goal.last_feedback)
+        return cast("F | None", self._reader.goal.log.last)
 
     @property
     def missed(self) -> int:
@@ -224,7 +223,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
         ROS 2 has no state for pauses, so `status` stays EXECUTING.
         """
-        return self._reader.goal.is_paused
+        return self._reader.is_paused
 
     @property
     def is_resumed(self) -> bool:
@@ -232,7 +231,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
 
         This is always False if the server is in another process.
         """
-        return self._reader.goal.resumed is not None
+        return self._reader.is_resumed
 
     async def pause(self, timeout: float = 5.0) -> None:
         """Pause the goal, and return once its body has paused.
@@ -271,6 +270,8 @@ class GoalReader:
         server: The server that holds the goal.
         goal: The goal.
         home: The client's event loop.
+        tasks: The functions for tasks in the client's event loop.
+        cancel_soon: Starts a task that cancels a goal.
         is_sender: Whether this client sent the goal.
 
     Attributes:
@@ -280,32 +281,50 @@ class GoalReader:
     """
 
     __slots__ = (
+        "_cancel_soon",
         "_home",
         "_hurried",
         "_is_sender",
         "_iterations",
         "_next",
         "_server",
+        "_tasks",
         "goal",
         "is_detached",
         "missed",
     )
 
-    def __init__(self, server: GoalServer, goal: Goal, home: Home, *, is_sender: bool) -> None:
+    def __init__(
+        self,
+        server: GoalServer,
+        goal: Goal,
+        home: Home,
+        tasks: Tasks,
+        cancel_soon: Callable[[GoalServer, Goal], None],
+        *,
+        is_sender: bool,
+    ) -> None:
         self.goal = goal
         self.missed = 0
         self.is_detached = False
         self._server = server
         self._home = home
+        self._tasks = tasks
+        self._cancel_soon = cancel_soon
         self._is_sender = is_sender
-        self._next = 0
+        self._next = 0 if is_sender else goal.log.dropped
         self._iterations = 0
         self._hurried = 0
 
     @property
-    def goal_id(self) -> bytes:
-        """The goal's id, 16 bytes."""
-        return self.goal.id or self._server.name_goal(self.goal)
+    def is_paused(self) -> bool:
+        """Whether the goal is paused."""
+        return self._server.pauses.is_paused(self.goal)
+
+    @property
+    def is_resumed(self) -> bool:
+        """Whether the server, in this process, has the goal from an earlier process."""
+        return self.goal.id in self._server.resumed
 
     def check_home(self) -> None:
         """Raise an error if the caller is not in the client's event loop."""
@@ -315,24 +334,21 @@ class GoalReader:
 
     async def wait_for_change(self) -> None:
         """Wait for the goal's next change. Cancelling: safe."""
-        await self._server.signal(self.goal).wait()
+        await self.goal.changed.wait()
 
     @property
     def next_unread(self) -> int | None:
         """The index (from 0) of the next unread feedback message; None if no message is unread."""
-        log = self.goal.feedback
-        return None if log is None or self._next >= log.count else max(self._next, log.dropped)
+        log = self.goal.log
+        return None if self._next >= log.count or not log.items else max(self._next, log.dropped)
 
     def start_iteration(self) -> None:
         """Begin an iteration. If this client sent the goal, unread feedback is kept from now on."""
         self._home.check()
-        log = self.goal.feedback
-        if log is None:
-            log = self.goal.feedback = FeedbackLog()
         self._iterations += 1
         if self._is_sender:
-            log.read = self._next
-            log.hurried = self._hurried
+            self.goal.log.read = self._next
+            self.goal.log.hurried = self._hurried
 
     def end_iteration(self, thread: int) -> None:
         """Record that an iterator is gone. Any thread may call this method.
@@ -344,7 +360,7 @@ class GoalReader:
             thread: The id of the thread in which the iterator was made.
         """
         if get_ident() != thread:
-            self._server.from_anywhere(lambda: self.end_iteration(thread))
+            self._tasks.from_anywhere(lambda: self.end_iteration(thread))
             return
         self._iterations -= 1
         if not self._iterations:
@@ -352,10 +368,9 @@ class GoalReader:
 
     def _stop_reading(self) -> None:
         """From now on, the goal's body does not wait for the sender to read the feedback."""
-        log = self.goal.feedback
-        if log is not None and self._is_sender:
-            log.read = None
-            log.relieve()
+        if self._is_sender:
+            self.goal.log.read = None
+            self.goal.log.relieve()
 
     # the end
 
@@ -369,11 +384,11 @@ class GoalReader:
         if goal.ended:
             return goal
         if not self._is_sender:
-            await self._server.wait_for_end(goal)
+            await goal.wait_for_end()
             return goal
         self._hurry(1)
         try:
-            await self._server.wait_for_end(goal)
+            await goal.wait_for_end()
         finally:
             self._hurry(-1)
         return goal
@@ -384,31 +399,29 @@ class GoalReader:
         If any caller waits, the goal's body does not wait for the sender to read the feedback.
         """
         self._hurried += change
-        log = self.goal.feedback  # before there is feedback or a reader, there is no log
-        if log is not None:
-            log.hurried = self._hurried
-            log.relieve()
+        self.goal.log.hurried = self._hurried
+        self.goal.log.relieve()
 
-    def cancel(self) -> Coroutine[object, object, CancelGoal.Response]:
+    def cancel(self) -> Awaitable[CancelGoal.Response]:
         """Ask the server to cancel the goal."""
         self._home.check()
-        return self._server.cancel_goal(self.goal)
+        return self._server.cancel(self.goal.id, 0)
 
     async def pause(self, timeout: float) -> None:
         """Pause the goal."""
         self._home.check()
-        await self._server.pause(self.goal, timeout)
+        await self._server.pauses.pause(self.goal, timeout)
 
     async def resume(self) -> None:
         """Let the goal go on."""
         self._home.check()
-        await self._server.resume(self.goal)
+        await self._server.pauses.resume(self.goal)
 
     def cancel_nowait(self) -> None:
         """Ask the server to cancel the goal, without waiting for the server's answer."""
         self._home.check()
         if not self.goal.ended:
-            self._server.cancel_goal_nowait(self.goal)
+            self._cancel_soon(self._server, self.goal)
 
     async def leave(self, timeout: float) -> None:
         """Stop reading. Unless the goal is detached, cancel the goal and wait for its end.
@@ -418,7 +431,7 @@ class GoalReader:
         """
         self._stop_reading()
         if not self.is_detached:
-            await cancel_and_wait(self._server, self.goal, timeout)
+            await self._server.abandon(self.goal, timeout)
 
 
 class _Reading:
@@ -441,27 +454,26 @@ class _Reading:
         # to wait happen in one step of the task, so no signal can fire in between and be lost.
         reader = self._reader
         goal = reader.goal
+        log = goal.log
         while True:
-            log = goal.feedback
-            if log is not None:
-                at = reader._next - log.dropped
-                if at < 0:
-                    reader.missed -= at
-                    reader._next = log.dropped
-                    at = 0
-                items = log.items
-                if at < len(items):
-                    reader._next += 1
-                    if reader._is_sender and log.read is not None:
-                        log.read = reader._next
-                        if log.drained is not None:
-                            log.relieve()
-                    return items[at]
+            items = log.items
+            at = reader._next - log.count + len(items)
+            if at < 0:
+                reader.missed -= at
+                reader._next -= at
+                at = 0
+            if at < len(items):
+                reader._next += 1
+                if reader._is_sender and log.read is not None:
+                    log.read = reader._next
+                    if log.drained is not None:
+                        log.relieve()
+                return items[at]
             if goal.ended:
                 if goal.error is not None:
                     raise goal.error
                 raise StopAsyncIteration
-            await reader._server.signal(goal).wait()
+            await goal.changed.wait()
 
 
 class _Iteration(_Reading):
@@ -517,7 +529,7 @@ class _Events(_Iteration, Generic[F, R]):
         goal = reader.goal
         if self._step == "accepted":
             self._step = "under way"
-            return Accepted(reader.goal_id, stamp_of(goal.stamp))
+            return Accepted(goal.id, stamp_of(goal.stamp))
         while self._step == "under way":
             status = self._next_status()
             if status is not None:
@@ -540,9 +552,10 @@ class _Events(_Iteration, Generic[F, R]):
 
         None means that no state is left, or that earlier feedback must be read first.
         """
-        history = self._reader.goal.history
+        history = self._reader.goal.log.history
         if self._told == len(history):
             return None
+        status: GoalStatus
         status, count = history[self._told]
         unread = self._reader.next_unread
         if unread is not None and unread < count:

@@ -12,18 +12,28 @@ workflow's id makes a repeated call harmless.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from contextvars import Context
+from functools import partial
 from typing import cast
 
 import anyio
+import msgspec
 
-from turtleact.errors import GoalRejected, InvalidMessage, TurtleactError
-from turtleact.goals.records import GoalChange, GoalJournal, GoalRecord, OnRestart, Resumed
-from turtleact.goals.state import Goal, GoalEvent, GoalStatus
+from turtleact.errors import GoalRejected, InvalidMessage, ServerUnavailable, TurtleactError
+from turtleact.goals.body import ServerOptions
+from turtleact.goals.ids import new_goal_id
+from turtleact.goals.observers import GoalObserver, Lost
+from turtleact.goals.records import GoalChange, GoalJournal, GoalRecord, Resumed
+from turtleact.goals.server import LocalActionServer
+from turtleact.goals.state import Goal, GoalEvent, GoalRequest, GoalStatus
 from turtleact.interfaces import Action, Message, WireFormat, type_hash
+from turtleact.interfaces.standard import CancelGoal
 from turtleact.summaries import encodable
 
-__all__ = ["DurableGoals"]
+__all__ = ["DurableGoals", "restore_all"]
+
+_CANCELING = GoalStatus.CANCELING
 
 _STATUS_AFTER = {
     GoalEvent.SUCCEED: GoalStatus.SUCCEEDED,
@@ -31,16 +41,17 @@ _STATUS_AFTER = {
     GoalEvent.CANCELED: GoalStatus.CANCELED,
 }
 
+Consider = Callable[[GoalRequest], Awaitable[GoalRequest]]
 
-class DurableGoals:
+
+class DurableGoals(GoalObserver):
     """Records the goals of one server in a journal, and restores them.
 
     Args:
-        journal: The journal.
-        action_type: The class of the action.
-        name: The fully qualified name of the action.
-        on_restart: What to do with goals that an earlier process has left unfinished.
-        result_timeout: How long results are kept (s). If None, there is no limit.
+        server: The server.
+        options: The server's options, with ``journal``, ``on_restart`` and ``result_timeout``.
+        consider: Asks the ``goal_callback`` about a goal; None if there is no such callback.
+        starts_at_once: Whether goals start as soon as they are accepted, because there is no slot.
 
     Attributes:
         resumes: Whether unfinished goals continue after a restart.
@@ -51,46 +62,99 @@ class DurableGoals:
 
     def __init__(
         self,
-        journal: GoalJournal,
-        action_type: type[Action],
-        name: str,
-        on_restart: OnRestart,
-        result_timeout: float | None,
+        server: LocalActionServer,
+        options: ServerOptions,
+        consider: Consider | None,
+        *,
+        starts_at_once: bool,
     ) -> None:
-        self.resumes = on_restart == "resume"
+        result_timeout = options.get("result_timeout", 10.0)
+        self.resumes = options.get("on_restart") == "resume"
         self.is_built_in = False
         self.restored = anyio.Event()
-        self._journal = journal
+        self._resumed: dict[bytes, Resumed[Message, Message]] = {}
+        self._server = server
+        self._journal = cast("GoalJournal", options["journal"])
+        self._consider = consider
+        self._keep_ns = None if result_timeout is None else round(result_timeout * 1e9)
+        self._name = server.name
+        self._accepting: dict[bytes, anyio.Event] = {}  # goals on their way to the disk, by id
+        self._starts_at_once = starts_at_once
+        self._is_suspended = False
+        action_type = cast("type[Action]", server.spec.action_type)
         self._action_type = action_type
         self._type_hash = type_hash(action_type)
-        self._name = name
-        self._keep_ns = None if result_timeout is None else round(result_timeout * 1e9)
         self._goals = WireFormat(action_type.Goal)
         self._feedback = WireFormat(action_type.Feedback)
         self._results = WireFormat(action_type.Result)
+        self._wrap(server)
 
-    @property
-    def suspends(self) -> bool:
-        """Whether goals stay unfinished when the server closes, and continue after a restart."""
-        return self.resumes and not self._journal.aborts_at_close
+    def _wrap(self, server: LocalActionServer) -> None:
+        server.resumed = self._resumed
+        server.observers.add(self)
+        server.admit = self.admit
+        server.wait_until_restored = self.restored.wait
+        server.keep_partial_result = self.keep_partial_result
+        self._start, server.start = server.start, self.start
+        self._catch_up, server.catch_up = server.catch_up, self.catch_up
+        self._deliver, server.deliver = server.deliver, self.deliver
+        self._end, server.end = server.end, self.end
+        self._conclude, server.conclude = server.conclude, self.conclude
+        self._cancel, server.cancel = server.cancel, self.cancel
+        if self.resumes and not self._journal.aborts_at_close:
+            server.stop = self.suspend
 
     # accepting
 
-    async def accept(self, goal: Goal, status: GoalStatus) -> GoalRecord | None:
+    async def admit(self, request: GoalRequest) -> Goal:
+        """Accept a goal once it is on disk, or return the known goal with the same id.
+
+        Cancelling: a cancellation during the write to disk takes effect at the caller's next await.
+        """
+        await self.restored.wait()
+        goal_id = request.goal_id or new_goal_id()
+        while (held := self._server.find(goal_id)) is None and goal_id in self._accepting:
+            await self._accepting[goal_id].wait()
+        if held is not None:
+            return self._join(held, self._server.check_goal(request.message), request)
+        decided = self._accepting[goal_id] = anyio.Event()
+        try:
+            return await self._write_and_take(msgspec.structs.replace(request, goal_id=goal_id))
+        finally:
+            del self._accepting[goal_id]
+            decided.set()
+
+    async def _write_and_take(self, request: GoalRequest) -> Goal:
+        """Write a goal to the journal and take it, or return the known goal with the same id."""
+        if self._consider is not None:
+            request = await self._consider(request)
+        goal = self._server.new_goal(request)
+        known = await self._accept(goal)
+        if known is not None:
+            return self._join(self._find_known(known), goal.request, request)
+        try:
+            self._server.check_open()  # it may have been closed while the disk was waited for
+            return self._server.take(goal)
+        except GoalRejected:
+            with anyio.CancelScope(shield=True):
+                await self._journal.withdraw(goal.id)
+            raise
+
+    async def _accept(self, goal: Goal) -> GoalRecord | None:
         """Write a new goal to disk.
 
         If the journal has a goal with this id already, return that goal's record instead.
-
-        ``status`` is EXECUTING if the goal starts at once, and ACCEPTED if it may have to wait.
 
         Cancelling: takes effect only when the goal has been written.
 
         Raises:
             GoalRejected: if the journal cannot write the goal.
         """
-        sender = goal.sender if isinstance(goal.sender, bytes) else b""
+        # A crash in the body's first step must count, so the record of a goal that starts at once
+        # says EXECUTING from the beginning.
+        status = GoalStatus.EXECUTING if self._starts_at_once else GoalStatus.ACCEPTED
         record = GoalRecord(
-            id=self._id(goal),
+            id=goal.id,
             action=self._name,
             type_name=self._action_type.type_name,
             type_hash=self._type_hash,
@@ -100,7 +164,7 @@ class DurableGoals:
             status=status,
             is_built_in=self.is_built_in,
             is_nested=goal.parent is not None,
-            sender=sender,
+            sender=goal.sender if isinstance(goal.sender, bytes) else b"",
         )
         try:
             with anyio.CancelScope(shield=True):
@@ -109,46 +173,83 @@ class DurableGoals:
             raise GoalRejected(f"the journal cannot take it: {error}") from error
         return known
 
-    async def withdraw(self, goal: Goal) -> None:
-        """Remove the record of a goal that was rejected after the record had been written."""
-        with anyio.CancelScope(shield=True):
-            await self._journal.withdraw(self._id(goal))
-
-    def is_same(self, goal: Goal, request: object) -> bool:
-        """Whether ``request`` equals the goal message with which a goal was sent."""
+    def _join(self, goal: Goal, message: object, request: GoalRequest) -> Goal:
+        """Return a known goal if its goal message is the same; otherwise raise GoalRejected."""
         known = goal.request
-        return known is not None and self._goals.encode(known) == self._goals.encode(request)
+        if known is None or self._goals.encode(known) != self._goals.encode(message):
+            raise GoalRejected(f"the id {goal.hex} belongs to another goal")
+        goal.log.is_kept = goal.log.is_kept or request.is_streamed
+        return goal
+
+    def _find_known(self, record: GoalRecord) -> Goal:
+        """Return the goal of a record. If the server has forgotten the goal, restore it."""
+        goal = self._server.find(record.id)
+        if goal is None:
+            if not self._owns(record) or not record.ended:
+                raise GoalRejected(f"the id {record.id.hex()} belongs to another goal")
+            goal = self._restore_ended(record)
+            goal.ended = self._server.now()
+            self._server.table.hold_ended(goal)
+        return goal
 
     # while it runs
 
-    def moved(self, goal: Goal) -> None:
-        """Record a goal's new state."""
-        self._journal.progress(self._id(goal), GoalChange(status=goal.status))
+    def start(self, goal: Goal, context: Context | None) -> None:
+        """Run a goal's body, unless the server is being stopped and the goal stays unfinished."""
+        if not self._is_suspended:
+            self._start(goal, context)
 
-    def feedback(self, goal: Goal, message: Message, publish: Callable[[], object]) -> None:
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
+        """Record a goal's new state."""
+        if not goal.is_ending and after in (GoalStatus.EXECUTING, _CANCELING):
+            self._journal.progress(goal.id, GoalChange(status=after))
+
+    def pause_changed(self, goal: Goal, is_paused: bool) -> None:
+        """Record that a goal was paused or resumed."""
+        if not goal.is_ending:
+            self._journal.progress(goal.id, GoalChange(is_paused=is_paused))
+
+    def deliver(self, goal: Goal, message: Message) -> None:
         """Record feedback, and publish it after it has been written.
 
         If the disk is full, the feedback is published although it is not on disk yet.
         """
         change = GoalChange(feedback=self._feedback.encode(message), crashes=0)
-        self._journal.progress(self._id(goal), change, publish)
+        self._journal.progress(goal.id, change, partial(self._deliver_written, goal, message))
 
-    def partial_result(self, goal: Goal) -> None:
+    def _deliver_written(self, goal: Goal, message: Message) -> None:
+        if not goal.ended:  # else the server was stopped meanwhile
+            self._deliver(goal, message)
+
+    def keep_partial_result(self, goal: Goal) -> None:
         """Record a goal's partial result."""
         change = GoalChange(partial_result=self._results.encode(goal.result))
-        self._journal.progress(self._id(goal), change)
+        self._journal.progress(goal.id, change)
 
-    def paused(self, goal: Goal) -> None:
-        """Record that a goal was paused or resumed."""
-        self._journal.progress(self._id(goal), GoalChange(is_paused=goal.is_paused))
-
-    async def written(self) -> None:
-        """Wait until everything recorded so far is written."""
+    async def catch_up(self, goal: Goal) -> None:
+        """Wait until the journal and the readers of feedback have caught up."""
         await self._journal.written()
+        await self._catch_up(goal)
 
-    def end(
-        self, goal: Goal, event: GoalEvent, reason: str, announce: Callable[[], object]
-    ) -> None:
+    async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
+        """Cancel goals, and answer when the disk says so: a canceled goal is not resumed."""
+        response = await self._cancel(goal_id, stamp)
+        if response.goals_canceling:
+            await self._journal.written()
+        return response
+
+    def end(self, goal: Goal, event: GoalEvent, result: object, reason: str) -> None:
+        """Decide how a goal ends.
+
+        While the server is being stopped, the goal ends only if it has succeeded or a client has
+        canceled it; any other goal stays unfinished in the journal.
+        """
+        if self._is_suspended and goal.status is not _CANCELING and event is not GoalEvent.SUCCEED:
+            goal.body = None
+            return
+        self._end(goal, event, result, reason)
+
+    def conclude(self, goal: Goal, event: GoalEvent, reason: str) -> None:
         """Record a goal's end, and announce the end after it has been written to disk."""
         now = time.time_ns()
         change = GoalChange(
@@ -158,14 +259,43 @@ class DurableGoals:
             ended=now,
             expires=0 if self._keep_ns is None else now + self._keep_ns,
         )
-        self._journal.end(self._id(goal), change, announce)
+        self._journal.end(goal.id, change, partial(self._announce, goal, event, reason))
 
-    async def stop(self, goals: list[Goal]) -> None:
-        """Record that an orderly shutdown of the server, not a crash, interrupts these goals."""
-        for goal in goals:
-            self._journal.progress(self._id(goal), GoalChange(is_stopped=True))
+    def _announce(self, goal: Goal, event: GoalEvent, reason: str) -> None:
+        if not goal.ended:  # else the server was stopped meanwhile
+            self._conclude(goal, event, reason)
+
+    # closing
+
+    async def suspend(self) -> None:
+        """Stop the bodies. Unfinished goals continue after a restart.
+
+        Everybody who waits for an unfinished goal gets `ServerUnavailable`.
+        """
+        server = self._server
+        self._is_suspended = True
+        for goal in server.table.active:
+            if goal.status is not GoalStatus.ACCEPTED:  # waiting goals keep their place
+                server.evict(goal, server.closing_reason)
+        await server.stop_bodies(server.closing_reason)
+        left = [goal for goal in server.table.active if not goal.is_ending]
+        # The journal learns that an orderly shutdown, not a crash, interrupts these goals.
+        for goal in left:
+            self._journal.progress(goal.id, GoalChange(is_stopped=True))
         with anyio.CancelScope(shield=True):
             await self._journal.written()
+        for goal in left:
+            self._lose(goal)
+
+    def _lose(self, goal: Goal) -> None:
+        """Tell everybody who waits for a goal that its server has stopped before the goal ended."""
+        problem = "its server was stopped; the goal goes on when the server is back"
+        goal.is_ending = True
+        before = goal.status
+        goal.error, goal.status = ServerUnavailable(self._name, problem), GoalStatus.UNKNOWN
+        self._server.retire(goal)
+        if self._server.observers.are_any:
+            self._server.observers.noted(goal, Lost(before))
 
     # after a restart
 
@@ -178,16 +308,50 @@ class DurableGoals:
         found = self._journal.load(self._name)
         return [record for record in found if record.is_built_in == self.is_built_in]
 
-    def owns(self, record: GoalRecord) -> bool:
+    def restore(self, record: GoalRecord) -> None:
+        """Restore a goal of an earlier process. If the goal is unfinished, resume it or end it."""
+        server = self._server
+        if not server.is_open or server.find(record.id) is not None:
+            return
+        if record.ended:
+            server.table.hold_ended(self._restore_ended(record))
+            return
+        goal = self._restore_unfinished(record)
+        server.table.add(goal)
+        if why := self._why_not_resumed(record):
+            server.show(goal)
+            self._end_restored(goal, why, canceling=record.status is _CANCELING)
+        else:
+            if record.is_paused:
+                server.pauses.hold(goal)
+            # The record is written first, so that a start that crashes the process is counted.
+            change = GoalChange(crashes=self._crashes(record), is_stopped=False)
+            self._journal.progress(record.id, change, partial(self._go_on, goal))
+
+    def _end_restored(self, goal: Goal, why: str, *, canceling: bool = False) -> None:
+        self._server.move(goal, GoalEvent.EXECUTE)
+        if canceling:
+            self._server.move(goal, GoalEvent.CANCEL_GOAL)
+        event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
+        self._server.end(goal, event, None, "" if canceling else why)
+
+    def _go_on(self, goal: Goal) -> None:
+        """Start a restored goal, or let it wait for its turn."""
+        if not self._server.is_open or goal.is_ending:
+            return
+        try:
+            self._server.begin(goal)
+        except GoalRejected as rejected:
+            self._server.table.add(goal)
+            self._end_restored(goal, rejected.reason)
+
+    def _owns(self, record: GoalRecord) -> bool:
         """Whether a record has the name and the type of this action."""
         names = (record.action, record.type_name)
         return names == (self._name, self._action_type.type_name)
 
-    def ended(self, record: GoalRecord, now: int) -> Goal:
-        """Return an ended goal, restored from its record.
-
-        ``now`` is the current time by the graph's clock (ns since the epoch).
-        """
+    def _restore_ended(self, record: GoalRecord) -> Goal:
+        """Return an ended goal, restored from its record."""
         # The graph's clock may be virtual and start anew, so the wall clock tells how long ago the
         # goal ended. That clock may have been set back.
         ago = max(0, time.time_ns() - record.ended)
@@ -196,23 +360,23 @@ class DurableGoals:
         if goal.result is None:
             goal.result = self._action_type.Result()
         goal.status, goal.reason = record.status, record.reason
-        goal.ended, goal.is_decided = max(1, now - ago), True
+        goal.ended, goal.is_ending = max(1, self._server.now() - ago), True
         return goal
 
-    def unfinished(self, record: GoalRecord) -> Goal:
+    def _restore_unfinished(self, record: GoalRecord) -> Goal:
         """Restore an unfinished goal, its last feedback and its partial result from ``record``."""
         goal = self._goal(record)
         feedback = self._decode(self._feedback, record, record.feedback)
         partial_result = self._decode(self._results, record, record.partial_result)
-        goal.resumed = Resumed(feedback, partial_result)
-        goal.last_feedback, goal.result = feedback, partial_result
-        goal.is_streamed = True  # for a client that comes back a little later
+        self._resumed[goal.id] = Resumed(feedback, partial_result)
+        goal.log.last, goal.result = feedback, partial_result
+        goal.log.is_kept = True  # for a client that comes back a little later
         return goal
 
-    def why_not_resumed(self, record: GoalRecord) -> str:
+    def _why_not_resumed(self, record: GoalRecord) -> str:
         """Return why an unfinished goal cannot continue; empty if it can."""
         limit, crashes = self._journal.max_starts, self._crashes(record)
-        if record.status is GoalStatus.CANCELING:
+        if record.status is _CANCELING:
             return "it was being canceled"
         if record.type_hash != self._type_hash:
             return f"the type {record.type_name} has changed since the goal was accepted"
@@ -224,21 +388,14 @@ class DurableGoals:
             return f"its server has crashed {crashes} times since its newest feedback"
         return ""
 
-    def restart(self, record: GoalRecord, start: Callable[[], object]) -> None:
-        """Record that a goal starts again, then start it.
-
-        The record is written first, so that a start that crashes the process is counted.
-        """
-        change = GoalChange(crashes=self._crashes(record), is_stopped=False)
-        self._journal.progress(record.id, change, start)
-
     def _crashes(self, record: GoalRecord) -> int:
         has_crashed = record.status is GoalStatus.EXECUTING and not record.is_stopped
         return record.crashes + has_crashed
 
     def _goal(self, record: GoalRecord) -> Goal:
         request = self._decode(self._goals, record, record.request)
-        return Goal(request, record.stamp, id=record.id, sender=record.sender or None)
+        changed = self._server.tasks.signal()
+        return Goal(record.id, request, changed, record.stamp, sender=record.sender or None)
 
     def _decode(self, format: WireFormat, record: GoalRecord, data: bytes) -> Message | None:
         """Decode a recorded message; None if there is no message, or if its type has changed."""
@@ -249,6 +406,26 @@ class DurableGoals:
         except InvalidMessage:  # the file was changed by something else
             return None
 
-    @staticmethod
-    def _id(goal: Goal) -> bytes:
-        return cast("bytes", goal.id)  # every goal of a server with a journal has one
+
+def restore_all(servers: list[DurableGoals]) -> None:
+    """Restore the goals in the journals of these servers.
+
+    Servers may share a slot. Therefore the goals of all servers are restored in one order: first
+    the goals that ran, then those that waited for their turn. If several servers have the same
+    action name, a goal goes to the server with the goal's action type. If no server has that type,
+    an unfinished goal is not resumed, because the action type has changed.
+    """
+    found: dict[bytes, tuple[GoalRecord, DurableGoals]] = {}
+    for server in servers:
+        for record in server.load():
+            if record.id not in found or server._owns(record):
+                found[record.id] = record, server
+    for record, server in sorted(found.values(), key=_by_turn):
+        server.restore(record)
+    for server in servers:
+        server.restored.set()
+
+
+def _by_turn(found: tuple[GoalRecord, DurableGoals]) -> tuple[bool, int]:
+    record, _ = found
+    return record.status is not GoalStatus.EXECUTING, record.number

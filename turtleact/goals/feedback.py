@@ -5,23 +5,27 @@ messages are kept, and the goal's body waits if the client is far behind. Until 
 read, only the newest messages are kept. Other readers get the messages that are still kept, and
 count the messages that they have missed.
 
-This module never waits. A caller that wants to wait passes a `Listener`.
+This module never waits. A caller that wants to wait passes a `Signal`.
 """
 
 from __future__ import annotations
 
-from typing import Final, Protocol
+from collections.abc import Callable
+from typing import Any, Final, Protocol
 
 import msgspec
 
-__all__ = ["FeedbackLog", "Listener"]
+__all__ = ["FeedbackLog", "Signal"]
 
 
-class Listener(Protocol):
-    """An object whose method `fire` is called after each change."""
+class Signal(Protocol):
+    """What this module and `turtleact.goals.state` need of a `turtleact.tasks.Signal`."""
 
     def fire(self) -> None:
-        """Called after each change. It must not raise an exception."""
+        """Wake every task that is waiting."""
+
+    async def wait(self) -> None:
+        """Wait until the signal fires the next time."""
 
 
 class FeedbackLog:
@@ -29,13 +33,21 @@ class FeedbackLog:
 
     Each reader remembers the number of the message that it reads next.
 
+    Args:
+        on_feedback: The sender's callback for feedback.
+        is_kept: Whether to keep the messages, because a client may read them later.
+
     Attributes:
+        on_feedback: The sender's callback for feedback, as passed to the constructor.
+        is_kept: Whether messages are kept from now on.
+        last: The newest message, which is always kept; None before the first.
+        count: How many messages have been added, dropped ones included.
+        history: The goal's states since its acceptance, without the final one. Each state comes
+            with the number of feedback messages published before it.
         items: The messages still kept, oldest first.
-        dropped: How many older messages were dropped. Message ``items[i]`` therefore has the number
-            ``dropped + i``.
         read: The number of the message that the goal's sender reads next; None while the sender
             does not read feedback.
-        drained: The listener to call when a waiting body may continue; None if no body waits.
+        drained: The signal to fire when a waiting body may continue; None if no body waits.
         hurried: How many callers wait for the goal's end. While any caller waits for the end, the
             goal's body does not wait for readers.
     """
@@ -46,28 +58,46 @@ class FeedbackLog:
     BUDGET: Final = 1 << 20
     """How much feedback may be unread before the body waits (bytes, in a compact encoding)."""
 
-    __slots__ = ("_weighed", "_weight", "drained", "dropped", "hurried", "items", "read")
+    __slots__ = (
+        "_weighed",
+        "_weight",
+        "count",
+        "drained",
+        "history",
+        "hurried",
+        "is_kept",
+        "items",
+        "last",
+        "on_feedback",
+        "read",
+    )
 
-    def __init__(self) -> None:
-        self.items: list[object] = []
-        self.dropped = 0
+    def __init__(
+        self, on_feedback: Callable[[Any], object] | None = None, *, is_kept: bool = False
+    ) -> None:
+        self.on_feedback = on_feedback
+        self.is_kept = is_kept
+        self.last: Any = None
+        self.count = 0
+        self.history: tuple[tuple[Any, int], ...] = ()
+        self.items: list[Any] = []
         self.read: int | None = None
-        self.drained: Listener | None = None
+        self.drained: Signal | None = None
         self.hurried = 0
         self._weighed = 0
         self._weight = 0
 
     @property
-    def count(self) -> int:
-        """How many messages have been added, dropped ones included."""
-        return self.dropped + len(self.items)
+    def dropped(self) -> int:
+        """The number of the message ``items[0]``: how many older messages are not kept."""
+        return self.count - len(self.items)
 
     @property
     def is_full(self) -> bool:
         """Whether the goal's sender has so much unread feedback that the goal's body must wait."""
         if self.read is None or self.hurried:
             return False
-        unread = self.dropped + len(self.items) - self.read
+        unread = self.count - self.read
         return unread >= self.KEPT or unread * self._weight >= self.BUDGET
 
     def relieve(self) -> None:
@@ -77,10 +107,12 @@ class FeedbackLog:
 
     def append(self, message: object) -> None:
         """Add the newest message."""
-        items = self.items
-        items.append(message)
-        if len(items) >= 2 * self.KEPT:
-            self.trim()
+        self.last = message
+        self.count += 1
+        if self.is_kept:
+            self.items.append(message)
+            if len(self.items) >= 2 * self.KEPT:
+                self.trim()
 
     def weigh(self) -> None:
         """Update the estimated size of a message by measuring one of the newest messages.
@@ -101,7 +133,6 @@ class FeedbackLog:
             needless = min(needless, self.read - self.dropped)
         if needless * _NEEDLESS >= len(self.items):
             del self.items[:needless]
-            self.dropped += needless
 
 
 _ENCODER = msgspec.msgpack.Encoder()

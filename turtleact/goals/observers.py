@@ -18,7 +18,7 @@ from typing import Any, Final, TypeAlias
 
 import msgspec
 
-from turtleact.goals.state import CURRENT_GOAL, Goal, GoalOrder, GoalStatus
+from turtleact.goals.state import CURRENT_GOAL, Goal, GoalRequest, GoalStatus
 from turtleact.summaries import STOPS, loggable
 
 __all__ = [
@@ -82,8 +82,8 @@ class GoalObserver:
     def feedback_published(self, goal: Goal, feedback: object) -> None:
         """Called with each feedback message. Observers must not change the message."""
 
-    def pause_changed(self, goal: Goal) -> None:
-        """Called after a server has paused or resumed ``goal``; see ``goal.is_paused``."""
+    def pause_changed(self, goal: Goal, is_paused: bool) -> None:
+        """Called after a server has paused or resumed ``goal``."""
 
     def noted(self, goal: Goal, news: News) -> None:
         """Called with other news about a goal, for example that the body failed; see `News`."""
@@ -100,15 +100,15 @@ class GoalObserver:
     def enter_body(self, goal: Goal) -> None:
         """Called before a body starts, in the body's context, to set context variables."""
 
-    def enter_call(self, order: GoalOrder) -> None:
+    def enter_call(self, request: GoalRequest) -> None:
         """Called before a client sends a goal, in a copy of the sender's `contextvars` context.
 
         The client sends the goal in the copied context, in which the observer may set context
-        variables. The observer may also set the goal's id in ``order``, to recognise the goal
+        variables. The observer may also set the goal's id in ``request``, to recognise the goal
         later.
         """
 
-    def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
+    def leave_call(self, request: GoalRequest, error: BaseException | None) -> None:
         """Called when the call that sent a goal returns or raises.
 
         The call may have waited for the goal's result, or only for the goal's acceptance. ``error``
@@ -202,9 +202,9 @@ class Observers:
         """Tell all observers of a feedback message."""
         self._tell("feedback_published", goal, feedback)
 
-    def pause_changed(self, goal: Goal) -> None:
+    def pause_changed(self, goal: Goal, is_paused: bool) -> None:
         """Tell all observers that a goal was paused or resumed."""
-        self._tell("pause_changed", goal)
+        self._tell("pause_changed", goal, is_paused)
 
     def noted(self, goal: Goal, news: News) -> None:
         """Tell all observers other news about a goal, for example that the body failed."""
@@ -222,16 +222,16 @@ class Observers:
         """Let all observers set context variables for a body. Call this in the body's context."""
         self._call("enter_body", (goal,))
 
-    def enter_call(self, order: GoalOrder) -> None:
+    def enter_call(self, request: GoalRequest) -> None:
         """Call `GoalObserver.enter_call` of all observers before a goal is sent.
 
         Call this in the context in which the goal is sent.
         """
-        self._call("enter_call", (order,))
+        self._call("enter_call", (request,))
 
-    def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
+    def leave_call(self, request: GoalRequest, error: BaseException | None) -> None:
         """Tell all observers that the call that sent a goal returned or raised."""
-        self._call("leave_call", (order, error))
+        self._call("leave_call", (request, error))
 
     def _set(self, observers: tuple[GoalObserver, ...]) -> None:
         self._observers = observers

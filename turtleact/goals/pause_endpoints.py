@@ -73,7 +73,7 @@ class PauseEndpoints(Source, GoalObserver):
         for service in self._services:
             await service.aclose()
 
-    def pause_changed(self, goal: Goal) -> None:  # noqa: ARG002  # the message has all of them
+    def pause_changed(self, goal: Goal, is_paused: bool) -> None:  # noqa: ARG002
         """Publish which goals are paused now."""
         if self._publication is not None:
             self._publication.refresh()
@@ -89,7 +89,7 @@ class PauseEndpoints(Source, GoalObserver):
 
     def current(self) -> Sequence[object]:
         """Build the message with all goals that are paused."""
-        ids = [UUID(self._server.name_goal(goal)) for goal in self._server.pauses.paused]
+        ids = [UUID(goal.id) for goal in self._server.pauses.paused]
         return (PausedGoals(goal_ids=ids),)
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
@@ -108,20 +108,22 @@ class PauseEndpoints(Source, GoalObserver):
             return SetPaused.Response(message="the server holds no such goal")
         try:
             if request.is_paused:
-                await self._server.pause(goal, request.timeout)
+                await self._server.pauses.pause(goal, request.timeout)
             else:
-                await self._server.resume(goal)
+                await self._server.pauses.resume(goal)
         except PauseRefused as refused:
             return SetPaused.Response(message=refused.reason)
         return SetPaused.Response(success=True)
 
     async def _pause_all(self, _: Trigger.Request) -> Trigger.Response:
         # Goals that wait for their turn are paused too: otherwise one could begin in the pause.
-        meant = [each for each in self._server.held() if each.status in _PAUSABLE]
-        return await self._each(meant, lambda goal: self._server.pause(goal, PATIENCE), "paused")
+        meant = [each for each in self._server.held().values() if each.status in _PAUSABLE]
+        return await self._each(
+            meant, lambda goal: self._server.pauses.pause(goal, PATIENCE), "paused"
+        )
 
     async def _resume_all(self, _: Trigger.Request) -> Trigger.Response:
-        return await self._each(list(self._server.pauses.paused), self._server.resume, "resumed")
+        return await self._each(self._server.pauses.paused, self._server.pauses.resume, "resumed")
 
     async def _each(
         self, goals: list[Goal], switch: Callable[[Goal], Any], done: str

@@ -9,6 +9,8 @@ When the body has reached this point, the server calls ``on_pause``, if there is
 robot to rest. A coroutine without ``pausable=True`` continues during a pause, and only ``on_pause``
 stops the robot.
 
+The goals that the body has sent are paused with it, in this process or another.
+
 ROS 2 has no state for paused goals, so a pause does not change the state of a goal. A paused goal
 keeps its place in the slot, so no waiting goal starts instead. Cancellation, preemption and the
 server's shutdown take effect on a paused goal at once.
@@ -21,19 +23,24 @@ from __future__ import annotations
 import logging
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from typing import Any, Protocol
+from contextvars import Context
+from functools import partial
+from typing import Any, cast
 
 import anyio
+import msgspec
 
-from turtleact.errors import PauseRefused
-from turtleact.goals.body import Body, ServerOptions
-from turtleact.goals.durable import DurableGoals
-from turtleact.goals.observers import Observers
+from turtleact.errors import PauseRefused, ServerUnavailable
+from turtleact.goals.body import ServerOptions
+from turtleact.goals.goal_server import GoalServer
+from turtleact.goals.observers import GoalObserver, News
+from turtleact.goals.running import BodyTask
+from turtleact.goals.server import LocalActionServer
 from turtleact.goals.state import Goal, GoalStatus
 from turtleact.summaries import loggable, summary
-from turtleact.tasks import Background, Signal, Tasks
+from turtleact.tasks import Background
 
-__all__ = ["Hold", "Pauses"]
+__all__ = ["PauseRequest", "Pauses"]
 
 logger = logging.getLogger("turtleact.server")
 
@@ -43,67 +50,68 @@ CLEANING = 5.0
 """How long resuming goals may take after a failed pause (s, event loop time)."""
 
 
-class Hold:
-    """A request to the body of a goal to wait.
+class PauseRequest(msgspec.Struct, eq=False):
+    """A request to pause a goal.
 
     Attributes:
+        length: The total length of the goal's earlier pauses (ns).
+        is_open: Whether the goal is to stay paused.
+        body: The body that is asked to wait; None if it has not started, or does not wait.
         is_standing: Whether the body waits because of this request.
         is_before_start: Whether the goal was paused before its body started.
-        changed: A signal that fires when the body starts to wait, when the body sends a goal, and
-            when the request is withdrawn.
+        since: When the goal was paused (ns since the epoch); None if it is not paused now.
+        children: The goals that were paused because this goal's body has sent them, each with its
+            server.
     """
 
-    __slots__ = ("changed", "is_before_start", "is_standing")
-
-    def __init__(self, changed: Signal, *, is_before_start: bool = False) -> None:
-        self.is_standing = False
-        self.is_before_start = is_before_start
-        self.changed = changed
-
-
-class Keeper(Protocol):
-    """The interface of `turtleact.goals.execution.Execution` that `Pauses` uses."""
-
-    durable: DurableGoals | None
-    observers: Observers
-
-    def make_handle(self, goal: Goal) -> object:
-        """Make the handle that ``on_pause`` and ``on_resume`` get."""
+    length: int = 0
+    is_open: bool = True
+    body: BodyTask | None = None
+    is_standing: bool = False
+    is_before_start: bool = False
+    since: int | None = None
+    children: dict[Goal, GoalServer] = {}
 
 
-class Pauses:
+class Pauses(GoalObserver):
     """Pauses and resumes the goals of one server.
 
-    Args:
-        body: The body that the server runs for each goal.
-        options: The server's options, with ``pausable``, ``on_pause`` and ``on_resume``.
-        keeper: The server's `Execution`, which makes goal handles and has the journal and the
-            observers.
-        tasks: The functions that start and manage tasks on asyncio or trio.
-        now: A function that returns the current time (ns since the epoch).
+    While any goal is paused, this object observes the server's goals. The server runs none of this
+    code before the first pause.
 
-    Attributes:
-        paused: The paused goals, each with the time when it was paused (ns since the epoch).
+    Args:
+        server: The server.
+        options: The server's options, with ``pausable``, ``on_pause`` and ``on_resume``.
     """
 
-    def __init__(
-        self,
-        body: Body,
-        options: ServerOptions,
-        keeper: Keeper,
-        tasks: Tasks,
-        now: Callable[[], int],
-    ) -> None:
+    def __init__(self, server: LocalActionServer, options: ServerOptions) -> None:
+        self._server = server
         self._on_pause: Callback | None = options.get("on_pause")
         self._on_resume: Callback | None = options.get("on_resume")
-        self._stands = body.is_generator or options.get("pausable", False)
-        self._keeper = keeper
-        self._observers = keeper.observers
-        self._tasks = tasks
-        self._now = now
+        self._stands = server.spec.body.is_generator or options.get("pausable", False)
         self._switching: dict[Goal, anyio.Lock] = {}
         self._orphans: list[Background] = []
-        self.paused: dict[Goal, int] = {}
+        self._requests: dict[Goal, PauseRequest] = {}  # also those of goals that were resumed
+        self._start = server.start
+        self._aclose, server.aclose = server.aclose, self.aclose
+
+    @property
+    def paused(self) -> list[Goal]:
+        """The paused goals, in the order in which they were paused."""
+        return [goal for goal, each in self._requests.items() if each.since is not None]
+
+    def is_paused(self, goal: Goal) -> bool:
+        """Whether a goal is paused."""
+        request = self._requests.get(goal)
+        return request is not None and request.since is not None
+
+    def paused_time(self, goal: Goal) -> float:
+        """How long a goal has been paused in total (s, by the graph's clock)."""
+        request = self._requests.get(goal)
+        if request is None:
+            return 0.0
+        now = 0 if request.since is None else self._since(request.since)
+        return (request.length + now) / 1e9
 
     async def pause(self, goal: Goal, timeout: float) -> None:
         """Pause a goal and the goals that its body has sent. Return when all of them are paused.
@@ -120,89 +128,139 @@ class Pauses:
             PauseRefused: if the goal cannot be paused within ``timeout``. In this case, the goal
                 continues.
         """
-        async with self._switch(goal):
-            if goal.is_paused:
+        async with _Switch(self._switching, goal):
+            if self.is_paused(goal):
                 return
             self._check(goal)
-            await self._pause(goal, timeout)
+            if goal.status is GoalStatus.ACCEPTED:
+                self.hold(goal)
+            else:
+                await self._pause(goal, timeout)
 
     async def resume(self, goal: Goal) -> None:
-        """Resume a paused goal and the goals that its body has sent.
+        """Resume a paused goal and the goals that were paused with it.
 
         Resuming a goal that is not paused does nothing.
 
         Raises:
             PauseRefused: if ``on_resume`` fails, and the goal therefore stays paused.
         """
-        async with self._switch(goal):
-            if not goal.is_paused:
+        async with _Switch(self._switching, goal):
+            request = self._requests.get(goal)
+            if request is None or request.since is None:
                 return
-            if not (isinstance(goal.hold, Hold) and goal.hold.is_before_start):
+            if not request.is_before_start:
                 await self._call(self._on_resume, goal, "on_resume")
-            if goal.is_paused:  # it may have been canceled meanwhile
-                self._set(goal, is_paused=False)
-                self.let_go(goal)
-        for child, pauses in _children(goal):
-            await pauses.resume(child)
-
-    async def stand(self, goal: Goal) -> None:
-        """If a pause of the goal was requested, wait until the goal may continue. Cancelling: safe.
-
-        If the goal is canceled during the wait, this method raises the cancellation.
-        """
-        hold = goal.hold
-        if not isinstance(hold, Hold):
-            return
-        hold.is_standing = True
-        hold.changed.fire()
-        try:
-            while goal.hold is hold:
-                await hold.changed.wait()
-        finally:
-            hold.is_standing = False
-        # A cancel lets the body go and then cancels its task, both in one step. asyncio raises the
-        # cancellation in the `wait` above. On trio the `wait` has ended by then, and the
-        # cancellation would be raised only at the next checkpoint: a body that had not begun would
-        # begin.
-        if _is_ending(goal):
-            await self._tasks.checkpoint()
-
-    async def checkpoint(self, goal: Goal) -> None:
-        """Let other tasks run, and wait while the goal is paused."""
-        await self._tasks.checkpoint()
-        while goal.hold is not None:
-            await self.stand(goal)
-
-    def paused_time(self, goal: Goal) -> float:
-        """How long a goal has been paused in total (s, by the graph's clock)."""
-        since = self.paused.get(goal)
-        return (goal.paused_ns + (0 if since is None else self._since(since))) / 1e9
-
-    def _since(self, moment: int) -> int:
-        return max(0, self._now() - moment)  # the clock may have been set back
-
-    def let_go(self, goal: Goal) -> None:
-        """Withdraw the request to wait, so that the body continues."""
-        hold, goal.hold = goal.hold, None
-        if isinstance(hold, Hold):
-            hold.changed.fire()
-
-    def end(self, goal: Goal) -> None:
-        """Forget that a goal is paused, because the goal is being canceled or ends."""
-        if goal.hold is not None:
-            self.let_go(goal)
-        if goal.is_paused:
-            self._set(goal, is_paused=False)
+            self._end_pause(goal, request)
+            self._withdraw(goal, request)
+        await self._free(request.children)
 
     def hold(self, goal: Goal) -> None:
         """Pause a goal whose body has not started, so that the body starts only after `resume`."""
-        goal.hold = Hold(self._tasks.signal(), is_before_start=True)
-        self._set(goal, is_paused=True)
+        request = self._open(goal)
+        request.is_before_start = True
+        if isinstance(goal.body, BodyTask):
+            self._close_gate(goal, request, goal.body)
+        else:
+            self._server.start = self._start_held
+        self._begin_pause(goal, request)
+
+    # called while any goal is paused
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
+        """Forget that a goal is paused, because it is being canceled or has ended."""
+        request = self._requests.get(goal)
+        if request is None or after <= GoalStatus.EXECUTING:
+            return
+        self._end_pause(goal, request)
+        if after.is_terminal:
+            self._withdraw(goal, request)
+            self._free_later(goal, request)
+
+    def noted(self, goal: Goal, news: News) -> None:  # noqa: ARG002
+        """Forget a paused goal whose server has stopped. Its journal knows that it is paused."""
+        if goal.ended and (request := self._requests.get(goal)) is not None:
+            self._withdraw(goal, request)
+
+    async def aclose(self) -> None:
+        """Close the server, and stop the tasks that resume the children of goals that ended."""
+        await self._aclose()
+        for each in self._orphans:
+            await each.aclose(self._server.grace)
+
+    # a request
+
+    def _open(self, goal: Goal) -> PauseRequest:
+        """Make a request to pause a goal."""
+        if not self._requests:
+            self._server.observers.add(self)
+        before = self._requests.get(goal)
+        request = self._requests[goal] = PauseRequest(0 if before is None else before.length)
+        return request
+
+    def _withdraw(self, goal: Goal, request: PauseRequest) -> None:
+        """Withdraw a request, so that the body continues."""
+        request.is_open = False
+        if request.body is not None:
+            request.body.gate = request.body.on_child = None
+        if goal.ended or not request.length:
+            self._requests.pop(goal, None)
+            if not self._requests:
+                self._server.observers.remove(self)
+        goal.changed.fire()
+
+    def _close_gate(self, goal: Goal, request: PauseRequest, body: BodyTask) -> None:
+        request.body = body
+        body.on_child = partial(self._hold_child, goal, request)
+        if self._stands or request.is_before_start:
+            body.gate = partial(self._stand, goal, request)
+
+    def _start_held(self, goal: Goal, context: Context | None) -> None:
+        """Start a goal, whose body waits if the goal was paused before."""
+        self._start(goal, context)
+        request = self._requests.get(goal)
+        if request is not None and request.is_open and isinstance(goal.body, BodyTask):
+            self._close_gate(goal, request, goal.body)
+
+    async def _stand(self, goal: Goal, request: PauseRequest) -> None:
+        """Wait until a goal is resumed or is ending. Cancelling: safe."""
+        request.is_standing = True
+        goal.changed.fire()
+        try:
+            while request.is_open and not _is_ending(goal):
+                await goal.changed.wait()
+        finally:
+            request.is_standing = False
+        if _is_ending(goal):
+            if request.body is not None:
+                request.body.gate = None
+            # A cancel fires the signal and then cancels the body's task, both in one step. asyncio
+            # raises the cancellation in the `wait` above. On trio the `wait` has ended by then, and
+            # the cancellation would be raised only at the next checkpoint: a body that had not
+            # begun would begin.
+            await self._server.tasks.checkpoint()
+
+    def _begin_pause(self, goal: Goal, request: PauseRequest) -> None:
+        request.since = self._server.now()
+        self._server.observers.pause_changed(goal, True)
+        goal.changed.fire()
+
+    def _end_pause(self, goal: Goal, request: PauseRequest) -> None:
+        if request.since is not None:
+            request.length += max(1, self._since(request.since))
+            request.since = None
+            self._server.observers.pause_changed(goal, False)
+            goal.changed.fire()
+
+    def _since(self, moment: int) -> int:
+        return max(0, self._server.now() - moment)  # the clock may have been set back
+
+    # pausing a goal that runs
 
     def _check(self, goal: Goal) -> None:
-        if goal.is_decided or not goal.status.is_active:
+        if goal.is_ending or not goal.status.is_active:
             raise PauseRefused("it has ended")
-        if goal.status is GoalStatus.CANCELING or goal.reason:
+        if _is_ending(goal):
             raise PauseRefused("it is being canceled")
         if not self._stands and self._on_pause is None:
             raise PauseRefused(
@@ -211,84 +269,43 @@ class Pauses:
             )
 
     async def _pause(self, goal: Goal, timeout: float) -> None:
-        if goal.status is GoalStatus.ACCEPTED:
-            self.hold(goal)
-            return
         until = anyio.current_time() + timeout
+        request, body = self._open(goal), cast("BodyTask", goal.body)
         try:
-            # The body is held first: a goal that it sends from now on begins paused (`enter`).
+            # The body is held first: a goal that it sends from now on begins paused.
+            self._close_gate(goal, request, body)
+            await self._pause_children(body, request, until)
             if self._stands:
-                goal.hold = Hold(self._tasks.signal())
-            await self._pause_children(goal, until)
-            if self._stands:
-                await self._wait_until_it_stands(goal, until, timeout)
+                await self._wait_until_it_stands(goal, request, until, timeout)
             await self._bring_to_rest(goal)
-            await self._pause_children(goal, until)  # of a body that is not held
+            await self._pause_children(body, request, until)  # of a body that is not held
             if _is_ending(goal):
                 raise PauseRefused("it is being canceled or has ended")
         except BaseException:
-            self.let_go(goal)
-            # If the goal is being canceled, its children may be canceled, too. Those that are not
-            # go on when the goal has ended (`leave`).
-            if goal.is_decided or not _is_ending(goal):
-                with anyio.move_on_after(CLEANING, shield=True):
-                    await self._free(_paused_children(goal))
+            self._withdraw(goal, request)
+            with anyio.move_on_after(CLEANING, shield=True):
+                await self._free(request.children)
             raise
-        self._set(goal, is_paused=True)
+        self._begin_pause(goal, request)
 
-    def enter(self, goal: Goal, parent: Goal) -> None:
-        """Make a new goal a child of ``parent``, the goal whose body has sent the new goal.
+    async def _wait_until_it_stands(
+        self, goal: Goal, request: PauseRequest, until: float, timeout: float
+    ) -> None:
+        # A body that waits for its paused children stands still, too, and reaches no `yield`.
+        def stands() -> bool:
+            sent = () if request.body is None else request.body.children
+            return request.is_standing or any(not child.ended for child in sent)
 
-        If the parent is paused or being paused, the child begins paused, and is resumed with the
-        parent.
-        """
-        goal.enter_parent(parent, self)
-        if parent.is_paused or parent.hold is not None:
-            self.hold(goal)
-            goal.is_paused_by_parent = True
-            if isinstance(parent.hold, Hold):
-                parent.hold.changed.fire()
-
-    def leave(self, goal: Goal) -> None:
-        """Forget that an ending goal is paused. Resume the children that were paused with it."""
-        self.end(goal)
-        if left := _paused_children(goal):
-            self._orphans = [each for each in self._orphans if not each.has_ended]
-            freeing = self._free(left)
-            self._orphans.append(Background(freeing, f"children of goal {goal.hex}", self._tasks))
-
-    async def aclose(self, grace: float) -> None:
-        """Stop the tasks that resume child goals because their paused parent has ended.
-
-        Wait at most ``grace`` seconds (event loop time) for each task.
-        """
-        for each in self._orphans:
-            await each.aclose(grace)
-
-    async def _pause_children(self, goal: Goal, until: float) -> None:
-        while fresh := [each for each in _children(goal) if not _stands_or_ends(each[0])]:
-            child, pauses = fresh[0]
-            if await pauses.pause_unless_ended(child, max(0.0, until - anyio.current_time())):
-                child.is_paused_by_parent = True
-
-    async def _free(self, children: list[tuple[Goal, Pauses]]) -> None:
-        for child, pauses in children:
-            with suppress(PauseRefused):  # logged already; that child stays paused
-                await pauses.resume(child)
-
-    async def pause_unless_ended(self, goal: Goal, timeout: float) -> bool:
-        """Pause a goal like `pause`, but return False if the goal is ending or has ended.
-
-        Raises:
-            PauseRefused: if the goal cannot be paused in time. In this case, the goal continues.
-        """
-        try:
-            await self.pause(goal, timeout)
-        except PauseRefused:
-            if _is_ending(goal):
-                return False
-            raise
-        return True
+        with anyio.move_on_after(until - anyio.current_time()):
+            while not (stands() or _is_ending(goal)):
+                await goal.changed.wait()
+        if _is_ending(goal):
+            raise PauseRefused("it is being canceled or has ended")
+        if not stands():
+            raise PauseRefused(
+                f"its body has not reached a yield or a checkpoint within {timeout:g} s, so the "
+                "request was withdrawn"
+            )
 
     async def _bring_to_rest(self, goal: Goal) -> None:
         """Call ``on_pause`` to bring the robot to rest.
@@ -298,71 +315,76 @@ class Pauses:
         """
         try:
             await self._call(self._on_pause, goal, "on_pause")
-        except self._tasks.cancelled:
+        except self._server.tasks.cancelled:
             if not _is_ending(goal):
                 with suppress(PauseRefused), anyio.move_on_after(CLEANING, shield=True):
                     await self._call(self._on_resume, goal, "on_resume")
             raise
 
-    async def _wait_until_it_stands(self, goal: Goal, until: float, timeout: float) -> None:
-        # A body that waits for its paused children stands still, too, and reaches no `yield`.
-        hold = goal.hold
-        if not isinstance(hold, Hold):  # canceled while its children were being paused
-            raise PauseRefused("it is being canceled or has ended")
-        with anyio.move_on_after(until - anyio.current_time()):
-            while goal.hold is hold and not (hold.is_standing or goal.children):
-                await hold.changed.wait()
-        if goal.hold is not hold:
-            raise PauseRefused("it is being canceled or has ended")
-        if not (hold.is_standing or goal.children):
-            raise PauseRefused(
-                f"its body has not reached a yield or a checkpoint within {timeout:g} s, so the "
-                "request was withdrawn"
-            )
-
     async def _call(self, callback: Callback | None, goal: Goal, what: str) -> None:
         if callback is None:
             return
         try:
-            await callback(self._keeper.make_handle(goal))
+            await callback(self._server.make_handle(goal))
         except Exception as error:
-            told = loggable(error)
-            logger.error("the %s of a goal failed%s", what, goal.suffix, exc_info=told)
+            problem, told = "the %s of a goal failed (goal %s)", loggable(error)
+            logger.error(problem, what, goal.hex, exc_info=told)
             raise PauseRefused(f"{what} failed: {summary(error)}") from error
 
-    def _set(self, goal: Goal, *, is_paused: bool) -> None:
-        goal.is_paused = is_paused
-        if is_paused:
-            self.paused[goal] = self._now()
-        else:
-            goal.is_paused_by_parent = False
-            goal.paused_ns += self._since(self.paused.pop(goal))
-        if self._keeper.durable is not None and not goal.is_decided:
-            self._keeper.durable.paused(goal)
-        self._observers.pause_changed(goal)
-        if goal.listener is not None:
-            goal.listener.fire()
+    # the goals that the body has sent
 
-    def _switch(self, goal: Goal) -> _Switch:
-        return _Switch(self._switching, goal)
+    async def _pause_children(self, body: BodyTask, request: PauseRequest, until: float) -> None:
+        while fresh := _running_children(body):
+            child, server = fresh[0]
+            request.children[child] = server
+            try:
+                await server.pauses.pause(child, max(0.0, until - anyio.current_time()))
+            except (PauseRefused, ServerUnavailable) as error:
+                del request.children[child]
+                if not _is_ending(child):
+                    raise _refused(error) from None
+
+    def _hold_child(
+        self, goal: Goal, request: PauseRequest, child: Goal, server: GoalServer
+    ) -> None:
+        """Pause a goal that a body sends while the body is paused or held."""
+        if not child.ended and (self._stands or request.since is not None):
+            server.pauses.hold(child)
+            request.children[child] = server
+            goal.changed.fire()
+
+    def _free_later(self, goal: Goal, request: PauseRequest) -> None:
+        """Resume the children of a goal that has ended."""
+        self._orphans = [each for each in self._orphans if not each.has_ended]
+        if any(not child.ended for child in request.children):
+            freeing = self._free(request.children)
+            name, tasks = f"children of goal {goal.hex}", self._server.tasks
+            self._orphans.append(Background(freeing, name, tasks))
+
+    async def _free(self, children: dict[Goal, GoalServer]) -> None:
+        for child, server in list(children.items()):
+            with suppress(PauseRefused, ServerUnavailable):  # logged already; it stays paused
+                await server.pauses.resume(child)
 
 
-def _children(goal: Goal) -> list[tuple[Goal, Pauses]]:
-    """Return a goal's children in a new list, since children may end while the caller iterates."""
-    return list((goal.children or {}).items())
+def _running_children(body: BodyTask) -> list[tuple[Goal, GoalServer]]:
+    return [
+        (child, server)
+        for child, server in body.children.items()
+        if not (_is_ending(child) or server.pauses.is_paused(child))
+    ]
 
 
-def _paused_children(goal: Goal) -> list[tuple[Goal, Pauses]]:
-    return [each for each in _children(goal) if each[0].is_paused_by_parent]
-
-
-def _stands_or_ends(goal: Goal) -> bool:
-    return goal.is_paused or _is_ending(goal)
+def _refused(error: PauseRefused | ServerUnavailable) -> PauseRefused:
+    if isinstance(error, PauseRefused):
+        return error
+    return PauseRefused(f"a goal that its body has sent: {error}")
 
 
 def _is_ending(goal: Goal) -> bool:
     """Whether a goal has ended, or is being canceled by a client or its server."""
-    return goal.is_decided or bool(goal.reason) or goal.status > GoalStatus.EXECUTING
+    is_decided = goal.is_ending or goal.ended != 0
+    return is_decided or bool(goal.reason) or goal.status > GoalStatus.EXECUTING
 
 
 class _Switch:

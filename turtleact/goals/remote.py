@@ -16,25 +16,20 @@ Source: rcl_action ``action_client.c``; the ROS 2 design article "Actions".
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextvars import copy_context
 from functools import partial
 from typing import Final, cast
 
 import anyio
 
-from turtleact.errors import (
-    GoalRejected,
-    PauseRefused,
-    ServerUnavailable,
-    TurtleactError,
-    UnknownGoal,
-)
+from turtleact.errors import GoalRejected, TurtleactError, UnknownGoal
 from turtleact.goals.client_endpoints import ClientEndpoints
+from turtleact.goals.feedback import FeedbackLog
 from turtleact.goals.ids import new_goal_id
 from turtleact.goals.observers import Observers
-from turtleact.goals.remote_goals import RemoteGoal, RemoteGoals
-from turtleact.goals.state import CURRENT_GOAL, Goal, GoalOrder, GoalStatus, status_of
+from turtleact.goals.remote_goals import RemoteGoals
+from turtleact.goals.state import CURRENT_GOAL, Goal, GoalRequest, OnFeedback, status_of
 from turtleact.goals.wire import State
 from turtleact.interfaces import Message, snapshotter
 from turtleact.interfaces.standard import CancelGoal
@@ -58,17 +53,16 @@ class RemoteActionServer:
     """
 
     def __init__(self, endpoints: ClientEndpoints, tasks: Tasks, observers: Observers) -> None:
-        self.from_anywhere = tasks.from_anywhere
         goal_type = cast("type[Message]", endpoints.action_type.Goal)
         self._check_goal = cast("Callable[[object], Message]", snapshotter(goal_type, root="goal"))
         self._endpoints = endpoints
         self._goals = RemoteGoals(endpoints, tasks, endpoints.transport.clock.now, observers)
-        self.signal = self._goals.signal
+        self.pauses = RemotePauses(self, endpoints, self._goals)
+        self.resumed: Mapping[bytes, object] = {}
         self._tasks = tasks
         self._status = tasks.signal()
         self._last_told: dict[bytes, State] = {}
         self._held: dict[bytes, State] | None = None  # None until the first status arrives
-        self._paused: frozenset[bytes] = frozenset()
 
     @property
     def is_open(self) -> bool:
@@ -77,81 +71,70 @@ class RemoteActionServer:
 
     # sending
 
-    async def send_goal(self, order: GoalOrder) -> Goal:
-        """Send a goal, and return the goal once the server has accepted it.
-
-        Cancelling: the goal is canceled, even if the server accepts it only later. The caller waits
-        at most ``order.cancel_timeout`` seconds for the goal's end.
+    async def send(self, request: GoalRequest) -> Goal:
+        """Send a goal, and return it. The server may not have accepted it yet.
 
         Raises:
             InvalidGoal: if the request does not fit the action. In this case, nothing is sent.
+            GoalRejected: if this client still follows a goal with that id.
+        """
+        message = self._check_goal(request.message)
+        goal_id = request.goal_id or new_goal_id()
+        if goal_id in self._goals.by_id:
+            raise GoalRejected(f"the server still holds a goal with the id {goal_id.hex()}")
+        on_feedback = request.on_feedback
+        if on_feedback is not None:  # runs in the sender's context, not the topic's
+            on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
+        if request.is_streamed:
+            self._endpoints.watch_status(self._take_states)
+        goal = self._new_goal(goal_id, message, on_feedback)
+        goal.parent, goal.sender = CURRENT_GOAL.get(), request.sender
+        self._goals.send(goal, request.reattach)
+        return goal
+
+    def _new_goal(
+        self, goal_id: bytes, message: Message | None, on_feedback: OnFeedback | None = None
+    ) -> Goal:
+        log = FeedbackLog(on_feedback, is_kept=True)
+        return Goal(goal_id, message, self._tasks.signal(), log=log)
+
+    async def wait_for_acceptance(self, goal: Goal) -> None:
+        """Wait until the server has accepted a goal. Cancelling: safe.
+
+        Raises:
             GoalRejected: if the server rejects the goal.
             ServerUnavailable: if nobody serves the action, or the server goes away.
         """
-        self._endpoints.watch_status(self._take_states)
-        remote = self._send(order)
-        remote.is_awaited = True
-        goal = remote.goal
-        signal = self.signal(goal)
-        try:
-            while not (remote.is_accepted or goal.ended):
-                await signal.wait()
-        except self._tasks.cancelled:
-            await self._abandon(remote, order.cancel_timeout)
-            raise
-        if goal.error is not None and not remote.is_accepted:
+        remote = self._goals.by_id.get(goal.id)
+        while remote is not None and not (remote.is_accepted or goal.ended):
+            await goal.changed.wait()
+        if goal.error is not None and not (remote is not None and remote.is_accepted):
             raise goal.error
         if self._endpoints.is_ours:
-            self._endpoints.watch_paused(self._take_paused)
-        return goal
+            self.pauses.watch()
 
-    async def run_goal(self, order: GoalOrder) -> Goal:
-        """Send a goal as `send_goal` does, but return the goal only after its end."""
-        remote = self._send(order)
-        goal = remote.goal
-        try:
-            await self.wait_for_end(goal)
-        except self._tasks.cancelled:
-            await self._abandon(remote, order.cancel_timeout)
-            raise
-        return goal
-
-    def _send(self, order: GoalOrder) -> RemoteGoal:
-        message = self._check_goal(order.request)
-        goal_id = order.goal_id or new_goal_id()
-        if goal_id in self._goals.by_id:
-            raise GoalRejected(f"the server still holds a goal with the id {goal_id.hex()}")
-        on_feedback = order.on_feedback
-        if on_feedback is not None:  # runs in the sender's context, not the topic's
-            on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
-        parent = CURRENT_GOAL.get()
-        goal = Goal(
-            message, 0, id=goal_id, on_feedback=on_feedback, parent=parent, sender=order.sender
-        )
-        remote = self._goals.send(goal, order.reattach)
-        if parent is not None:  # so that it is paused with its parent
-            goal.enter_parent(parent, _Child(self))
-        return remote
-
-    async def _abandon(self, remote: RemoteGoal, timeout: float) -> None:
-        """Cancel a goal after the task that sent it was cancelled, and wait for the goal's end.
+    async def abandon(self, goal: Goal, timeout: float) -> None:
+        """Cancel a goal and wait at most ``timeout`` s for its end, shielded from cancellation.
 
         Errors are only logged, because the sender's task must end cancelled even if the server dies
         or never answers. If the server has not accepted the goal yet, the task that follows the
         goal cancels the goal upon acceptance. That task continues after the ``timeout``, until the
         client is closed.
         """
+        remote = self._goals.by_id.get(goal.id)
+        if remote is None:  # it has ended
+            return
         remote.is_abandoned = not remote.is_accepted
         with anyio.move_on_after(timeout, shield=True):
             try:
                 if remote.is_accepted:
-                    await self.cancel_goal(remote.goal)
-                await self.wait_for_end(remote.goal)
+                    await self.cancel(goal.id, 0)
+                await goal.wait_for_end()
             except TurtleactError as error:
                 remote.is_abandoned = True  # if the server returns
-                logger.info("goal %s could not be canceled: %s", remote.goal.hex, error)
+                logger.info("goal %s could not be canceled: %s", goal.hex, error)
             except Exception:
-                logger.exception("goal %s could not be canceled", remote.goal.hex)
+                logger.exception("goal %s could not be canceled", goal.hex)
 
     # goals that already exist
 
@@ -162,7 +145,7 @@ class RemoteActionServer:
             return remote.goal
         self._goals.open()
         self._endpoints.watch_status(self._take_states)
-        self._endpoints.watch_paused(self._take_paused)
+        self.pauses.watch()
         with anyio.move_on_after(STATUS_WITHIN):
             while self._held is None:
                 await self._status.wait()
@@ -172,22 +155,12 @@ class RemoteActionServer:
         if self._held is None or goal_id not in self._held:
             return None
         state = self._held[goal_id]
-        goal = Goal(None, 0, id=goal_id, is_paused=goal_id in self._paused)
+        goal = self._new_goal(goal_id, None)
         self._goals.attach(goal, state)
         if status_of(state[2]).is_terminal:  # the server may have forgotten it without any notice
             with anyio.move_on_after(STATUS_WITHIN):
-                await self.wait_for_end(goal)
+                await goal.wait_for_end()
         return None if isinstance(goal.error, UnknownGoal) else goal
-
-    async def wait_for_end(self, goal: Goal) -> None:
-        """Wait until a goal has ended. Cancelling: safe, the goal continues."""
-        signal = self.signal(goal)
-        while not goal.ended:
-            await signal.wait()
-
-    def name_goal(self, goal: Goal) -> bytes:
-        """Return the id of a goal. Goals in other processes always have an id."""
-        return cast("bytes", goal.id)
 
     def _take_states(self, told: dict[bytes, State]) -> None:
         # Two servers may share the name and report on their goals in turn.
@@ -196,11 +169,6 @@ class RemoteActionServer:
             if goal_id in self._held:
                 self._goals.take_state(remote, self._held[goal_id])
         self._status.fire()
-
-    def _take_paused(self, paused: frozenset[bytes]) -> None:
-        self._paused = paused
-        for goal_id, remote in tuple(self._goals.by_id.items()):
-            self._goals.take_paused(remote.goal, is_paused=goal_id in paused)
 
     # canceling
 
@@ -213,37 +181,6 @@ class RemoteActionServer:
             ServerUnavailable: if no server answers, or the client is closed.
         """
         return await self._goals.cancel(goal_id, stamp)
-
-    async def cancel_goal(self, goal: Goal) -> CancelGoal.Response:
-        """Ask the server to cancel one goal. The errors are those of `cancel`."""
-        return await self._goals.cancel(goal.id, 0)
-
-    def cancel_goal_nowait(self, goal: Goal) -> None:
-        """Ask the server to cancel a goal, without waiting for its answer. A failure is logged."""
-        self._goals.cancel_nowait(goal)
-
-    # pausing
-
-    async def wait_for_acceptance(self, goal: Goal) -> None:
-        """Wait until the server has accepted a goal, or the goal has ended. Cancelling: safe."""
-        remote = self._goals.by_id.get(cast("bytes", goal.id))
-        while remote is not None and not (remote.is_accepted or goal.ended):
-            await self.signal(goal).wait()
-
-    async def pause(self, goal: Goal, timeout: float) -> None:
-        """Ask the server to pause a goal, and wait until the goal's body stands still.
-
-        Raises:
-            PauseRefused: if the server refuses, or cannot pause goals.
-            ServerUnavailable: if the server goes away.
-        """
-        await self._endpoints.set_paused(goal, is_paused=True, timeout=timeout)
-        self._goals.take_paused(goal, is_paused=True)
-
-    async def resume(self, goal: Goal) -> None:
-        """Ask the server to let a paused goal go on. The errors are those of `pause`."""
-        await self._endpoints.set_paused(goal, is_paused=False)
-        self._goals.take_paused(goal, is_paused=False)
 
     # closing
 
@@ -258,46 +195,53 @@ class RemoteActionServer:
         self._endpoints.close()
 
 
-class _Child:
-    """Pauses and resumes a child goal together with the parent goal that sent the child.
+class RemotePauses:
+    """Pauses and resumes goals in another process.
 
     Args:
-        server: The server in another process that holds the goal.
+        server: The server in the other process.
+        endpoints: The client's endpoints.
+        goals: The goals that the client follows.
     """
 
-    def __init__(self, server: RemoteActionServer) -> None:
+    def __init__(
+        self, server: RemoteActionServer, endpoints: ClientEndpoints, goals: RemoteGoals
+    ) -> None:
         self._server = server
+        self._endpoints = endpoints
+        self._goals = goals
+        self._paused: frozenset[bytes] = frozenset()
 
-    async def pause_unless_ended(self, goal: Goal, timeout: float) -> bool:
-        """Pause the goal. Return False if the goal has ended or is being canceled.
+    def watch(self) -> None:
+        """Learn from the server which goals are paused. A second call does nothing."""
+        self._endpoints.watch_paused(self._take)
+
+    def is_paused(self, goal: Goal) -> bool:
+        """Whether a goal is paused, as far as the client knows."""
+        return goal.id in self._paused and not goal.ended
+
+    def hold(self, goal: Goal) -> None:
+        """Do nothing, because the goal's body may have started in the other process already."""
+
+    async def pause(self, goal: Goal, timeout: float) -> None:
+        """Ask the server to pause a goal, and wait until the goal's body stands still.
 
         Raises:
-            PauseRefused: if the goal's server refuses, or has gone away.
+            PauseRefused: if the server refuses, or cannot pause goals.
+            ServerUnavailable: if the server goes away.
         """
         with anyio.move_on_after(timeout):
             await self._server.wait_for_acceptance(goal)
-        try:
-            await self._server.pause(goal, timeout)
-        except (PauseRefused, ServerUnavailable) as error:
-            if goal.ended or goal.status is GoalStatus.CANCELING:
-                return False
-            raise _refused(error) from None
-        return True
+        await self._endpoints.set_paused(goal, is_paused=True, timeout=timeout)
+        self._take(self._paused | {goal.id})
 
     async def resume(self, goal: Goal) -> None:
-        """Resume the goal. If the goal is not paused, do nothing.
+        """Ask the server to let a paused goal go on. The errors are those of `pause`."""
+        await self._endpoints.set_paused(goal, is_paused=False)
+        self._take(self._paused - {goal.id})
 
-        Raises:
-            PauseRefused: if the goal's server refuses, or has gone away.
-        """
-        if goal.is_paused:
-            try:
-                await self._server.resume(goal)
-            except ServerUnavailable as error:
-                raise _refused(error) from None
-
-
-def _refused(error: PauseRefused | ServerUnavailable) -> PauseRefused:
-    if isinstance(error, PauseRefused):
-        return error
-    return PauseRefused(f"a goal that its body has sent: {error}")
+    def _take(self, paused: frozenset[bytes]) -> None:
+        changed, self._paused = self._paused ^ paused, paused
+        for goal_id in changed & self._goals.by_id.keys():
+            goal = self._goals.by_id[goal_id].goal
+            self._goals.tell_of_pause(goal, is_paused=goal_id in paused)

@@ -34,14 +34,13 @@ from turtleact.errors import (
     UnknownGoal,
 )
 from turtleact.goals.client_endpoints import ClientEndpoints
-from turtleact.goals.feedback import FeedbackLog
 from turtleact.goals.observers import FeedbackLost, Observers
 from turtleact.goals.state import Cancelable, Goal, GoalEvent, GoalStatus, status_of
 from turtleact.goals.wire import GoalNote, State
 from turtleact.interfaces import SECOND, Message, nanoseconds, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.summaries import STOPS, loggable, summary
-from turtleact.tasks import Signal, Tasks, wait_while
+from turtleact.tasks import Tasks, wait_while
 from turtleact.transports.base import REQUEST_NOTE, PendingCall, Reply
 
 __all__ = ["RemoteGoal", "RemoteGoals", "goal_lost"]
@@ -106,11 +105,9 @@ class RemoteGoal(msgspec.Struct, eq=False):
 
     Attributes:
         goal: The goal's object in this process.
-        goal_id: The goal's id.
         is_sender: Whether this client sent the goal.
         is_accepted: Whether the server has accepted the goal.
         is_abandoned: Whether the goal must be canceled as soon as it is accepted.
-        is_awaited: Whether a task waits for the goal's acceptance.
         is_observed: Whether the observers were told about the goal.
         note: A text that is sent with the goal request; see `REQUEST_NOTE`.
         received: How many feedback messages of the goal have arrived.
@@ -123,11 +120,9 @@ class RemoteGoal(msgspec.Struct, eq=False):
     """
 
     goal: Goal
-    goal_id: bytes
     is_sender: bool = True
     is_accepted: bool = False
     is_abandoned: bool = False
-    is_awaited: bool = False
     is_observed: bool = False
     note: str = ""
     received: int = 0
@@ -182,19 +177,17 @@ class RemoteGoals:
         """
         if not self._endpoints.is_open:
             self.open()
-        goal_id = cast("bytes", goal.id)
-        remote = RemoteGoal(goal, goal_id, reattach=reattach, note=REQUEST_NOTE.get())
+        remote = RemoteGoal(goal, reattach=reattach, note=REQUEST_NOTE.get())
         self._ask_at_once(remote)
-        self.by_id[remote.goal_id] = remote
+        self.by_id[goal.id] = remote
         self._follow_in_task(remote)
         return remote
 
     def attach(self, goal: Goal, state: State) -> None:
         """Follow a goal that somebody else sent, starting from its current state."""
-        goal_id = cast("bytes", goal.id)
-        remote = RemoteGoal(goal, goal_id, is_sender=False, is_accepted=True)
+        remote = RemoteGoal(goal, is_sender=False, is_accepted=True)
         self.take_state(remote, state)
-        self.by_id[remote.goal_id] = remote
+        self.by_id[goal.id] = remote
         self._follow_in_task(remote)
 
     async def cancel(self, goal_id: bytes | None, stamp: int) -> CancelGoal.Response:
@@ -218,23 +211,6 @@ class RemoteGoals:
             if remote is not None:
                 self._move(remote, GoalStatus.CANCELING)
         return response
-
-    def cancel_nowait(self, goal: Goal) -> None:
-        """Start a task that asks the server to cancel a goal. A failure is logged."""
-
-        async def ask() -> None:
-            try:
-                await self.cancel(goal.id, 0)
-            except TurtleactError as error:
-                logger.warning("goal %s could not be canceled: %s", goal.hex, error)
-
-        self._run(ask(), f"a cancel of {self._endpoints.name}")
-
-    def signal(self, goal: Goal) -> Signal:
-        """Return the signal that fires at each change of a goal."""
-        if goal.listener is None:
-            goal.listener = self._tasks.signal()
-        return goal.listener  # type: ignore[return-value]  # only this method sets it
 
     def open(self) -> None:
         """Open the client's endpoints.
@@ -268,7 +244,7 @@ class RemoteGoals:
         endpoints = self._endpoints
         if not (endpoints.knows_ours() and endpoints.takes_both):
             return
-        implied, goal_id = endpoints.implied, UUID(remote.goal_id)
+        implied, goal_id = endpoints.implied, UUID(remote.goal.id)
         goal: Any = remote.goal.request
         request = implied.send_goal.Request(goal_id, goal)
         remote.sent = endpoints.send_goal.ask(request, note=remote.note)
@@ -315,7 +291,7 @@ class RemoteGoals:
             sent, remote.sent = remote.sent, None
             try:
                 if sent is None:
-                    goal_id, goal = UUID(remote.goal_id), cast("Any", remote.goal.request)
+                    goal_id, goal = UUID(remote.goal.id), cast("Any", remote.goal.request)
                     request = self._endpoints.implied.send_goal.Request(goal_id, goal)
                     reply = await self._endpoints.ask_for_goal(request, remote.note)
                 else:
@@ -342,14 +318,14 @@ class RemoteGoals:
                 if asked is not None:
                     reply = await asked.reply()
                 else:
-                    question = self._endpoints.implied.get_result.Request(UUID(remote.goal_id))
+                    question = self._endpoints.implied.get_result.Request(UUID(remote.goal.id))
                     reply = await self._endpoints.get_result.call(question)
             except ServiceTimeout:  # the goal takes longer than the transport's timeout
                 continue
             except ServerUnavailable as error:
                 await patience.wait_for_return(error)
                 if remote.is_abandoned:
-                    await self.cancel(remote.goal_id, 0)
+                    await self.cancel(remote.goal.id, 0)
                 continue
             if self._has_ended(reply):
                 return reply
@@ -365,7 +341,7 @@ class RemoteGoals:
         """Wait for feedback that was published before the result but has not arrived yet."""
         if remote.received >= count:
             return
-        signal = self.signal(remote.goal)
+        signal = remote.goal.changed
         with anyio.move_on_after(LATE_FEEDBACK):
             while remote.received < count:
                 await signal.wait()
@@ -399,8 +375,7 @@ class RemoteGoals:
         remote.is_accepted = True
         if self._observers.are_any:
             self._show(remote)
-        if remote.is_awaited:
-            self.signal(goal).fire()
+        goal.changed.fire()
 
     def _has_ended(self, reply: Reply) -> bool:
         """Return whether a reply has the goal's result.
@@ -415,29 +390,25 @@ class RemoteGoals:
     def _take_feedback(self, remote: RemoteGoal, feedback: Message) -> None:
         """Record a feedback message, and call the sender's callback if there is one."""
         goal = remote.goal
-        log = goal.feedback
-        if log is None:
-            log = goal.feedback = FeedbackLog()
+        log = goal.log
         if goal.status < _EXECUTING:
             self._move(remote, _EXECUTING)
         remote.received += 1
-        goal.last_feedback = feedback
         log.append(feedback)
         if log.read is not None and log.count - log.read > MOST_UNREAD:
             log.read = log.count - MOST_UNREAD
         if remote.is_observed:
             self._observers.feedback_published(goal, feedback)
-        if goal.on_feedback is not None:
+        if log.on_feedback is not None:
             try:
-                goal.on_feedback(feedback)
+                log.on_feedback(feedback)
             except STOPS:
                 raise
             except BaseException as error:  # also a stray cancellation
                 told = loggable(error)
-                problem = "the feedback_callback of a goal of %s failed%s"
-                logger.error(problem, self._endpoints.name, goal.suffix, exc_info=told)
-        if goal.listener is not None:
-            goal.listener.fire()
+                problem = "the feedback_callback of a goal of %s failed (goal %s)"
+                logger.error(problem, self._endpoints.name, goal.hex, exc_info=told)
+        goal.changed.fire()
 
     def take_state(self, remote: RemoteGoal, state: State) -> None:
         """Record a goal's state from the status topic, unless it is a final state.
@@ -450,16 +421,12 @@ class RemoteGoals:
         if not status.is_terminal:
             self._move(remote, status)
 
-    def take_paused(self, goal: Goal, *, is_paused: bool) -> None:
-        """Record whether a goal is paused."""
-        if is_paused == goal.is_paused or goal.ended:
-            return
-        goal.is_paused = is_paused
-        remote = self.by_id.get(cast("bytes", goal.id))
+    def tell_of_pause(self, goal: Goal, *, is_paused: bool) -> None:
+        """Tell the observers that a goal was paused or resumed."""
+        remote = self.by_id.get(goal.id)
         if remote is not None and remote.is_observed:
-            self._observers.pause_changed(goal)
-        if goal.listener is not None:
-            goal.listener.fire()
+            self._observers.pause_changed(goal, is_paused)
+        goal.changed.fire()
 
     # states
 
@@ -495,7 +462,7 @@ class RemoteGoals:
         """Record the end of a goal as its server reported it."""
         response: Any = reply.message
         goal = remote.goal
-        goal.result, goal.reason, goal.is_paused = response.result, note.reason, False
+        goal.result, goal.reason = response.result, note.reason
         goal.ended = self._now()
         self._move(remote, status_of(response.status))
 
@@ -506,8 +473,7 @@ class RemoteGoals:
             goal.error, goal.status, goal.ended = error, GoalStatus.UNKNOWN, self._now()
             if remote.is_observed:
                 self._observers.goal_changed(goal, before, GoalStatus.UNKNOWN)
-            if goal.listener is not None:
-                goal.listener.fire()
+            goal.changed.fire()
 
     def _let_go(self, remote: RemoteGoal) -> None:
         if remote.sent is not None:
@@ -516,9 +482,8 @@ class RemoteGoals:
         if remote.asked is not None:
             remote.asked.drop()
             remote.asked = None
-        if remote.goal.parent is not None:
-            remote.goal.leave_parent()
-        self.by_id.pop(remote.goal_id, None)
+        remote.goal.parent = None
+        self.by_id.pop(remote.goal.id, None)
 
     def _failure(self, error: TurtleactError, *, is_accepted: bool = False) -> TurtleactError:
         """Turn the error of a failed request into an error that names the action.

@@ -24,11 +24,12 @@ from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 
-from turtleact.errors import GoalRejected
+from turtleact.errors import GoalRejected, TurtleactError
+from turtleact.goals.observers import GoalObserver, News
 from turtleact.goals.pause_endpoints import PauseEndpoints
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.server_topics import FeedbackTopic, ReasonTopic, StatusTopic
-from turtleact.goals.state import CancelCode, Goal, GoalOrder, GoalStatus
+from turtleact.goals.state import CancelCode, Goal, GoalRequest, GoalStatus
 from turtleact.goals.wire import GoalNote
 from turtleact.interfaces import (
     Action,
@@ -118,7 +119,7 @@ class ActionEndpoints:
 
     def open(self) -> None:
         """Open the endpoints, so that the action appears on the graph."""
-        action = self._server.served.action_type.type_name
+        action = self._server.spec.action_type.type_name
         describe, names = self._endpoint, self._names
         services: tuple[tuple[_ActionService, str], ...] = (
             (self._cancel_goal, CancelGoal.type_name),
@@ -175,7 +176,10 @@ class ActionEndpoints:
     def _is_expected(self) -> bool:
         """Whether a client in another process is likely to request the result of a goal soon."""
         reasons = (self._server.closing_reason, STOPPED, CUT_OFF)
-        return any(_may_be_asked_for(goal, reasons) for goal in self._server.held())
+        return any(
+            _may_be_asked_for(goal, reasons) and not self._get_result.is_told(goal)
+            for goal in self._server.held().values()
+        )
 
 
 class _ActionService:
@@ -256,7 +260,7 @@ class _ActionService:
 
     @cached_property
     def _implied(self) -> Implied:
-        return implied(cast("type[Action]", self.server.served.action_type))
+        return implied(cast("type[Action]", self.server.spec.action_type))
 
 
 class _SendGoal(_ActionService):
@@ -290,33 +294,34 @@ class _SendGoal(_ActionService):
 
     def reply_nowait(self, request: Any, caller: bytes, respond: Respond) -> bool:  # noqa: ANN401
         """Accept or reject a goal at once. Return False if the decision may take time."""
-        try:
-            goal = self.server.take_nowait(self._order(request, caller), is_streamed=False)
-        except GoalRejected as rejected:
-            respond(self._rejected(request, rejected))
-            return True
-        if goal is None:
+        if self.server.admit is not None:
             return False
-        respond(self._accepted(goal))
+        try:
+            goal = self.server.accept(self._read(request, caller))
+        except GoalRejected as rejected:
+            self.server.observers.goal_rejected(rejected.reason)
+            respond(self._rejected(request, rejected))
+        else:
+            respond(self._accepted(goal))
         return True
 
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
         try:
-            order = self._order(request, caller)
-            with self._get_result.expecting(order.goal_id):
-                goal = await self.server.take(order, is_streamed=False)
+            goal_request = self._read(request, caller)
+            with self._get_result.expecting(goal_request.goal_id):
+                goal = await self.server.send(goal_request)
         except GoalRejected as rejected:
             return self._rejected(request, rejected)
         return self._accepted(goal)
 
-    def _order(self, request: Any, caller: bytes) -> GoalOrder:  # noqa: ANN401
+    def _read(self, request: Any, caller: bytes) -> GoalRequest:  # noqa: ANN401
         if caller and self.expect_readers is not None:
             self.expect_readers()
             self.expect_readers = None
         goal_id = request.goal_id.uuid
         if not any(goal_id):
             raise GoalRejected(NAMELESS)
-        return GoalOrder(request.goal, caller, 0.0, goal_id)
+        return GoalRequest(request.goal, caller, goal_id)
 
     def _accepted(self, goal: Goal) -> Reply:
         response = self._implied.send_goal.Response
@@ -358,7 +363,7 @@ class _CancelGoal(_ActionService):
         ]
 
 
-class _GetResult(_ActionService):
+class _GetResult(_ActionService, GoalObserver):
     """Answers with the results of goals, once the goals have ended.
 
     A client of turtleact sends a goal and the request for its result at the same time. The request
@@ -370,6 +375,9 @@ class _GetResult(_ActionService):
         super().__init__(server, names.get_result, tasks)
         self._expected: list[bytes | None] = []  # a list, since the same id may be sent twice
         self._decided = tasks.signal()
+        self._asked: dict[Goal, list[Respond]] = {}  # for goals that have not ended
+        self._told: set[bytes] = set()  # the goals whose results were given after the closing began
+        self._is_observing = False
 
     @contextmanager
     def expecting(self, goal_id: bytes | None) -> Iterator[None]:
@@ -401,13 +409,29 @@ class _GetResult(_ActionService):
         goal = self.server.find(request.goal_id.uuid)
         if goal is None:
             return False
-        goal.is_asked_for = True
-        self.waiting += 1
         if goal.ended:
-            self._respond(goal, respond)
-        else:
-            goal.end_callbacks += (partial(self._respond, goal, respond),)
+            respond(self._end(goal))
+            return True
+        if not self._is_observing:
+            self._is_observing = True
+            self.server.observers.add(self)
+        self.waiting += 1
+        self._asked.setdefault(goal, []).append(respond)
         return True
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
+        """Answer the requests for a goal that has ended."""
+        if after.is_terminal and goal in self._asked:
+            self._answer_all(goal, self._end(goal))
+
+    def noted(self, goal: Goal, news: News) -> None:  # noqa: ARG002
+        """Answer the requests for a goal whose server stops before the goal ends."""
+        if goal.error is not None and goal in self._asked:
+            self._answer_all(goal, goal.error)
+
+    def is_told(self, goal: Goal) -> bool:
+        """Whether the result of a goal that the closing has ended was given to anybody."""
+        return goal.id in self._told
 
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
         goal_id = request.goal_id.uuid
@@ -419,23 +443,25 @@ class _GetResult(_ActionService):
             if goal_id not in self._expected:
                 return Reply(self._implied.get_result.Response(status=GoalStatus.UNKNOWN), OURS)
             await self._decided.wait()
-        goal.is_asked_for = True
-        await self.server.wait_for_end(goal)
+        await goal.wait_for_end()
         if goal.error is not None:  # the server stops, and the goal goes on after a restart
             raise goal.error
         return self._end(goal)
 
-    def _respond(self, goal: Goal, respond: Respond) -> None:
-        respond(self._end(goal) if goal.error is None else goal.error)
-        self.waiting -= 1
+    def _answer_all(self, goal: Goal, answer: Reply | TurtleactError) -> None:
+        for respond in self._asked.pop(goal):
+            respond(answer)
+            self.waiting -= 1
         self.answered.fire()
 
     def _end(self, goal: Goal) -> Reply:
+        if not self.server.is_open:
+            self._told.add(goal.id)
         response = self._implied.get_result.Response
         result: Any = goal.result
         message = response(status=int(goal.status), result=result)
-        if goal.reason or goal.published:
-            return Reply(message, GoalNote(goal.reason, goal.published).write())
+        if goal.reason or goal.log.count:
+            return Reply(message, GoalNote(goal.reason, goal.log.count).write())
         return Reply(message, OURS)
 
 
@@ -465,4 +491,4 @@ def _may_be_asked_for(goal: Goal, reasons: tuple[str, ...]) -> bool:
     """
     is_sent_from_elsewhere = isinstance(goal.sender, bytes) and bool(goal.sender)
     is_ended_late = goal.reason in reasons
-    return is_sent_from_elsewhere and is_ended_late and not goal.is_asked_for
+    return is_sent_from_elsewhere and is_ended_late

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from typing import Generic, TypeVar, cast
 
-from turtleact.goals.execution import Execution
 from turtleact.goals.records import Resumed
+from turtleact.goals.running import BodyTask
+from turtleact.goals.server import LocalActionServer
 from turtleact.goals.state import Goal, GoalStatus
 from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import Time
@@ -26,21 +27,21 @@ class GoalHandle(Generic[G, R, F]):
     The subclass `turtleact.ServerGoalHandle` also gives access to the node.
     """
 
-    __slots__ = ("_execution", "_goal")
+    __slots__ = ("_goal", "_server")
 
-    def __init__(self, execution: Execution, goal: Goal) -> None:
-        self._execution = execution
+    def __init__(self, server: LocalActionServer, goal: Goal) -> None:
+        self._server = server
         self._goal = goal
 
     @property
     def action_name(self) -> str:
         """The fully qualified name of the action."""
-        return self._execution.served.name
+        return self._server.name
 
     @property
     def goal_id(self) -> bytes:
         """The goal's id, 16 bytes."""
-        return self._execution.name_goal(self._goal)
+        return self._goal.id
 
     @property
     def stamp(self) -> Time:
@@ -74,12 +75,12 @@ class GoalHandle(Generic[G, R, F]):
         Only a server with a journal resumes goals; see ``on_restart`` of
         `turtleact.Node.action_server`.
         """
-        return cast("Resumed[R, F] | None", self._goal.resumed)
+        return self._server.resumed.get(self._goal.id)
 
     @property
     def is_paused(self) -> bool:
         """Whether the goal is paused."""
-        return self._goal.is_paused
+        return self._server.pauses.is_paused(self._goal)
 
     @property
     def paused_time(self) -> float:
@@ -87,7 +88,7 @@ class GoalHandle(Generic[G, R, F]):
 
         If your body measures time, subtract this value, so that pauses do not count.
         """
-        return self._execution.pauses.paused_time(self._goal)
+        return self._server.pauses.paused_time(self._goal)
 
     async def pause(self, timeout: float = 5.0) -> None:
         """Pause the goal, and return when the goal is paused.
@@ -101,8 +102,8 @@ class GoalHandle(Generic[G, R, F]):
         Raises:
             PauseRefused: if the goal cannot be paused, or its body takes too long.
         """
-        self._execution.served.home.check()
-        await self._execution.pauses.pause(self._goal, timeout)
+        self._server.spec.home.check()
+        await self._server.pauses.pause(self._goal, timeout)
 
     async def resume(self) -> None:
         """Resume a paused goal.
@@ -110,15 +111,17 @@ class GoalHandle(Generic[G, R, F]):
         Raises:
             PauseRefused: if ``on_resume`` fails, and the goal therefore stays paused.
         """
-        self._execution.served.home.check()
-        await self._execution.pauses.resume(self._goal)
+        self._server.spec.home.check()
+        await self._server.pauses.resume(self._goal)
 
     async def checkpoint(self) -> None:
         """Let other tasks run. While the goal is paused, wait here.
 
         If you declare a coroutine body with ``pausable=True``, it must await this regularly.
         """
-        await self._execution.pauses.checkpoint(self._goal)
+        await self._server.tasks.checkpoint()
+        if isinstance(self._goal.body, BodyTask):
+            await self._goal.body.wait_at_gate()
 
     def publish_feedback(self, feedback: F) -> None:
         """Send a copy of ``feedback``. You may then change ``feedback`` and send it again.
@@ -129,8 +132,8 @@ class GoalHandle(Generic[G, R, F]):
             InvalidTransition: if the goal is neither EXECUTING nor CANCELING.
             TurtleactError: if this is called in another thread or event loop.
         """
-        self._execution.served.home.check()
-        self._execution.publish(self._goal, feedback)
+        self._server.spec.home.check()
+        self._server.publish(self._goal, feedback)
 
     def set_partial_result(self, result: R) -> None:
         """Set the result to report if the goal is canceled or aborted.
@@ -141,5 +144,5 @@ class GoalHandle(Generic[G, R, F]):
             InvalidTransition: if the goal has ended.
             TurtleactError: if this is called in another thread or event loop.
         """
-        self._execution.served.home.check()
-        self._execution.set_partial_result(self._goal, result)
+        self._server.spec.home.check()
+        self._server.set_partial_result(self._goal, result)

@@ -15,8 +15,16 @@ from turtleact.goals.observers import FeedbackLost, GoalObserver
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.state import Goal, GoalStatus
 from turtleact.goals.wire import GoalReason, pack_state, reason_topic, write_states
-from turtleact.interfaces import SECOND, Action, FeedbackFormat, Message, WireFormat, implied
-from turtleact.interfaces.standard import UUID, GoalStatusArray, GoalStatusMessage
+from turtleact.interfaces import (
+    SECOND,
+    Action,
+    FeedbackFormat,
+    Message,
+    WireFormat,
+    implied,
+    stamp_of,
+)
+from turtleact.interfaces.standard import UUID, GoalInfo, GoalStatusArray, GoalStatusMessage
 from turtleact.transports.base import Endpoint, MakeEndpoint, Publication, QoS, Source, Transport
 
 if TYPE_CHECKING:
@@ -36,7 +44,7 @@ class FeedbackTopic(Source):
 
     def __init__(self, server: LocalActionServer, transport: Transport, endpoint: Endpoint) -> None:
         self._server = server
-        self._action = cast("type[Action]", server.served.action_type)
+        self._action = cast("type[Action]", server.spec.action_type)
         self._format = FeedbackFormat(self._action)
         self._transport, self._endpoint = transport, endpoint
         self._lost: LostFeedback | None = None
@@ -45,7 +53,7 @@ class FeedbackTopic(Source):
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Start to publish feedback if the topic has readers; otherwise stop."""
-        self._server.execution.outlet = self if has_readers else None
+        self._server.publisher = self if has_readers else None
 
     def message_lost(self) -> None:
         """Report to ``turtleact doctor`` that feedback was dropped."""
@@ -79,14 +87,13 @@ class FeedbackTopic(Source):
         """Wait until the topic is not congested. Cancelling: safe."""
         await self._publication.drained()
 
-    def publish(self, goal: Goal, message: Message) -> None:
+    def send(self, goal: Goal, message: Message) -> None:
         """Publish feedback that has been checked and copied."""
-        goal.published += 1
-        goal_id, publication = goal.id or self._server.name_goal(goal), self._publication
+        publication = self._publication
         if publication.has_object_readers:
-            publication.publish(self._message_type(UUID(goal_id), message))
+            publication.publish(self._message_type(UUID(goal.id), message))
         else:
-            publication.send(self._format.write(goal_id, message))
+            publication.send(self._format.write(goal.id, message))
             if publication.dropped != self._dropped:
                 self._tell_of_loss(goal)
 
@@ -127,19 +134,18 @@ class StatusTopic(GoalObserver):
     def current(self) -> Sequence[object]:
         """Build the message with all goals that the server holds."""
         statuses = [
-            GoalStatusMessage(self._server.info(goal), int(goal.status))
-            for goal in self._server.held()
+            GoalStatusMessage(GoalInfo(UUID(goal.id), stamp_of(goal.stamp)), int(goal.status))
+            for goal in self._server.held().values()
         ]
         return (GoalStatusArray(statuses),)
 
     def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
         """Build the status message as bytes. Only goals that have changed are encoded again."""
         changed, entries = self._changed, self._entries
-        for goal in self._server.held() if changed is None else changed:
-            goal_id = goal.id or self._server.name_goal(goal)
-            entries[goal_id] = pack_state(goal_id, (*divmod(goal.stamp, SECOND), goal.status))
+        held = self._server.held()
+        for goal in held.values() if changed is None else changed:
+            entries[goal.id] = pack_state(goal.id, (*divmod(goal.stamp, SECOND), goal.status))
         self._changed, self._is_stale = {}, False
-        held = self._server.held_ids()
         if len(entries) > len(held):  # every goal held has an entry
             entries = self._entries = {key: each for key, each in entries.items() if key in held}
         return (write_states(entries.values()),)
@@ -157,8 +163,6 @@ class StatusTopic(GoalObserver):
         Readers in this process get a message at each change. Readers in other processes get one
         message for several changes in quick succession.
         """
-        if goal.id is None:  # without an id it would be forgotten when it ends
-            self._server.name_goal(goal)
         if self._changed is not None:
             self._changed[goal] = None
         publication = self._publication
@@ -205,7 +209,7 @@ class ReasonTopic(Source, GoalObserver):
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
         """If a goal has ended and has a reason, publish the reason."""
         if after.is_terminal and goal.reason:
-            self._publish(self._server.name_goal(goal), after, goal.reason)
+            self._publish(goal.id, after, goal.reason)
 
     def rejected(self, goal_id: bytes, reason: str) -> None:
         """Publish why a goal was rejected."""

@@ -6,8 +6,8 @@
 - A goal becomes CANCELED only after a client's cancel request. If a goal's body is cancelled for
   another reason, the goal becomes ABORTED.
 - A cancel request names goals by id, by time, or by both (`select`).
-- A goal that has ended is kept for ``result_timeout`` seconds, and longer while a caller waits for
-  its result. Then the goal is forgotten (`GoalTable`).
+- A goal that has ended is kept for ``result_timeout`` seconds. Then the goal is forgotten
+  (`GoalTable`).
 
 This module uses no clock, task or random number. The current time is passed in as ``now``, in
 nanoseconds.
@@ -18,20 +18,18 @@ Source: the ROS 2 design article "Actions"; rcl_action ``goal_state_machine.c`` 
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Callable, Collection, Iterable, Mapping
+from bisect import insort
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from contextvars import ContextVar
 from enum import IntEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
+from typing import Final, Protocol, TypeAlias
 
 import msgspec
 
 from turtleact.errors import GoalAborted, GoalCanceled, InvalidTransition, TurtleactError
-from turtleact.goals.feedback import FeedbackLog, Listener
-
-if TYPE_CHECKING:
-    from turtleact.interfaces import Message
+from turtleact.goals.feedback import FeedbackLog, Signal
 
 __all__ = [
     "CURRENT_GOAL",
@@ -41,7 +39,7 @@ __all__ = [
     "Cancelable",
     "Goal",
     "GoalEvent",
-    "GoalOrder",
+    "GoalRequest",
     "GoalResponse",
     "GoalStatus",
     "GoalTable",
@@ -164,127 +162,73 @@ class Cancelable(Protocol):
 OnFeedback: TypeAlias = Callable[[object], object]
 
 
-class GoalOrder(msgspec.Struct, eq=False):
+class GoalRequest(msgspec.Struct, eq=False):
     """A goal that a client wants to send.
 
     Attributes:
-        request: The goal message.
+        message: The goal message.
         sender: An object that stands for the client. If the client goes away, the server uses this
             object to find the client's goals.
-        cancel_timeout: How long a cancelled caller waits for the goal to end (s, event loop time).
-        goal_id: The 16 bytes of an id that the user or an observer chose; None to let the server or
-            client choose one.
+        goal_id: The 16 bytes of an id that the client, the user or an observer chose; None to let
+            the server choose one.
         on_feedback: The user's callback for feedback.
         reattach: How long to wait for a server, both at first and after the server has gone away
             (s, event loop time).
+        is_streamed: Whether to keep the goal's feedback, because the client may read it later.
     """
 
-    request: object
+    message: object
     sender: object
-    cancel_timeout: float
     goal_id: bytes | None = None
     on_feedback: OnFeedback | None = None
     reattach: float = 0.0
+    is_streamed: bool = False
 
 
 class Goal(msgspec.Struct, eq=False):
     """One goal, as its server keeps it. A client in the same process uses the same object.
 
     Attributes:
-        request: The goal message.
+        id: The 16 bytes of the goal's id.
+        request: The goal message; None if somebody else sent the goal to another process.
+        changed: The signal that fires at each change of the goal.
         stamp: When the server accepted the goal (ns since the epoch).
         status: The goal's state. Only `apply` changes it.
-        history: The goal's states since its acceptance, without the final one. Each state comes
-            with the number of feedback messages published before it.
-        id: The 16 bytes of the goal's id; None until the id is first needed.
-        on_feedback: The sender's callback for feedback.
-        is_streamed: Whether the goal's feedback must be kept, because a client may read it later.
+        log: The goal's feedback, and the states that it had.
         parent: The goal whose body sent this goal, if any.
         sender: The client that sent the goal.
-        feedback: The feedback messages that are kept for readers. None until a message is kept or a
-            reader starts.
-        last_feedback: The newest feedback message, which is always kept.
         result: The partial result until the goal ends, then the result.
         reason: Why the goal was aborted, or will be aborted soon.
-        listener: The object whose ``fire`` method wakes the tasks that wait for a change of the
-            goal.
-        end_callbacks: Functions to call when the goal has ended, after observers have been
-            called. These functions must not raise exceptions.
-        body: The running body; None when there is no body that can be canceled.
+        body: What runs the goal's body; None when there is nothing that can be canceled.
         ended: When the goal ended (ns since the epoch); 0 before.
-        is_decided: Whether the goal's end has been decided. With a journal, the goal ends a little
-            later, when the journal has stored the end.
-        resumed: The goal's progress in an earlier process, a `Resumed`; None if the goal began in
-            this process.
-        is_paused: Whether the goal is paused: the goal's body waits until the goal is resumed.
-        is_paused_by_parent: Whether the goal is paused only because its parent is paused.
-        hold: The object that asks the goal's body to pause; see `turtleact.goals.pausing`.
-        paused_ns: The total length of the goal's earlier pauses (ns), by the server's clock.
-        children: The active goals that this goal's body has sent, each with an object that can
-            pause it.
-        waiters: How many callers wait for the goal's result. While any caller waits, the server
-            does not forget the ended goal.
-        published: How many feedback messages of the goal were published on the feedback topic.
-        is_asked_for: Whether a client in another process has asked for the goal's result.
+        is_ending: Whether the goal's end has been decided. The goal may end a little later, for
+            example when a journal has stored the end.
         error: The exception that explains why the client lost contact with the goal, or None. If
             contact was lost, the goal's state is UNKNOWN.
-        runner: The object that runs the goal's body; None before the body begins.
     """
 
+    id: bytes
     request: object
-    stamp: int
+    changed: Signal
+    stamp: int = 0
     status: GoalStatus = GoalStatus.ACCEPTED
-    history: tuple[tuple[GoalStatus, int], ...] = ()
-    id: bytes | None = None
-    on_feedback: OnFeedback | None = None
-    is_streamed: bool = False
+    log: FeedbackLog = msgspec.field(default_factory=FeedbackLog)
     parent: Goal | None = None
     sender: object = None
-    feedback: FeedbackLog | None = None
-    last_feedback: Message | None = None
     result: object = None
     reason: str = ""
-    listener: Listener | None = None
-    end_callbacks: tuple[Callable[[], object], ...] = ()
     body: Cancelable | None = None
     ended: int = 0
-    is_decided: bool = False
-    resumed: object = None
-    is_paused: bool = False
-    is_paused_by_parent: bool = False
-    hold: object = None
-    paused_ns: int = 0
-    children: dict[Goal, Any] | None = None
-    waiters: int = 0
-    published: int = 0
-    is_asked_for: bool = False
+    is_ending: bool = False
     error: TurtleactError | None = None
-    runner: object = None
 
     @property
     def hex(self) -> str:
-        """The id in hexadecimal, as ROS prints it; empty while the goal has no id."""
-        return self.id.hex() if self.id else ""
-
-    @property
-    def suffix(self) -> str:
-        """The end of a log line: the goal's id in parentheses; empty while the goal has no id."""
-        return f" (goal {self.hex})" if self.id else ""
-
-    def enter_parent(self, parent: Goal, pauses: object) -> None:
-        """Become a child of the parent goal; ``pauses`` is the object that can pause this goal."""
-        if parent.children is None:
-            parent.children = {}
-        parent.children[self] = pauses
-
-    def leave_parent(self) -> None:
-        """Remove this goal from its parent's children, so that the parent can forget it."""
-        if self.parent is not None and self.parent.children is not None:
-            self.parent.children.pop(self, None)
-        self.parent = None
+        """The id in hexadecimal, as ROS prints it."""
+        return self.id.hex()
 
     def apply(self, event: GoalEvent) -> None:
-        """Change the state and fire the listener.
+        """Change the state and fire the signal.
 
         Raises:
             InvalidTransition: if the state does not allow the event. In that case, the state does
@@ -295,10 +239,13 @@ class Goal(msgspec.Struct, eq=False):
             raise InvalidTransition(self.status, event, self.hex)
         self.status = status
         if event <= _CANCEL_GOAL:  # the history leaves out final states
-            count = 0 if self.feedback is None else self.feedback.count
-            self.history = (*self.history, (status, count))
-        if self.listener is not None:
-            self.listener.fire()
+            self.log.history += ((status, self.log.count),)
+        self.changed.fire()
+
+    async def wait_for_end(self) -> None:
+        """Wait until the goal has ended. Cancelling: safe, the goal continues."""
+        while not self.ended:
+            await self.changed.wait()
 
 
 def failure(goal: Goal) -> TurtleactError:
@@ -363,50 +310,43 @@ CURRENT_GOAL: ContextVar[Goal | None] = ContextVar("CURRENT_GOAL", default=None)
 class GoalTable:
     """The goals that a server holds: all active ones and those that ended recently.
 
-    A goal without an id is forgotten as soon as it ends, because no client can ask for its result.
-
     Args:
         result_timeout: How long to keep a goal after its end (s); None to keep it for ever.
     """
 
+    KEPT: Final = 1 << 15
+    """With a ``result_timeout``, the most ended goals that are kept. Virtual time may stand still,
+    so the timeout alone would not limit them."""
+
     def __init__(self, result_timeout: float | None = 10.0) -> None:
         self._keep_ns = None if result_timeout is None else round(result_timeout * 1e9)
+        self._goals: dict[bytes, Goal] = {}  # in the order of acceptance
         self._active: dict[Goal, None] = {}
-        self._named: dict[bytes, Goal] = {}
-        self._expiries: list[tuple[int, bytes]] = []
-        self._pinned: set[Goal] = set()  # expired, but kept while somebody waits for them
+        self._ended: deque[Goal] = deque()  # in the order of their ends
 
     @property
     def active(self) -> list[Goal]:
         """The goals that have not ended, in the order of their acceptance."""
         return list(self._active)
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether all goals have ended."""
+        return not self._active
+
     def add(self, goal: Goal) -> bool:
         """Add an accepted goal. If its id is taken, do nothing and return False."""
-        if goal.id is not None:
-            if goal.id in self._named:
-                self.expire(goal.stamp)
-            if goal.id in self._named:
+        if goal.id in self._goals:
+            self.expire(goal.stamp)
+            if goal.id in self._goals:
                 return False
-            self._named[goal.id] = goal
+        self._goals[goal.id] = goal
         self._active[goal] = None
         return True
 
     def forget(self, goal: Goal) -> None:
         """Undo `add` for a goal that was not accepted after all."""
-        self._active.pop(goal, None)
-        if goal.id is not None:
-            del self._named[goal.id]
-
-    def name(self, goal: Goal, goal_id: bytes, now: int) -> bytes:
-        """Give a goal this id, unless the goal has an id already, and return the goal's id."""
-        if goal.id is None:
-            goal.id = goal_id
-            self._named[goal_id] = goal
-            if goal.ended:
-                self._schedule(goal)
-                self.expire(now)
-        return goal.id
+        del self._active[goal], self._goals[goal.id]
 
     def end(self, goal: Goal, now: int) -> None:
         """Record that a goal has ended.
@@ -415,51 +355,43 @@ class GoalTable:
         """
         goal.ended = now
         self._active.pop(goal, None)
-        if goal.id is not None:
-            self._schedule(goal)
-        if self._expiries:
+        if self._keep_ns is not None:
+            self._ended.append(goal)
             self.expire(now)
 
     def find(self, goal_id: bytes, now: int) -> Goal | None:
         """Return the goal with that id, or None if it never existed or has expired."""
         self.expire(now)
-        return self._named.get(goal_id)
+        return self._goals.get(goal_id)
 
-    def ids(self, now: int) -> Collection[bytes]:
-        """The ids of all goals in the table. Goals without an id are left out."""
+    def held(self, now: int) -> Mapping[bytes, Goal]:
+        """All goals in the table by id, active or ended, in the order of their acceptance."""
         self.expire(now)
-        return self._named.keys()
+        return self._goals
 
-    def held(self, now: int) -> list[Goal]:
-        """All goals in the table, active or ended, in the order of their acceptance."""
-        self.expire(now)
-        return sorted(dict.fromkeys([*self._named.values(), *self._active]), key=_by_stamp)
+    def next_expiry(self) -> int | None:
+        """When the next goal expires (ns since the epoch); None if no goal has to expire."""
+        if self._keep_ns is None or not self._ended:
+            return None
+        return self._ended[0].ended + self._keep_ns
 
     def expire(self, now: int) -> None:
-        """Forget the goals that have expired, except those whose results somebody waits for."""
-        expiries = self._expiries
-        while expiries and expiries[0][0] <= now:
-            goal = self._named[heapq.heappop(expiries)[1]]
-            self._pinned.add(goal)
-            if not goal.waiters:
-                self.unpin(goal)
+        """Forget the goals that have expired."""
+        ended, keep_ns = self._ended, self._keep_ns
+        if keep_ns is None:
+            return
+        while ended and (ended[0].ended + keep_ns <= now or len(ended) > self.KEPT):
+            del self._goals[ended.popleft().id]
 
     def hold_ended(self, goal: Goal) -> None:
         """Add a goal that ended in an earlier process. It expires like any other goal."""
-        if goal.id is not None:
-            self._named[goal.id] = goal
-            self._schedule(goal)
-
-    def unpin(self, goal: Goal) -> None:
-        """Forget a goal if it has expired. Call this when nobody waits for the goal's result."""
-        if goal in self._pinned and goal.id is not None:
-            self._pinned.remove(goal)
-            del self._named[goal.id]
-
-    def _schedule(self, goal: Goal) -> None:
-        if self._keep_ns is not None and goal.id is not None:
-            heapq.heappush(self._expiries, (goal.ended + self._keep_ns, goal.id))
+        self._goals[goal.id] = goal
+        insort(self._ended, goal, key=_by_end)
 
 
 def _by_stamp(goal: Goal) -> int:
     return goal.stamp
+
+
+def _by_end(goal: Goal) -> int:
+    return goal.ended

@@ -25,12 +25,14 @@ from turtleact.goals.body import (
 )
 from turtleact.goals.client import ActionClient
 from turtleact.goals.client_endpoints import ClientEndpoints
-from turtleact.goals.execution import Execution, Served
+from turtleact.goals.durable import DurableGoals, restore_all
 from turtleact.goals.observers import Hook
+from turtleact.goals.opening import open_server
 from turtleact.goals.policies import Rules, Slot, Slots
-from turtleact.goals.server import LocalActionServer, SlotRequest, restore_all
+from turtleact.goals.server import LocalActionServer, ServerSpec
 from turtleact.goals.server_endpoints import ActionEndpoints
 from turtleact.goals.server_handle import GoalHandle
+from turtleact.goals.slots import PlaceRequest
 from turtleact.goals.state import Goal, GoalStatus
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
@@ -115,9 +117,9 @@ class Node:
         self._tasks = current_tasks()
         self._home = Home(f"node '{self.fully_qualified_name}'")
         self._resources = Resources(self._home)
-        self._slots = Slots[SlotRequest]()
+        self._slots = Slots[PlaceRequest]()
         self._hooks: list[Transition] = []
-        self._to_restore: list[LocalActionServer] = []
+        self._to_restore: list[DurableGoals] = []
         self._parameters: NodeParameters | None = None
         self.initial_values: dict[str, object] = {}
         self._presence = ExitStack()
@@ -219,7 +221,7 @@ class Node:
         own_types = self._types_served(names.name)
         if on_conflict == "refuse" or action_type.type_name in own_types:
             rivals.check(names.name, action_type.type_name, own_types)
-        served = Served(
+        spec = ServerSpec(
             names.name,
             action_type,
             Body(names.name, execute),
@@ -227,15 +229,16 @@ class Node:
             self._home.of(f"the goal handle of action '{names.name}'"),
             self.fully_qualified_name,
         )
-        local = LocalActionServer(
-            served, options, self._tasks, self.clock.now, self._place(options)
-        )
-        if local.durable is not None:
-            local.durable.is_built_in = on_conflict == "withdraw"
+        place = self._place(options)
+        local, durable = open_server(spec, options, self._tasks, self.clock.now, place)
+        if durable is not None:
+            durable.is_built_in = on_conflict == "withdraw"
         endpoint = partial(self._endpoint, on_demand=on_demand)
         shown = options.get("introspection") or self.introspection
         endpoints = ActionEndpoints(local, names, self.transport, endpoint, self._tasks, shown)
-        server: ActionServer[G, R, F] = ActionServer(self, action_type, local, endpoints, rivals)
+        server: ActionServer[G, R, F] = ActionServer(
+            self, action_type, local, endpoints, rivals, partial(self._restore_soon, durable)
+        )
         # Before the server takes its name: from then on goals may come, and hooks hear of all.
         for hook in self._hooks:
             server._watch(hook)
@@ -252,18 +255,14 @@ class Node:
         )
         return server
 
-    def _restore_soon(self, local: LocalActionServer) -> None:
-        """Restore a server's goals in the next iteration of the event loop.
-
-        The goals of all new servers are restored together.
-        """
-        if local.durable is not None:
-            # Servers that share a slot must be restored together, in the order in which their goals
-            # were accepted. A program opens them one after the other without an await, so on the
-            # next turn of the loop all of them are there.
+    def _restore_soon(self, durable: DurableGoals | None) -> None:
+        """Restore a server's goals on the loop's next turn, with those of all new servers."""
+        if durable is not None:
+            # Servers that share a slot must be restored together. A program opens them without an
+            # await in between, so on the next turn of the loop all of them are there.
             if not self._to_restore:
                 self._tasks.from_anywhere(self._restore)  # on the next turn, even on trio
-            self._to_restore.append(local)
+            self._to_restore.append(durable)
 
     def _restore(self) -> None:
         servers, self._to_restore = self._to_restore, []
@@ -501,7 +500,7 @@ class Node:
         if not self.is_open:
             raise TurtleactError(f"node '{self.fully_qualified_name}' is closed: open another")
 
-    def _place(self, options: ServerOptions) -> Slot[SlotRequest] | None:
+    def _place(self, options: ServerOptions) -> Slot[PlaceRequest] | None:
         """Return the slot that limits a server's goals; None if every goal may start at once."""
         policy = options.get("policy", "parallel")
         rules = Rules(policy, options.get("max_active"), options.get("queue_limit"))
@@ -556,8 +555,8 @@ class ServerGoalHandle(GoalHandle[G, R, F]):
 
     __slots__ = ("node",)
 
-    def __init__(self, node: Node, execution: Execution, goal: Goal) -> None:
-        super().__init__(execution, goal)
+    def __init__(self, node: Node, server: LocalActionServer, goal: Goal) -> None:
+        super().__init__(server, goal)
         self.node = node
 
 
@@ -580,6 +579,7 @@ class ActionServer(Generic[G, R, F]):
         local: LocalActionServer,
         endpoints: ActionEndpoints,
         rivals: Rivals,
+        restore: Callable[[], object],
     ) -> None:
         self.name = local.name
         self.action_type = action_type
@@ -588,7 +588,6 @@ class ActionServer(Generic[G, R, F]):
         self._local = local
         self._endpoints = endpoints
         types_served = partial(node._types_served, self.name)
-        restore = partial(node._restore_soon, local)
         self._served_name = ServedName(local, endpoints, rivals, types_served, restore)
 
     @property
@@ -637,7 +636,7 @@ class ActionServer(Generic[G, R, F]):
         return await self._served_name.wait()
 
     def _watch(self, hook: Transition) -> None:
-        self._local.observers.add(Hook(hook, self._local.execution.make_handle))
+        self._local.observers.add(Hook(hook, self._local.make_handle))
 
     def _take_name(self, on_conflict: OnConflict, again: Callable[[], object]) -> None:
         """Serve the action as soon as the server's name is free.

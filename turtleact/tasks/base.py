@@ -75,10 +75,7 @@ class Tasks(Protocol):
         """Whether cancelling a task now would interrupt a shielded scope. Always False on trio."""
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Run a callback that may spawn tasks.
-
-        On asyncio, it runs in the loop's next turn. On trio, it runs at once.
-        """
+        """Schedule a callback for the loop's next turn."""
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
         """Schedule a callback from any thread. If the event loop is closed, do nothing."""

@@ -57,11 +57,8 @@ class TrioTasks:
         return False
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call the callback now.
-
-        If the callback spawns tasks, trio runs their first steps later.
-        """
-        callback()
+        """Schedule a callback for the loop's next turn."""
+        self._token.run_sync_soon(callback)
 
     def from_anywhere(self, callback: Callable[[], object]) -> None:
         """Schedule a callback from any thread. If the event loop has ended, do nothing."""

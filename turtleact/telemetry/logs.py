@@ -20,7 +20,7 @@ from typing import Any, Final
 
 import msgspec
 
-from turtleact.goals.execution import Execution
+from turtleact.goals.running import BodyTask
 from turtleact.goals.state import CURRENT_GOAL
 from turtleact.summaries import encodable, summary, text_of
 
@@ -46,9 +46,8 @@ class GoalFilter(logging.Filter):
         """Add the fields to a record."""
         goal = CURRENT_GOAL.get()
         values = "", "", ""
-        if goal is not None and isinstance(goal.runner, Execution):
-            served = goal.runner.served
-            values = goal.runner.name_goal(goal).hex(), served.name, served.node
+        if goal is not None and isinstance(goal.body, BodyTask):
+            values = goal.hex, goal.body.action, goal.body.node
         for field, value in zip(FIELDS, values, strict=True):
             record.__dict__.setdefault(field, value)
         return True

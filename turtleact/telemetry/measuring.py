@@ -107,7 +107,7 @@ class _ServerMeter(GoalObserver):
         self._action = server.name
         self._now = server.node.clock.now
         self._measurements = measurements
-        for goal in local_server_of(server).held():
+        for goal in local_server_of(server).held().values():
             self._move(GoalStatus.UNKNOWN, goal.status)
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:

@@ -49,7 +49,7 @@ from turtleact.goals.observers import (
     News,
     Observers,
 )
-from turtleact.goals.state import Goal, GoalOrder, GoalStatus
+from turtleact.goals.state import Goal, GoalRequest, GoalStatus
 from turtleact.goals.wire import GoalNote
 from turtleact.names import action_names
 from turtleact.node import Node, local_server_of
@@ -202,11 +202,11 @@ class _Spans(GoalObserver):
         else:
             record.fail(type(goal.error).__name__, str(goal.error), after.name)
 
-    def pause_changed(self, goal: Goal) -> None:
+    def pause_changed(self, goal: Goal, is_paused: bool) -> None:
         """Write into a goal's span that a server has paused or resumed the goal."""
         record = self.records.get(goal.id)
         if record is not None:
-            record.span.add_event("paused" if goal.is_paused else "resumed")
+            record.span.add_event("paused" if is_paused else "resumed")
 
     def noted(self, goal: Goal, news: News) -> None:
         """Record in a goal's span that the goal was lost or detached, or that feedback was lost."""
@@ -258,10 +258,8 @@ class _ServerSpans(_Spans):
     def __init__(
         self, server: AnyServer, tracer: trace.Tracer, attributes: dict[str, str | int]
     ) -> None:
-        local = local_server_of(server)
-        super().__init__(local.observers)
+        super().__init__(local_server_of(server).observers)
         self._name = f"execute {server.name}"
-        self._name_goal = local.name_goal
         self._tracer = tracer
         self._attributes = attributes
 
@@ -297,7 +295,7 @@ class _ServerSpans(_Spans):
         )
         # A span that is not sampled is kept, too: what the body does must not be sampled either.
         if span.get_span_context().is_valid:
-            self.begin(span, self._name_goal(goal))
+            self.begin(span, goal.id)
 
 
 class _ClientSpans(GoalObserver):
@@ -321,14 +319,14 @@ class _ClientSpans(GoalObserver):
         self._spans = _Spans(client.observers)
         self._observers = client.observers
         self._has_begun = False
-        self._sending: dict[GoalOrder, _Record] = {}
+        self._sending: dict[GoalRequest, _Record] = {}
         self._tracer = tracer
         self._attributes = attributes
         self._transport = node.transport
         type_name = f"{client.action_type.type_name}_SendGoal"
         self._service = action_names(client.name).send_goal, type_name
 
-    def enter_call(self, order: GoalOrder) -> None:
+    def enter_call(self, request: GoalRequest) -> None:
         """Begin a goal's span, and make it the current span while the goal is sent."""
         context = _current()
         is_near = self._transport.local(*self._service) is not None
@@ -341,23 +339,23 @@ class _ClientSpans(GoalObserver):
         if is_recorded or not is_near:  # the server must know of a goal that is not sampled, too
             REQUEST_NOTE.set(_note(span, is_detached=NEW_TRACES.get()))
         if is_recorded:
-            order.goal_id = order.goal_id or new_goal_id()
+            request.goal_id = request.goal_id or new_goal_id()
             if not self._has_begun:  # it would cost each goal something, so there is none before
                 self._has_begun = True
                 self._observers.add(self._spans)
-            self._sending[order] = self._spans.begin(span, order.goal_id)
+            self._sending[request] = self._spans.begin(span, request.goal_id)
 
-    def leave_call(self, order: GoalOrder, error: BaseException | None) -> None:
+    def leave_call(self, request: GoalRequest, error: BaseException | None) -> None:
         """End the goal's span if the goal was not accepted.
 
         The span of an accepted goal ends when the goal ends.
         """
-        record = self._sending.pop(order, None)
+        record = self._sending.pop(request, None)
         if record is None or record.is_accepted or not record.span.is_recording():
             return
         # The goal was not accepted, or it has joined one that was sent before with the same id.
-        if self._spans.records.get(order.goal_id) is record:
-            del self._spans.records[order.goal_id]
+        if self._spans.records.get(request.goal_id) is record:
+            del self._spans.records[request.goal_id]
         if isinstance(error, TurtleactError):
             reason = error.reason if isinstance(error, GoalRejected) else str(error)
             record.fail(type(error).__name__, reason)

@@ -87,6 +87,16 @@ def default_cancel_callback(cancel_request: Anything) -> CancelResponse:  # noqa
     return CancelResponse.REJECT
 
 
+class _Unheard:
+    """The signal of a goal whose changes no task waits for."""
+
+    def fire(self) -> None:
+        """Do nothing."""
+
+    async def wait(self) -> None:
+        """Never called, because executors do not wait for goals."""
+
+
 class ServerGoalHandle(Subscriptable):
     """A server's handle of a goal. Any thread may use it.
 
@@ -100,8 +110,8 @@ class ServerGoalHandle(Subscriptable):
         self, action_server: ActionServer, goal_info: Anything, goal_request: Anything
     ) -> None:
         stamp = goal_info.stamp
-        self.goal = Goal(goal_request, stamp.sec * 1_000_000_000 + stamp.nanosec)
-        self.goal.id = goal_key(goal_info.goal_id)
+        accepted = stamp.sec * 1_000_000_000 + stamp.nanosec
+        self.goal = Goal(goal_key(goal_info.goal_id), goal_request, _Unheard(), accepted)
         self._action_server = action_server
         self._goal_info = goal_info
         self._lock = threading.Lock()
@@ -183,8 +193,8 @@ class ServerGoalHandle(Subscriptable):
             raise TypeError(f"expected feedback of the action, not {type(feedback)}")
         if not self._is_destroyed:
             with self._lock:  # clients wait for as many messages as are counted here
-                self.goal.published += 1
-            self._action_server.publish_feedback(self.goal.id or b"", feedback)
+                self.goal.log.count += 1
+            self._action_server.publish_feedback(self.goal.id, feedback)
 
     def succeed(self, response: Anything = None) -> None:
         """End the goal as SUCCEEDED.
@@ -479,7 +489,7 @@ class ActionServer(Introspected, Waitable):
         return self._action_type.Result()
 
     def _end_goal(self, goal_handle: ServerGoalHandle, result: Anything) -> None:
-        goal_id = goal_handle.goal.id or b""
+        goal_id = goal_handle.goal.id
         response = self._kind.service("get_result").Response(
             status=goal_handle.status, result=result
         )
@@ -490,13 +500,13 @@ class ActionServer(Introspected, Waitable):
             response.result = self._action_type.Result()
         future = self._result_futures.get(goal_id)
         if future is not None:
-            future.set_result((response, goal_handle.goal.published))
+            future.set_result((response, goal_handle.goal.log.count))
 
     def goal_changed(self, goal_handle: ServerGoalHandle) -> None:
         """Publish a goal's new state. The goal's handle calls this after each change."""
         if not goal_handle.is_active and self._timeout_ns >= 0:
             due = time.monotonic_ns() + self._timeout_ns
-            self._expiries.append((due, goal_handle.goal.id or b""))
+            self._expiries.append((due, goal_handle.goal.id))
             self.wake()
         self._status.publish()
 

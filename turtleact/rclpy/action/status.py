@@ -63,7 +63,7 @@ class StatusTopic(Source):
     def current(self) -> Sequence[object]:
         """Return the encoded message with the goals' states."""
         packed = [
-            pack_state(goal.id or bytes(16), (*divmod(goal.stamp, 1_000_000_000), goal.status))
+            pack_state(goal.id, (*divmod(goal.stamp, 1_000_000_000), goal.status))
             for goal in self._held()
         ]
         return (write_states(packed),)

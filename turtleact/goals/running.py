@@ -1,0 +1,412 @@
+"""Runs the bodies of a server's goals, each in a task, and ends the goals with them.
+
+A body always runs in a task of its own, no matter how the client waits for the goal. The server
+owns the task, and therefore cancels the task and waits for its end.
+
+A step is the part of a body between two awaits. During a long step nothing else in the event loop
+can run, so long steps are reported.
+
+Source: asyncio's debug mode, for the report of slow callbacks.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Awaitable, Callable, Coroutine
+from contextvars import Context, copy_context
+from time import monotonic
+from typing import Any, Self
+
+from turtleact.errors import Abort, Cancel, InvalidMessage, InvalidTransition
+from turtleact.goals.goal_server import GoalServer
+from turtleact.goals.observers import BodyFailed
+from turtleact.goals.server import LocalActionServer
+from turtleact.goals.state import CURRENT_GOAL, Cancelable, Goal, GoalEvent, GoalStatus
+from turtleact.interfaces import Message
+from turtleact.summaries import CUT_OFF, STOPPED, loggable, summary, text_of
+from turtleact.tasks import is_cancellation, wait_while
+
+__all__ = ["BLOCKING", "BodyRunner", "BodyTask"]
+
+logger = logging.getLogger("turtleact.server")
+
+BLOCKING = 0.5
+"""Steps that take longer than this time are reported (s, wall clock)."""
+
+_ENDS_PROGRAM = (KeyboardInterrupt, SystemExit)
+
+# Members of enums that each goal needs. Python 3.11 looks them up slowly in their classes.
+_CANCELING = GoalStatus.CANCELING
+_EXECUTE = GoalEvent.EXECUTE
+_SUCCEED = GoalEvent.SUCCEED
+
+
+class BodyRunner:
+    """Runs the goals of one server: starts each body, and ends the goal when the body ends.
+
+    Args:
+        server: The server.
+
+    Attributes:
+        server: The server, as passed to the constructor.
+        bodies: The running bodies.
+    """
+
+    def __init__(self, server: LocalActionServer) -> None:
+        self.server = server
+        self.bodies: set[BodyTask] = set()
+        self._tasks = server.tasks
+        server.start = self.start
+        server.stop_bodies = self.stop
+        server.count_bodies = lambda: len(self.bodies)
+
+    def start(self, goal: Goal, context: Context | None) -> None:
+        """Run a goal's body in its own task, with ``context`` or a copy of the current context.
+
+        If an observer has already canceled the goal, the goal ends at once.
+        """
+        server = self.server
+        if goal.status is GoalStatus.ACCEPTED:
+            server.move(goal, _EXECUTE)
+        if goal.status is _CANCELING or goal.reason:
+            self.end_canceled(goal)
+        if goal.is_ending:
+            return
+        if server.observers.want_bodies:
+            context = copy_context() if context is None else context
+            context.run(server.observers.enter_body, goal)
+        body = goal.body = BodyTask(self, goal)
+        self.bodies.add(body)
+        body.start(context)
+
+    def close_body(self, body: BodyTask, error: BaseException) -> None:
+        """End a goal whose body has ended. ``error`` is StopIteration if the body has returned."""
+        try:
+            if isinstance(error, StopIteration):
+                self._succeed(body.goal, error.value)
+            else:
+                self._fail(body.goal, error)
+        except BaseException as raised:  # an observer stops the program
+            self._fail(body.goal, raised)
+        finally:
+            self.let_go(body)
+
+    def let_go(self, body: BodyTask) -> None:
+        """Forget a body that has ended, or that never starts."""
+        self.bodies.discard(body)
+        self.server.idle.fire()
+
+    def report_blocking(self, goal: Goal, seconds: float) -> None:
+        """Warn about a step that blocked the event loop.
+
+        If the whole process was suspended during the step, the warning is a false alarm.
+        """
+        logger.warning(
+            "the body of %s blocked the event loop for %.1f s (goal %s), so nothing else could run:"
+            " use 'await asyncio.sleep' instead of 'time.sleep', and run long work in a thread with"
+            " 'await anyio.to_thread.run_sync' (ignore this if the process was suspended)",
+            self.server.name,
+            seconds,
+            goal.hex,
+        )
+
+    # how a goal ends
+
+    def _succeed(self, goal: Goal, result: object) -> None:
+        try:
+            checked = self.server.check_result(result)
+        except InvalidMessage as error:
+            why = f"the body's result does not fit: {error}"
+            if result is None:
+                why = "no result: the body must return a Result"
+            self.server.end(goal, GoalEvent.ABORT, None, why)
+        else:
+            self.server.end(goal, _SUCCEED, checked, "")
+
+    def _fail(self, goal: Goal, error: BaseException) -> None:
+        server, canceling = self.server, goal.status is _CANCELING
+        if is_cancellation(error, self._tasks):
+            self.end_canceled(goal)
+            # The traceback leads to the frames that have thrown the cancellation in, and they refer
+            # to the cancellation: a cycle for each goal, which only the garbage collector frees.
+            error.__traceback__ = None
+        elif (stop := _stop_in(error)) is not None:
+            server.end(goal, GoalEvent.ABORT, None, STOPPED)
+            self._tasks.stop_program(stop)
+        elif isinstance(error, Abort):
+            self._end_with(goal, GoalEvent.ABORT, error.result, text_of(error.reason))
+        elif isinstance(error, Cancel) and (canceling or goal.reason):
+            event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
+            self._end_with(goal, event, error.result, "" if canceling else goal.reason)
+        elif goal.is_ending and isinstance(error, InvalidTransition) and error.goal_id == goal.hex:
+            # The body was given up, which the log says already, and then gave feedback or a partial
+            # result. This error only tells the body that its goal has ended.
+            pass
+        else:
+            problem, told = "the body of %s failed (goal %s)", loggable(error)
+            logger.error(problem, server.name, goal.hex, exc_info=told)
+            if server.observers.are_any:
+                server.observers.noted(goal, BodyFailed(error))
+            server.end(goal, GoalEvent.ABORT, None, summary(error))
+
+    def end_canceled(self, goal: Goal) -> None:
+        """End a goal whose body was cancelled or has not started.
+
+        The goal ends CANCELED if a client has canceled the goal, otherwise ABORTED.
+        """
+        if goal.status is _CANCELING:
+            self.server.end(goal, GoalEvent.CANCELED, None, "")
+        else:
+            self.server.end(goal, GoalEvent.ABORT, None, goal.reason or CUT_OFF)
+
+    def _end_with(self, goal: Goal, event: GoalEvent, result: object, reason: str) -> None:
+        """End a goal with the result that its body's exception carries.
+
+        If the result is invalid, end the goal without it, and add the problem to ``reason``.
+        """
+        if result is not None:
+            try:
+                result = self.server.check_result(result)
+            except InvalidMessage as error:
+                result, reason = None, f"{reason} (its result does not fit: {error})"
+        self.server.end(goal, event, result, reason)
+
+    # closing
+
+    async def stop(self, reason: str) -> None:
+        """Wait until all bodies have ended or are given up, shielded from cancellation.
+
+        A body that ignores its cancellation for the server's ``grace`` is given up: its goal ends
+        ABORTED, and the log tells in which line the body waits. asyncio can abandon the task of
+        such a body. trio cannot, so on trio this method keeps waiting.
+
+        Args:
+            reason: The reason for goals that end because their bodies are given up.
+        """
+        server = self.server
+        await wait_while(lambda: self.bodies, server.idle, server.grace)
+        for body in list(self.bodies):
+            logger.error(
+                "the body of %s ignores its cancellation at %s, so it is given up (goal %s)",
+                server.name,
+                body.position,
+                body.goal.hex,
+            )
+            body.cancel()  # once more, in case the body has swallowed the first
+            server.end(body.goal, GoalEvent.ABORT, None, body.goal.reason or reason)
+        if self.bodies and not self._tasks.can_let_go:
+            logger.error(
+                "the server of %s waits until its bodies end: trio cannot abandon a task",
+                server.name,
+            )
+            await wait_while(lambda: self.bodies, server.idle, math.inf)
+
+
+class BodyTask(Coroutine[object, object, None]):
+    """The coroutine of a body's task. It runs the body step by step, and then ends the goal.
+
+    This object resumes the body itself, because it measures how long each step takes. The task runs
+    this object as its coroutine, because a separate coroutine would need 290 bytes for each goal.
+
+    Args:
+        runner: The runner of the server.
+        goal: The goal.
+
+    Attributes:
+        goal: The goal, as passed to the constructor.
+        source: The coroutine or generator that the user's function returned; None until the
+            function has been called.
+        gate: What the body awaits before its next step; None if the body may go on.
+        children: The goals that the body has sent, each with its server. Goals that have ended may
+            be among them.
+        on_child: Called with each goal that the body sends, and the goal's server.
+        has_begun: Whether the body has taken its first step.
+    """
+
+    __slots__ = (
+        "_is_cancel_due",
+        "_is_dropped",
+        "_prune_at",
+        "_runner",
+        "_steps",
+        "_task",
+        "children",
+        "gate",
+        "goal",
+        "on_child",
+        "source",
+    )
+
+    def __init__(self, runner: BodyRunner, goal: Goal) -> None:
+        self.goal = goal
+        self.source: Any = None
+        self.gate: Callable[[], Awaitable[None]] | None = None
+        self.children: dict[Goal, GoalServer] = {}
+        self.on_child: Callable[[Goal, GoalServer], None] | None = None
+        self._runner = runner
+        self._steps: Coroutine[object, object, object] | None = None
+        self._task: Cancelable | None = None
+        self._is_cancel_due = False
+        self._is_dropped = False
+        self._prune_at = 16
+
+    def start(self, context: Context | None) -> None:
+        """Start the task in ``context``, or in a copy of the current context."""
+        server = self._runner.server
+        self._task = server.tasks.spawn(self, server.name, context)
+
+    def cancel(self) -> None:
+        """Cancel the body at its next await outside a shield.
+
+        If the body has not started yet, it never starts.
+        """
+        # There are three cases. (1) The body has not begun: `send` never begins it. The goal ends
+        # now. (2) The task is in an anyio shield, which `asyncio.Task.cancel` would break: `send`
+        # cancels after the step that leaves the shield. (3) Otherwise the task is cancelled now.
+        if self._steps is None:
+            self._is_dropped = True
+            self._end_unstarted()
+        elif self._task is not None:
+            if self.gate is not None:
+                self.goal.changed.fire()  # a shielded body must leave the gate, too
+            self._is_cancel_due = self._runner.server.tasks.is_shielded(self._task)
+            if not self._is_cancel_due:
+                self._task.cancel()
+
+    def add_child(self, goal: Goal, server: GoalServer) -> None:
+        """Note a goal that this body has sent."""
+        if len(self.children) >= self._prune_at:
+            self.children = {goal: each for goal, each in self.children.items() if not goal.ended}
+            self._prune_at = 2 * len(self.children) + 16
+        self.children[goal] = server
+        if self.on_child is not None:
+            self.on_child(goal, server)
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether the body has taken its first step."""
+        return self._steps is not None
+
+    @property
+    def position(self) -> str:
+        """The file, line and function where the body waits; empty once the body has ended."""
+        for attribute in ("cr_frame", "ag_frame"):
+            frame = getattr(self.source, attribute, None)
+            if frame is not None:
+                code = frame.f_code
+                return f"{code.co_filename}:{frame.f_lineno} in {code.co_qualname}"
+        return ""
+
+    # what the form of the body needs; see `turtleact.goals.generators.RunningBody`
+
+    @property
+    def action(self) -> str:
+        """The name of the action."""
+        return self._runner.server.name
+
+    @property
+    def node(self) -> str:
+        """The fully qualified name of the node."""
+        return self._runner.server.spec.node
+
+    @property
+    def result_type(self) -> type[Message]:
+        """The class of the action's results."""
+        return self._runner.server.result_type
+
+    def make_handle(self) -> object:
+        """Make the goal handle for the body."""
+        return self._runner.server.make_handle(self.goal)
+
+    def check_result(self, result: object) -> Message:
+        """Return a copy of a result, or raise `InvalidMessage`."""
+        return self._runner.server.check_result(result)
+
+    def publish(self, feedback: object) -> None:
+        """Publish a feedback message."""
+        self._runner.server.publish(self.goal, feedback)
+
+    async def wait_at_gate(self) -> None:
+        """Wait until there is no gate."""
+        while self.gate is not None:
+            await self.gate()
+
+    async def catch_up(self) -> None:
+        """Let other tasks run, and wait while a reader of feedback is far behind."""
+        await self._runner.server.catch_up(self.goal)
+
+    # The coroutine protocol; the event loop calls these methods.
+
+    def send(self, value: Any) -> object:  # noqa: ANN401  # whatever the loop sends
+        """Run one step of the body."""
+        return self._step(self._begin if self._steps is None else self._steps.send, value)
+
+    def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
+        """Raise an exception in the body, which then runs one step."""
+        if self._steps is not None:
+            return self._step(self._steps.throw, error)
+        # The program ends and cancels a task that has not begun.
+        self._end_unstarted()
+        raise error
+
+    def close(self) -> None:
+        """Close the body."""
+        if self._steps is not None:
+            self._steps.close()
+
+    def __await__(self) -> Self:
+        return self
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> object:
+        return self._step(self._begin if self._steps is None else self._steps.send, None)
+
+    def _begin(self, value: Any) -> object:  # noqa: ANN401  # as `send`
+        """Run the first step, unless the body has been cancelled or the goal has ended already."""
+        if self._is_dropped or self.goal.is_ending:
+            raise StopIteration
+        CURRENT_GOAL.set(self.goal)  # only in this task's context
+        run = self._runner.server.spec.body.run
+        self._steps = run(self) if self.gate is None else self._run_after_gate(run)
+        return self._steps.send(value)
+
+    async def _run_after_gate(
+        self, run: Callable[[BodyTask], Coroutine[object, object, object]]
+    ) -> object:
+        """Run the body of a goal that begins paused, once the goal is resumed."""
+        await self.wait_at_gate()
+        return await run(self)
+
+    def _end_unstarted(self) -> None:
+        """End the goal before its body has taken the first step."""
+        self._runner.end_canceled(self.goal)
+        self._runner.let_go(self)
+
+    def _step(self, resume: Callable[[Any], object], value: object) -> object:
+        """Resume the body, and report the step if it blocks the event loop for long."""
+        began = monotonic()
+        try:
+            waits_for = resume(value)
+        except BaseException as error:
+            self._task = None  # breaks the cycle with the task, so that both are freed at once
+            self._runner.close_body(self, error)
+            raise StopIteration from None  # the task has ended, too
+        finally:
+            if (took := monotonic() - began) > BLOCKING:
+                self._runner.report_blocking(self.goal, took)
+        if self._is_cancel_due:
+            self.cancel()
+        return waits_for
+
+
+def _stop_in(error: BaseException) -> BaseException | None:
+    """Return the `SystemExit` or `KeyboardInterrupt` in an error or a group of errors, or None.
+
+    asyncio's task groups raise these exceptions unchanged. trio's nurseries put them into groups.
+    """
+    if isinstance(error, BaseExceptionGroup):
+        return next(filter(None, map(_stop_in, error.exceptions)), None)
+    return error if isinstance(error, _ENDS_PROGRAM) else None
