@@ -18,6 +18,7 @@ from turtleact.goals.state import Goal
 from turtleact.goals.wire import GoalReason, reason_topic
 from turtleact.interfaces import WireFormat, decode
 from turtleact.interfaces.standard import GoalStatusArray
+from turtleact.tasks.clock import VirtualClock
 
 from ..lab import Count, Lab, bare_goal, goal, lab, result, settle
 
@@ -31,6 +32,9 @@ class Topic:
 
     changes = 0
     has_near_readers = has_object_readers = False
+
+    def __init__(self) -> None:
+        self.clock = VirtualClock()  # it stands still
 
     def refresh(self) -> None:
         self.changes += 1

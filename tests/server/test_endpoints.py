@@ -18,6 +18,7 @@ from turtleact.interfaces.standard import (
     GoalStatusArray,
     Time,
 )
+from turtleact.tasks.clock import VirtualClock
 from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Endpoint, Format
@@ -245,6 +246,19 @@ async def test_a_late_observer_first_gets_all_goals_held():
                 ID.uuid: GoalStatus.EXECUTING,
                 handle.goal_id: GoalStatus.EXECUTING,
             }
+
+
+@pytest.mark.loops("asyncio", "trio")
+async def test_a_goal_that_has_expired_leaves_the_status():
+    clock = VirtualClock()
+    async with anyio.create_task_group() as group:
+        group.start_soon(clock.run)
+        async with lab(count, transport=MemoryTransport(clock)) as served:
+            watched = Wire(served.node).watch()
+            await served.client.send_goal(goal())
+            await clock.sleep(12.0)
+            assert [len(each.status_list) for each in watched.drain()[-2:]] == [1, 0]
+        group.cancel_scope.cancel()
 
 
 async def test_an_observer_that_does_not_latch_gets_only_what_changes():

@@ -1767,6 +1767,27 @@ async def test_actions_whose_definitions_differ_are_named(address):
         )
 
 
+async def test_actions_whose_definitions_differ_are_named_before_the_discovery_ends(address):
+    with REGISTRY.isolated():
+
+        class Shorter(Action, type_name=Count.type_name):
+            class Goal(Message):
+                """A goal without fields."""
+
+            Result, Feedback = Count.Result, Count.Feedback
+
+    async with (
+        open_zenoh([], listen=[address]) as there,
+        turtleact.open_node("lab", transport=there) as lab,
+        open_zenoh([address], listen=[], discovery=600.0) as here,
+        turtleact.open_node("user", transport=here) as user,
+    ):
+        lab.action_server(Count, "count", count)
+        with pytest.raises(ServerUnavailable, match="the definitions of lab_interfaces"):
+            await user.action_client(Shorter, "count").send_goal(Shorter.Goal())
+        assert anyio.current_time() < here.discovery_ends
+
+
 async def test_an_action_of_a_node_is_used_from_another_process(address):
     types = implied(Count)
     async with two_nodes(address) as (peers, lab, user):

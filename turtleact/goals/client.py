@@ -72,6 +72,11 @@ _SUCCEEDED: Final = GoalStatus.SUCCEEDED  # Python 3.11 looks up an enum's membe
 SILENCE: Final = 5.0
 """How long a client waits for a server before it logs one warning (s, event loop time)."""
 
+TOGETHER: Final = 0.2
+"""How long a client that knows only servers with other definitions waits for others (s)."""
+
+NO_SERVER: Final = "no server answers"
+
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)
 F = TypeVar("F", bound=Message)
@@ -250,8 +255,12 @@ class ActionClient(Generic[G, R, F]):
         if server is not None:
             return server
         if self.is_open:
-            server = await find_server(self._endpoints.transport, self._find)
-        if server is None and self.is_open:
+            await find_server(self._endpoints.transport, lambda: self._find() or self._misfit())
+            if self._misfit():  # a fitting server may be discovered a moment later
+                with anyio.move_on_after(TOGETHER):
+                    await wait_until_served(self._endpoints.transport, self._find, None)
+            server = self._find()
+        if server is None and self.is_open and not self._misfit():
             await self._endpoints.send_goal.wait_for_route()
             server = self._find()
         if server is None and patience:
@@ -261,11 +270,16 @@ class ActionClient(Generic[G, R, F]):
         if not self.is_open:  # before this, or meanwhile
             raise TurtleactError(f"the client of action '{self.name}' is closed: open another")
         if server is None:
-            problem = self._endpoints.send_goal.why_not_served("_SendGoal")
-            hint = self._hint() if problem == "no server answers" else ""
-            raise ServerUnavailable(self.name, problem, hint=hint)
+            problem = self._misfit()
+            hint = "" if problem else self._hint()
+            raise ServerUnavailable(self.name, problem or NO_SERVER, hint=hint)
         self._use(server)
         return server
+
+    def _misfit(self) -> str | None:
+        """Return what is wrong with the servers of this name, if all have other definitions."""
+        problem = self._endpoints.send_goal.why_not_served("_SendGoal")
+        return None if problem == NO_SERVER or self._find() else problem
 
     def _hint(self) -> str:
         """Return a hint for the user: which actions the graph has, or why this node sees none."""
@@ -392,12 +406,13 @@ class ActionClient(Generic[G, R, F]):
         """Cancel a goal in a task, unless such a task runs already. A failure is logged."""
         if goal.id not in self._canceling:
             name = f"a cancel of goal {goal.hex}"
-            asking = Background(self._try_to_cancel(server, goal), name, self._tasks)
+            answer = server.cancel(goal.id, 0)
+            asking = Background(self._take_answer(goal, answer), name, self._tasks)
             self._canceling[goal.id] = asking
 
-    async def _try_to_cancel(self, server: GoalServer, goal: Goal) -> None:
+    async def _take_answer(self, goal: Goal, answer: Awaitable[object]) -> None:
         try:
-            await server.cancel(goal.id, 0)
+            await answer
         except TurtleactError as error:
             logger.warning("goal %s could not be canceled: %s", goal.hex, error)
         finally:

@@ -86,7 +86,10 @@ class GoalServer(Protocol):
         """
 
     def cancel(self, goal_id: bytes | None, stamp: int) -> Awaitable[CancelGoal.Response]:
-        """Cancel the goals that an id and a stamp (ns) select, and return the server's answer."""
+        """Cancel the goals that an id and a stamp (ns) select, and return the server's answer.
+
+        The caller must await the answer. A server in this process may cancel the goals before.
+        """
 
     async def abandon(self, goal: Goal, timeout: float) -> None:
         """Cancel a goal and wait at most ``timeout`` s for its end, shielded from cancellation.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from turtleact.goals.observers import FeedbackLost, GoalObserver
 from turtleact.goals.server import LocalActionServer
@@ -25,12 +25,16 @@ from turtleact.interfaces import (
     stamp_of,
 )
 from turtleact.interfaces.standard import UUID, GoalInfo, GoalStatusArray, GoalStatusMessage
+from turtleact.tasks import Background
 from turtleact.transports.base import Endpoint, MakeEndpoint, Publication, QoS, Source, Transport
 
 if TYPE_CHECKING:
     from turtleact.fault_reports import LostFeedback
 
 __all__ = ["FeedbackTopic", "ReasonTopic", "StatusTopic"]
+
+EXPIRED_TOGETHER: Final = 1.0
+"""The shortest time between two status messages that report only expired goals (s)."""
 
 
 class FeedbackTopic(Source):
@@ -128,6 +132,8 @@ class StatusTopic(GoalObserver):
         self._changed: dict[Goal, None] | None = None  # in order; None if all goals must be written
         self._entries: dict[bytes, bytes] = {}  # in the order of the goals' acceptance
         self._is_stale = False  # whether anything has changed since the last write
+        self._clock = transport.clock
+        self._expiring: Background | None = None
         self._publication: Publication | None = None  # `readers_changed` may be called in here:
         self._publication = transport.advertise(endpoint, WireFormat(GoalStatusArray), self)
 
@@ -153,9 +159,27 @@ class StatusTopic(GoalObserver):
     def readers_changed(self, *, has_readers: bool) -> None:
         """Start to observe goals if the topic has readers; otherwise stop observing."""
         self._changed, self._entries, self._is_stale = None, {}, False
-        self._server.observers.remove(self)
+        self._stop_observing()
         if has_readers:
             self._server.observers.add(self)
+            name, tasks = f"the status of {self._server.name}", self._server.tasks
+            self._expiring = Background(self._refresh_at_expiries(), name, tasks)
+
+    def _stop_observing(self) -> None:
+        self._server.observers.remove(self)
+        if self._expiring is not None:
+            self._expiring.cancel()
+
+    async def _refresh_at_expiries(self) -> None:
+        """Publish the status again when goals have expired, so that no reader asks for them."""
+        while True:
+            due = self._server.table.next_expiry()
+            if due is None:
+                await self._server.idle.wait()
+            else:
+                left = (due - self._server.now()) / SECOND
+                await self._clock.sleep(max(left, EXPIRED_TOGETHER))
+                self._refresh()
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
         """Publish the status of all goals again.
@@ -165,6 +189,9 @@ class StatusTopic(GoalObserver):
         """
         if self._changed is not None:
             self._changed[goal] = None
+        self._refresh()
+
+    def _refresh(self) -> None:
         publication = self._publication
         if publication is not None and (not self._is_stale or publication.has_near_readers):
             self._is_stale = True
@@ -172,7 +199,7 @@ class StatusTopic(GoalObserver):
 
     def close(self) -> None:
         """Close the topic."""
-        self._server.observers.remove(self)
+        self._stop_observing()
         if self._publication is not None:
             self._publication.close()
 
