@@ -122,6 +122,19 @@ class Server:
             await anyio.sleep_forever()
 
 
+class GappyServer(Server):
+    """A server some of whose feedback does not arrive."""
+
+    is_open = False
+    lost = 0
+
+    def open(self, goals: Any, take_feedback: Any, on_gap: Any) -> None:
+        self.on_gap = on_gap
+
+    def report_lost(self, count: int) -> None:
+        self.lost += count
+
+
 def new_goal() -> Goal:
     return Goal(bytes(16), goal(), current_tasks().signal())
 
@@ -165,6 +178,18 @@ async def test_a_result_waits_for_the_feedback_before_it():
     sent.changed.fire()
     await settle()
     assert sent.status is GoalStatus.SUCCEEDED
+
+
+@pytest.mark.parametrize("is_ours", [False, True])
+async def test_gaps_in_the_feedback_of_a_server_of_ros_are_told_once_a_goal(caplog, is_ours):
+    server = GappyServer(ACCEPTED, SUCCEEDED if is_ours else FOREIGN, is_prompt=False)
+    _, sent = follow(server)
+    server.on_gap(2)
+    server.on_gap(3)
+    await settle()
+    assert sent.status is GoalStatus.SUCCEEDED
+    told = f"5 feedback messages of /count were lost while goal {sent.hex} was active"
+    assert (told in caplog.text, server.lost) == (not is_ours, 0 if is_ours else 5)
 
 
 async def test_why_a_request_has_failed_is_asked_once_all_is_known_that_came_with_it(monkeypatch):

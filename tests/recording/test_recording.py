@@ -264,7 +264,7 @@ async def test_a_topic_that_cannot_be_recorded_is_named_and_the_others_are_recor
     tmp_path, caplog
 ):
     class Choosy(MemoryTransport):
-        def subscribe(self, endpoint, format, deliver, *, in_any_thread=False):
+        def subscribe(self, endpoint, format, deliver, *, in_any_thread=False, on_gap=None):
             if endpoint.name == "/odd":
                 raise TurtleactError("no room")
             return super().subscribe(endpoint, format, deliver, in_any_thread=in_any_thread)

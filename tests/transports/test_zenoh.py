@@ -353,6 +353,24 @@ async def test_a_message_of_a_bare_session_is_read(address):
         assert inbox.numbers == [7]
 
 
+async def test_messages_that_a_publisher_counted_and_that_did_not_arrive_are_told(address):
+    async with beside(address) as (transport, other):
+        inbox, gaps, matching = Inbox(), list[int](), threading.Event()
+        transport.subscribe(subscription(), SPEECH, inbox.deliver, on_gap=gaps.append)
+        sender = await anyio.to_thread.run_sync(
+            lambda: other.session.declare_publisher(
+                CHATTER_KEY, is_reliable=True, matching=lambda is_matching: matching.set()
+            )
+        )
+        await anyio.to_thread.run_sync(matching.wait, 10)
+        for number in (3, 4, 7, 8, 10):
+            sender.put(SPEECH.encode(feedback(number)), write_attachment(number, 0, GID))
+        sender.put(SPEECH.encode(feedback(0)), write_attachment(1, 0, GID[::-1]))
+        while len(inbox.numbers) < 6:
+            await anyio.sleep(0)
+        assert gaps == [2, 1]
+
+
 async def test_a_message_that_cannot_be_read_is_logged_and_the_next_is_read(address, caplog):
     async with beside(address) as (transport, other):
         inbox = Inbox()

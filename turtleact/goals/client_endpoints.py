@@ -298,7 +298,12 @@ class ClientEndpoints:
 
     # opening and closing
 
-    def open(self, goals: Mapping[bytes, T], take_feedback: Callable[[T, Any], None]) -> None:
+    def open(
+        self,
+        goals: Mapping[bytes, T],
+        take_feedback: Callable[[T, Any], None],
+        on_gap: Callable[[int], None],
+    ) -> None:
         """Open the clients for ``cancel_goal`` and ``get_result``, and subscribe to feedback.
 
         A second call does nothing.
@@ -306,6 +311,7 @@ class ClientEndpoints:
         Args:
             goals: Maps goal ids to objects of any kind. The feedback of other goals is ignored.
             take_feedback: Called with the goal's object from ``goals``, and the feedback message.
+            on_gap: Called with the number of feedback messages, of any goal, that did not arrive.
         """
         if self.is_open:
             return
@@ -321,7 +327,9 @@ class ClientEndpoints:
                     take_feedback(known, message.feedback)
 
         format = _FeedbackOfGoals(cast("type[Action]", self.action_type), goals)
-        self._subscribe(names.feedback, f"{action}_FeedbackMessage", format, deliver)
+        endpoint = self._endpoint("subscription", names.feedback, f"{action}_FeedbackMessage", None)
+        opened = self.transport.subscribe(endpoint, format, deliver, on_gap=on_gap)
+        self._opened.append(opened)
         # Results and cancels are requested from every server of the name. A server that does not
         # know the goal says so, perhaps before the right server answers; that reply does not count.
         self.get_result = self._join(
@@ -418,7 +426,7 @@ class ClientEndpoints:
         type_name: str,
         format: Format,
         deliver: Callable[[Any], None],
-        qos: QoS | None = None,
+        qos: QoS,
     ) -> None:
         endpoint = self._endpoint("subscription", name, type_name, qos)
         self._opened.append(self.transport.subscribe(endpoint, format, deliver))

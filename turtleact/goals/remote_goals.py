@@ -111,6 +111,7 @@ class RemoteGoal(msgspec.Struct, eq=False):
         is_observed: Whether the observers were told about the goal.
         note: A text that is sent with the goal request; see `REQUEST_NOTE`.
         received: How many feedback messages of the goal have arrived.
+        gaps: How many feedback messages, of any goal, did not arrive while the goal was active.
         reattach: How long to wait for the return of a server that has gone (s, event loop time).
         sent: The pending request that sends the goal; None if there is none, or if the task waits
             for its reply.
@@ -126,6 +127,7 @@ class RemoteGoal(msgspec.Struct, eq=False):
     is_observed: bool = False
     note: str = ""
     received: int = 0
+    gaps: int = 0
     reattach: float = 0.0
     sent: PendingCall | None = None
     asked: PendingCall | None = None
@@ -217,7 +219,7 @@ class RemoteGoals:
 
         Call this before the first request, or feedback may be lost.
         """
-        self._endpoints.open(self.by_id, self._take_feedback)
+        self._endpoints.open(self.by_id, self._take_feedback, self._count_gap)
 
     def close(self) -> None:
         """Stop following goals. Every caller that waits for a goal gets `ServerUnavailable`."""
@@ -267,6 +269,8 @@ class RemoteGoals:
             note = GoalNote.read(reply.note)
             if remote.is_sender:
                 await self._wait_for_feedback(remote, note.feedback)
+                if remote.gaps and not reply.note:
+                    self._report_gaps(remote)
             self._conclude(remote, reply, note)
         except TurtleactError as error:
             self._lose(remote, self._failure(error, is_accepted=remote.is_accepted))
@@ -348,11 +352,28 @@ class RemoteGoals:
         if remote.received < count:
             lost = count - remote.received
             logger.warning("%d feedback messages of goal %s were lost", lost, remote.goal.hex)
-            self._endpoints.report_lost(lost)
-            if remote.is_observed:
-                self._observers.noted(remote.goal, FeedbackLost(lost))
+            self._report_lost(remote, lost)
+
+    def _report_gaps(self, remote: RemoteGoal) -> None:
+        """Report feedback of a server that does not say how much it has published."""
+        logger.warning(
+            "%d feedback messages of %s were lost while goal %s was active",
+            remote.gaps,
+            self._endpoints.name,
+            remote.goal.hex,
+        )
+        self._report_lost(remote, remote.gaps)
+
+    def _report_lost(self, remote: RemoteGoal, count: int) -> None:
+        self._endpoints.report_lost(count)
+        if remote.is_observed:
+            self._observers.noted(remote.goal, FeedbackLost(count))
 
     # messages from the server
+
+    def _count_gap(self, count: int) -> None:
+        for remote in self.by_id.values():
+            remote.gaps += count
 
     def _accept(self, remote: RemoteGoal, reply: Reply) -> None:
         """Handle the server's reply to the request that sent a goal.

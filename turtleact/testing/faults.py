@@ -15,7 +15,7 @@ import logging
 import math
 import random
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Self
@@ -155,6 +155,7 @@ class FaultyTransport:
         deliver: Deliver,
         *,
         in_any_thread: bool = False,  # noqa: ARG002  # the delayed come in the event loop
+        on_gap: Callable[[int], None] | None = None,  # noqa: ARG002  # the inner link has none
     ) -> Closeable:
         """Open a subscription of a topic, with faults."""
         name = f"{endpoint.node} {endpoint.name}"

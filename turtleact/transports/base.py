@@ -574,8 +574,12 @@ class Transport(Protocol):
         deliver: Callable[[object], None],
         *,
         in_any_thread: bool = False,
+        on_gap: Callable[[int], None] | None = None,
     ) -> Closeable:
         """Open the receiving end of a topic. ``deliver`` is called with each message.
+
+        ``on_gap`` is called with the number of messages that a publisher in another process has
+        counted and that did not arrive.
 
         With ``in_any_thread``, the thread that publishes or receives a message calls ``deliver``
         itself, instead of passing the message to the event loop. ``deliver`` must then be quick and

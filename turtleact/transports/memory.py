@@ -95,6 +95,7 @@ class MemoryTransport:
         deliver: Deliver,
         *,
         in_any_thread: bool = False,  # noqa: ARG002  # a message comes in its publisher's thread
+        on_gap: Callable[[int], None] | None = None,  # noqa: ARG002  # nothing is lost in a process
     ) -> Closeable:
         """Open the receiving end of a topic.
 

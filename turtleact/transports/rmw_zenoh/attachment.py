@@ -29,6 +29,7 @@ __all__ = [
     "GID_SIZE",
     "LAYOUT",
     "Attachment",
+    "count_in",
     "gid_in",
     "note_in",
     "note_tail",
@@ -110,6 +111,11 @@ def note_in(data: bytes) -> str:
 def gid_in(data: bytes) -> bytes:
     """Return the gid in an attachment. Unlike `read_attachment`, this accepts any bytes."""
     return data[SIZE - GID_SIZE : SIZE]
+
+
+def count_in(data: bytes) -> int:
+    """Return the sequence number in an attachment. Like `gid_in`, this accepts any bytes."""
+    return int.from_bytes(data[:8], "little")
 
 
 def _invalid(problem: str) -> InvalidMessage:

@@ -285,6 +285,15 @@ class Session:
             )
             return subscriber
 
+    def declare_counting_subscriber(self, key: str, take: Take) -> Declared:
+        """Subscribe to a topic. ``take`` is called with each message's payload and attachment."""
+        receive = _direct(lambda sample: take(*_parts(sample)))
+        with _mapped(f"declare {key}"):
+            subscriber: Declared = self._session.declare_subscriber(
+                key, receive, allowed_origin=REMOTE
+            )
+            return subscriber
+
     def declare_latched_subscriber(self, key: str, take: Take, *, depth: int) -> Declared:
         """Subscribe to a latched topic.
 

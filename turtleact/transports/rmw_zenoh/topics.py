@@ -13,13 +13,14 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import anyio
 
 from turtleact.errors import InvalidMessage
 from turtleact.transports.base import Deliver, Format, LossAware, Publication, QoS, Source
-from turtleact.transports.rmw_zenoh.attachment import gid_in
+from turtleact.transports.rmw_zenoh.attachment import count_in, gid_in
 from turtleact.transports.rmw_zenoh.context import Context, Counter, Named, Opened, Presence
 
 if TYPE_CHECKING:
@@ -344,9 +345,17 @@ class WireSubscription:
         named: The subscription's endpoint.
         format: Decodes messages.
         deliver: Called with each message.
+        on_gap: Called with the number of messages that did not arrive.
     """
 
-    def __init__(self, context: Context, named: Named, format: Format, deliver: Deliver) -> None:
+    def __init__(
+        self,
+        context: Context,
+        named: Named,
+        format: Format,
+        deliver: Deliver,
+        on_gap: Callable[[int], None] | None = None,
+    ) -> None:
         endpoint = named.endpoint
         self._context = context
         self._key = named.key
@@ -355,6 +364,8 @@ class WireSubscription:
         self._format = format
         self._deliver = deliver
         self._unread: Lane[bytes] = _lane(endpoint.qos)
+        self._on_gap = on_gap
+        self._counts: dict[bytes, int] = {}  # the newest sequence number of each publisher
         self._declared: Declared | None = None
         near = context.near.subscribe(endpoint, format, deliver)
         presence = Presence(
@@ -370,6 +381,15 @@ class WireSubscription:
         """Receive a message of a latched topic. A thread of the session calls this."""
         if gid_in(attachment) not in self._context.latched:  # otherwise it came as an object
             self._take(payload)
+
+    def _take_counted(self, payload: bytes, attachment: bytes) -> None:
+        """Receive a message, and look for a gap before it. A thread of the session calls this."""
+        gid, count = gid_in(attachment), count_in(attachment)
+        missing = count - self._counts.get(gid, count - 1) - 1
+        self._counts[gid] = count
+        if missing > 0 and self._on_gap is not None:
+            self._context.inbox.push(partial(self._on_gap, missing))
+        self._take(payload)
 
     def _take(self, payload: bytes) -> None:
         """Receive a message. A thread of the session calls this."""
@@ -406,6 +426,8 @@ class WireSubscription:
             self._declared = session.declare_latched_subscriber(
                 self._key, self._take_latched, depth=self._qos.depth
             )
+        elif self._on_gap is not None:
+            self._declared = session.declare_counting_subscriber(self._key, self._take_counted)
         else:
             self._declared = session.declare_subscriber(self._key, self._take)
 

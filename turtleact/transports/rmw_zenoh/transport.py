@@ -120,6 +120,7 @@ class ZenohTransport:
         deliver: Deliver,
         *,
         in_any_thread: bool = False,
+        on_gap: Callable[[int], None] | None = None,
     ) -> Closeable:
         """Open the receiving end of a topic. This raises the same errors as `advertise`.
 
@@ -129,7 +130,7 @@ class ZenohTransport:
         """
         named = self._name(endpoint, format)
         made = DirectSubscription if in_any_thread else WireSubscription
-        return made(self.context, named, format, deliver)
+        return made(self.context, named, format, deliver, on_gap)
 
     def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
         """Offer ``handler`` as the server of a service. This raises the same errors as `advertise`.
