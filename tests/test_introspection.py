@@ -29,8 +29,8 @@ from turtleact.interfaces.standard.std_srvs.srv import SetBool
 from turtleact.introspection import EVENT_QOS, ServiceEvents
 from turtleact.names import event_topic
 from turtleact.node import Node
+from turtleact.node.topics import Subscription
 from turtleact.tasks import Background
-from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport, open_zenoh
 
 from .lab import Count, Gate, HandClock, count, goal, result, running, settle

@@ -81,11 +81,11 @@ if TYPE_CHECKING:
     )
     from turtleact.journal import Journal, JournalError, open_journal
     from turtleact.node import ActionServer, Node, ServerGoalHandle, Tick, Timer, open_node
+    from turtleact.node.parameter_rules import parameter
     from turtleact.node.parameters import Parameter
-    from turtleact.parameters import parameter
+    from turtleact.node.topics import Publisher, Subscription
     from turtleact.services import ServiceClient, ServiceServer
     from turtleact.sim.world_node import WorldNode, open_world
-    from turtleact.topics import Publisher, Subscription
     from turtleact.transports import QoS, open_zenoh
 
 __all__ = [
@@ -201,9 +201,9 @@ _HOMES = {
     "journal": ("Journal", "JournalError", "open_journal"),
     "node": ("ActionServer", "Node", "ServerGoalHandle", "Tick", "Timer", "open_node"),
     "node.parameters": ("Parameter",),
-    "parameters": ("parameter",),
+    "node.parameter_rules": ("parameter",),
     "services": ("ServiceClient", "ServiceServer"),
-    "topics": ("Publisher", "Subscription"),
+    "node.topics": ("Publisher", "Subscription"),
     "transports": ("QoS", "open_zenoh"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

@@ -12,12 +12,12 @@ import anyio
 from turtleact.actions import serve_built_ins
 from turtleact.interfaces.standard import Twist
 from turtleact.node import Node, open_node
+from turtleact.node.topics import Subscription
 from turtleact.sim.kinematics import SIDE
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
 from turtleact.tasks import Background
 from turtleact.tasks.clock import VirtualClock
-from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport, QoS
 
 from ..lab import other_tasks

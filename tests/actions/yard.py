@@ -11,9 +11,9 @@ from turtleact.actions.driving import Turtles
 from turtleact.actions.steering import Area, Limits, Steering
 from turtleact.interfaces.standard import Point, TurtlePose, Twist
 from turtleact.node import Node, open_node
+from turtleact.node.topics import Publisher, Subscription
 from turtleact.tasks import Background
 from turtleact.tasks.clock import VirtualClock
-from turtleact.topics import Publisher, Subscription
 from turtleact.transports import MemoryTransport
 
 from ..lab import settle

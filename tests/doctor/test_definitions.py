@@ -10,8 +10,8 @@ import turtleact
 from turtleact.doctor.snapshot import described_fields, own_fields
 from turtleact.interfaces import get_interface, implied, load_interface, type_hash
 from turtleact.interfaces.standard import GoalStatusArray, Point
+from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION, TYPE_HASH, offer_descriptions
 from turtleact.transports import MemoryTransport
-from turtleact.type_descriptions import GET_TYPE_DESCRIPTION, TYPE_HASH, offer_descriptions
 
 from ..lab import Count
 

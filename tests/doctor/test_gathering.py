@@ -24,11 +24,11 @@ from turtleact.interfaces.standard.diagnostic_msgs.msg import (
     KeyValue,
 )
 from turtleact.node import Node
+from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION
 from turtleact.transports import MemoryTransport, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint
 from turtleact.transports.rmw_zenoh import service_servers
 from turtleact.transports.rmw_zenoh.keys import endpoint_token
-from turtleact.type_descriptions import GET_TYPE_DESCRIPTION
 
 from ..lab import Count, count
 

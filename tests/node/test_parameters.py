@@ -29,9 +29,9 @@ from turtleact.interfaces.standard import (
 from turtleact.interfaces.standard import Parameter as Message
 from turtleact.node import Node
 from turtleact.node.parameters import Parameter
+from turtleact.node.topics import Subscription
 from turtleact.tasks import wait_until_idle
 from turtleact.tasks.clock import EPOCH, VirtualClock
-from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport
 
 # Only readers of changes wait; all else is plain calls.

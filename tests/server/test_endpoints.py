@@ -18,8 +18,8 @@ from turtleact.interfaces.standard import (
     GoalStatusArray,
     Time,
 )
+from turtleact.node.topics import Subscription
 from turtleact.tasks.clock import VirtualClock
-from turtleact.topics import Subscription
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Endpoint, Format
 

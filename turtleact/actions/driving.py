@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from turtleact.actions.steering import Speeds, Style
     from turtleact.interfaces import Message
     from turtleact.node import Node, ServerGoalHandle
-    from turtleact.topics import Publisher, Subscription
+    from turtleact.node.topics import Publisher, Subscription
 
 __all__ = ["PATIENCE", "Drive", "Turtles"]
 

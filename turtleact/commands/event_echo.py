@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from turtleact.commands.message_text import Style
     from turtleact.node import Node
-    from turtleact.topics import Subscription
+    from turtleact.node.topics import Subscription
     from turtleact.transports.base import Closeable
 
 __all__ = ["PARTS", "Order", "echo_action", "echo_service"]

@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from turtleact.goals.state import GoalStatus
     from turtleact.interfaces import Message
     from turtleact.node import ServerGoalHandle
+    from turtleact.node.topics import Subscription
     from turtleact.sim.turtlesim import Turtlesim
     from turtleact.sim.world import Pose
-    from turtleact.topics import Subscription
 
     Handle: TypeAlias = ServerGoalHandle[Any, Any, Any]
 

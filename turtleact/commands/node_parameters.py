@@ -38,7 +38,7 @@ from turtleact.interfaces.standard import (
     SetParametersResult,
 )
 from turtleact.interfaces.text import Document, block, tree_of
-from turtleact.parameters import flattened, message_of, out_of_range, value_of
+from turtleact.node.parameter_rules import flattened, message_of, out_of_range, value_of
 from turtleact.tasks.clock import within
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ import anyio
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.goals.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.graph import names_like
-from turtleact.parameters import ParameterDeclaration
+from turtleact.node.parameter_rules import ParameterDeclaration
 from turtleact.summaries import summary, syntax_hint
 
 __all__ = ["Found", "Modules", "Target", "read_target"]

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from turtleact.commands.settings import Durability, Policies
     from turtleact.node import Node
-    from turtleact.topics import Subscription
+    from turtleact.node.topics import Subscription
 
 __all__ = ["Bandwidth", "Delay", "Meter", "Order", "Rate", "echo", "measure", "note_absence"]
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from turtleact.interfaces import Message
     from turtleact.node import Node
-    from turtleact.topics import Subscription
+    from turtleact.node.topics import Subscription
 
 __all__ = [
     "POSE",

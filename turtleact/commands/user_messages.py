@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from turtleact.commands.message_text import GoalText
     from turtleact.commands.settings import Policies
     from turtleact.node import Node
+    from turtleact.node.topics import Publisher
     from turtleact.services import ServiceType
-    from turtleact.topics import Publisher
     from turtleact.transports.base import EndpointKind
 
 __all__ = ["Order", "call", "publish", "take"]

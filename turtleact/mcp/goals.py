@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Action, Message
     from turtleact.mcp.offer import Limits
     from turtleact.node import Node
-    from turtleact.topics import Subscription
+    from turtleact.node.topics import Subscription
 
 __all__ = ["Board", "Goals", "HeldGoal", "Report"]
 

@@ -1,7 +1,8 @@
 """Nodes: the participants of a graph.
 
-`node` opens topics, services and actions by name. `parameters` serves the parameters of a node, and
-`timers` makes ticks at a fixed rate. `resources` tracks everything that a node has opened, and
+`node` opens `topics`, services and actions by name. `parameters` serves the parameters of a node by
+the rules of `parameter_rules`, and `timers` makes ticks at a fixed rate. `type_descriptions`
+describes the types that a node uses. `resources` tracks everything that a node has opened, and
 closes it with the node. `conflicts` ensures that only one node serves an action name.
 """
 

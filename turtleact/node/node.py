@@ -41,6 +41,8 @@ from turtleact.names import ActionNames, action_names, resolve_name, validate_no
 from turtleact.node.conflicts import OnConflict, Rivals, ServedName, check_on_conflict
 from turtleact.node.resources import Resources
 from turtleact.node.timers import Timer
+from turtleact.node.topics import Matching, Publisher, Subscription
+from turtleact.node.type_descriptions import offer_when_sought
 from turtleact.opening import opening
 from turtleact.services import (
     LocalServiceServer,
@@ -51,10 +53,8 @@ from turtleact.services import (
 )
 from turtleact.tasks import Home, current_tasks
 from turtleact.tasks.clock import Clock, check_timeout
-from turtleact.topics import Matching, Publisher, Subscription
 from turtleact.transports import MemoryTransport, QoS, Transport
 from turtleact.transports.base import CallObserver, Closeable, Endpoint, EndpointKind
-from turtleact.type_descriptions import offer_when_sought
 
 __all__ = [
     "ActionServer",
@@ -69,8 +69,8 @@ __all__ = [
 
 if TYPE_CHECKING:  # few nodes have parameters or introspection; the modules import slowly
     from turtleact.introspection import Introspection
+    from turtleact.node.parameter_rules import Bounds, ParameterDeclaration, Value
     from turtleact.node.parameters import NodeParameters, Parameter
-    from turtleact.parameters import Bounds, ParameterDeclaration, Value
 
 G = TypeVar("G", bound=Message)
 R = TypeVar("R", bound=Message)

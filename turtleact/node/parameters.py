@@ -27,7 +27,7 @@ from turtleact.interfaces.standard import (
     SetParametersResult,
 )
 from turtleact.interfaces.standard import Parameter as ParameterMessage
-from turtleact.parameters import (
+from turtleact.node.parameter_rules import (
     ParameterDeclaration,
     ParameterTable,
     Value,
@@ -40,10 +40,10 @@ from turtleact.transports import QoS
 
 if TYPE_CHECKING:
     from turtleact.node.resources import Resources
+    from turtleact.node.topics import Publisher
     from turtleact.services import ServiceType
     from turtleact.tasks import Home, Signal, Tasks
     from turtleact.tasks.clock import Clock
-    from turtleact.topics import Publisher
 
 __all__ = ["Changes", "NodeParameters", "Parameter"]
 

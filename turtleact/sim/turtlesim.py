@@ -25,21 +25,21 @@ from turtleact.errors import InvalidName, SimError
 from turtleact.interfaces import stamp_of
 from turtleact.interfaces.standard import Empty, Kill, Spawn, TurtlePose
 from turtleact.names import resolve_name
+from turtleact.node.topics import publish_unchecked
 from turtleact.sim.drawing import Pens
 from turtleact.sim.paint import BACKGROUND, Colour
 from turtleact.sim.pictures import Figure, Snapshot, thumbnail
 from turtleact.sim.turtle import TOPIC_QOS, Habitat, Turtle
 from turtleact.sim.world_services import Pictures, Poses, Simulation, Ticking, poses_of
-from turtleact.topics import publish_unchecked
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from turtleact.node import Node
     from turtleact.node.parameters import Parameter
+    from turtleact.node.topics import Publisher
     from turtleact.sim.fleet import Hits
     from turtleact.sim.world import Pose, World
-    from turtleact.topics import Publisher
 
 __all__ = ["Turtlesim"]
 

@@ -32,10 +32,10 @@ from turtleact.goals.ids import new_goal_id
 from turtleact.goals.wire import GoalNote
 from turtleact.interfaces import Message
 from turtleact.node import Node
+from turtleact.node.topics import Subscription
 from turtleact.services import ServiceClient, ServiceType
 from turtleact.summaries import summary
 from turtleact.tasks import Background, current_tasks
-from turtleact.topics import Subscription
 from turtleact.transports import QoS
 from turtleact.transports.base import REQUEST_NOTE
 from turtleact.web.mailbox import Budget

@@ -49,8 +49,8 @@ from turtleact.goals.wire import PausedGoals, paused_topic
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.standard import GoalStatusArray
 from turtleact.node import Node
+from turtleact.node.topics import Subscription
 from turtleact.tasks import Background, current_tasks
-from turtleact.topics import Subscription
 from turtleact.transports import QoS
 from turtleact.transports.base import STATUS_QOS
 from turtleact.web.goal_history import REJECTED, GoalHistory, GoalRecord

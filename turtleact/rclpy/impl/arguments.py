@@ -308,7 +308,7 @@ def _level(text: str) -> tuple[str, int]:
 
 
 def _rules(tree: Mapping[str, object], path: str) -> Iterator[ParameterRule]:
-    from turtleact.parameters import flattened  # few programs have files of parameters
+    from turtleact.node.parameter_rules import flattened  # few programs have files of parameters
 
     for key, value in tree.items():
         if not isinstance(value, dict):

@@ -12,10 +12,10 @@ import turtleact
 from turtleact import QoS
 from turtleact.errors import InvalidMessage, TurtleactError
 from turtleact.interfaces import Message, int32
+from turtleact.node.topics import Publisher, Subscription, publish_unchecked
 from turtleact.tasks import current_tasks
-from turtleact.topics import Publisher, Subscription, publish_unchecked
 
-from .lab import ON_ASYNCIO, other_tasks, running, settle
+from ..lab import ON_ASYNCIO, other_tasks, running, settle
 
 LATCHED = QoS(depth=2, durability="transient_local")
 

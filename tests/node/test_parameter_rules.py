@@ -16,7 +16,7 @@ from turtleact.interfaces.standard import (
     Parameter,
     ParameterValue,
 )
-from turtleact.parameters import (
+from turtleact.node.parameter_rules import (
     KINDS,
     ParameterTable,
     descriptor_of,
@@ -25,7 +25,7 @@ from turtleact.parameters import (
     value_of,
 )
 
-from .tables import together
+from ..tables import together
 
 # --- values ---------------------------------------------------------------------------------
 
