@@ -661,7 +661,7 @@ class Cut(Apart):
     def join(self, endpoint: Any, format: Any, target: Any = EVERY_SERVER) -> Any:
         return CutCaller(self, self._transport.join(endpoint, format, target), endpoint.name)
 
-    def subscribe(self, endpoint: Any, format: Any, deliver: Any) -> Any:
+    def subscribe(self, endpoint: Any, format: Any, deliver: Any, **_: Any) -> Any:
         def take(message: object) -> None:
             if endpoint.name.endswith("feedback") and self.withholds:
                 self.withholds -= 1
@@ -818,7 +818,7 @@ async def test_tasks_that_attach_to_a_goal_at_once_share_it():
         graph: Any = served.node.transport
         news, subscribe = list[Callable[[], object]](), graph.subscribe
 
-        def subscribe_slowly(endpoint: Any, format: Any, deliver: Any) -> Any:
+        def subscribe_slowly(endpoint: Any, format: Any, deliver: Any, **_: Any) -> Any:
             def deliver_later(message: Any) -> None:
                 news.append(partial(deliver, message))
 
