@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-
-import turtleact
-from turtleact.doctor.snapshot import described_fields, own_fields
-from turtleact.interfaces import get_interface, implied, load_interface, type_hash
-from turtleact.interfaces.standard import GoalStatusArray, Point
-from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION, TYPE_HASH, offer_descriptions
-from turtleact.transports import MemoryTransport
+from turtleact.doctor.snapshot import own_fields
+from turtleact.interfaces import implied, load_interface
+from turtleact.interfaces.standard import Point
 
 from ..lab import Count
 
@@ -39,21 +34,3 @@ def test_bounds_belong_to_the_type():
         "two[]": "int8[2]",
         "wide[]": "wstring[]",
     }
-
-
-@pytest.mark.parametrize("known", [Point, GoalStatusArray, implied(Count).get_result])
-async def test_a_node_describes_a_type_as_it_is_here(known):
-    service: Any = get_interface(GET_TYPE_DESCRIPTION)
-    async with turtleact.open_node("asker", transport=MemoryTransport()) as node:
-        offer_descriptions(node.transport, "/lab")
-        client = node.service_client(service, "/lab/get_type_description")
-        response: Any = await client.call(service.Request(type_name=known.type_name))
-        assert described_fields(response.type_description) == own_fields(known)
-        for wrong in (("x/msg/Y", ""), (known.type_name, "RIHS01_0")):
-            refused: Any = await client.call(service.Request(*wrong))
-            assert not refused.successful
-            assert refused.failure_reason
-
-
-def test_the_hash_that_is_written_down_is_that_of_the_service():
-    assert type_hash(get_interface(GET_TYPE_DESCRIPTION)) == TYPE_HASH

@@ -17,6 +17,7 @@ from turtleact.doctor.checks import Fault, find_faults
 from turtleact.doctor.gathering import take_snapshot
 from turtleact.fault_reports import TOPIC, FaultReports
 from turtleact.interfaces import Message, get_interface, int32, int64
+from turtleact.interfaces import type_hash as hash_of
 from turtleact.interfaces.standard import Twist
 from turtleact.interfaces.standard.diagnostic_msgs.msg import (
     DiagnosticArray,
@@ -274,6 +275,7 @@ def plant(transport: ZenohTransport, node: str, type_name: str, type_hash: str) 
 async def test_a_node_describes_its_types_once_another_process_asks(address):
     async with graph_at(address) as graph:
         node = await graph.node("lab")
+        node.publisher(Twist, "cmd_vel")
         name = "/lab/get_type_description"
         assert not node.transport.endpoints(name)
         asker = await graph.node("asker")
@@ -281,7 +283,7 @@ async def test_a_node_describes_its_types_once_another_process_asks(address):
         for _ in range(2):  # the second time, it is there already
             client = asker.service_client(service, name)
             assert await client.wait_for_service()
-            response: Any = await client.call(service.Request(type_name=Twist.type_name))
+            response: Any = await client.call(service.Request(type_hash=hash_of(Twist)))
             assert response.type_description.type_description.type_name == Twist.type_name
             await client.aclose()
         await node.aclose()

@@ -39,8 +39,15 @@ from turtleact.interfaces import (
     int32,
     type_hash,
 )
-from turtleact.interfaces.standard import UUID, CancelGoal, Fibonacci, GoalStatusArray
+from turtleact.interfaces.standard import (
+    UUID,
+    CancelGoal,
+    Fibonacci,
+    GoalStatusArray,
+    ListParameters,
+)
 from turtleact.interfaces.types import REGISTRY
+from turtleact.node.node import PARAMETER_SERVICES
 from turtleact.tasks import current_tasks
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
@@ -935,11 +942,27 @@ async def test_what_is_on_demand_and_closed_leaves_nothing_behind(address):
         ]
         for each in opened:
             each.close()
-        assert peers.here.context.asleep == {}
         peers.there.subscribe(subscription(), SPEECH, Inbox().deliver).close()
         await peers.settle()
         assert peers.there.endpoints() == ()
-        assert not peers.here.context.sought
+        assert peers.here.context.demand.is_quiet
+
+
+async def test_a_node_without_parameters_answers_those_who_ask_for_them(address):
+    async with (
+        two(address) as peers,
+        turtleact.open_node("lab", transport=peers.here) as lab,
+        turtleact.open_node("asker", transport=peers.there) as asker,
+    ):
+        name = "/lab/list_parameters"
+        assert not lab.transport.endpoints(name)
+        caller = asker.service_client(ListParameters, name)
+        assert await caller.wait_for_service()
+        response = await caller.call(ListParameters.Request())
+        assert response.result.names == []
+        assert {each.name for each in lab.transport.endpoints() if each.kind == "service"} == {
+            f"/lab/{service}" for service in PARAMETER_SERVICES
+        }
 
 
 # --- many, and slow ones ----------------------------------------------------------------------
@@ -1248,7 +1271,10 @@ async def test_a_handler_is_canceled_once_the_client_of_its_caller_has_gone(addr
             canceled.set()
         return Sum.Response()  # pragma: no cover  # it is never woken
 
-    async with two(address) as peers, turtleact.open_node("lab", transport=peers.here) as lab:
+    async with (
+        two(address) as peers,
+        turtleact.open_node("lab", transport=peers.here) as lab,
+    ):
         lab.service(Sum, "add", handler)
         user = turtleact.Node("user", "/", peers.there)
         asking = user.service_client(Sum, "/add")

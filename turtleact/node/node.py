@@ -42,7 +42,8 @@ from turtleact.node.conflicts import OnConflict, Rivals, ServedName, check_on_co
 from turtleact.node.resources import Resources
 from turtleact.node.timers import Timer
 from turtleact.node.topics import Matching, Publisher, Subscription
-from turtleact.node.type_descriptions import offer_when_sought
+from turtleact.node.type_descriptions import SERVICE as DESCRIBE
+from turtleact.node.type_descriptions import offer_descriptions
 from turtleact.opening import opening
 from turtleact.services import (
     LocalServiceServer,
@@ -79,6 +80,16 @@ M = TypeVar("M", bound=Message)
 V = TypeVar("V", bound="Value")
 Req = TypeVar("Req", bound=Message)
 Res = TypeVar("Res", bound=Message)
+
+PARAMETER_SERVICES = (
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+)
+"""The services for the parameters of a node, after the node's name."""
 
 
 class Node:
@@ -120,11 +131,14 @@ class Node:
         self._slots = Slots[PlaceRequest]()
         self._hooks: list[Transition] = []
         self._to_restore: list[DurableGoals] = []
+        self._servers_of: dict[str, dict[ActionServer[Any, Any, Any], None]] = {}  # by action
         self._parameters: NodeParameters | None = None
         self.initial_values: dict[str, object] = {}
         self._presence = ExitStack()
         self._presence.callback(transport.enter(self.fully_qualified_name).close)
-        self._presence.callback(offer_when_sought(transport, self.fully_qualified_name).close)
+        self._offer(DESCRIBE, self._offer_descriptions)
+        for service in PARAMETER_SERVICES:
+            self._offer(service, self._offer_parameters)
 
     @property
     def fully_qualified_name(self) -> str:
@@ -250,9 +264,9 @@ class Node:
             **options,
         )
         server._take_name(on_conflict, again)
-        server._membership = self._resources.add_server(
-            "action server", server, endpoints.stop_taking_goals
-        )
+        self._servers_of.setdefault(names.name, {})[server] = None
+        close = partial(self._stop_serving, server)
+        server._membership = self._resources.add_server("action server", server, close)
         return server
 
     def _restore_soon(self, durable: DurableGoals | None) -> None:
@@ -449,7 +463,8 @@ class Node:
         """Declare a parameter, or find a declared one.
 
         The first declaration opens the six parameter services of the node and a publisher on
-        ``/parameter_events``, so ``param list`` and programs in ROS 2 see the parameter.
+        ``/parameter_events``, so ``param list`` and programs in ROS 2 see the parameter. A node
+        without parameters opens them when another process asks for one of these services.
 
         Args:
             name: The parameter's name. If you give only a name, this method finds a declared
@@ -462,12 +477,8 @@ class Node:
                 or if you give only the name of an undeclared parameter.
             InvalidOption: if ``range`` or ``validate`` is not allowed.
         """
-        from turtleact.node.parameters import NodeParameters
-
         self._home.check()
-        if self._parameters is None:
-            self._parameters = NodeParameters(self, self._resources, self._home, self._tasks)
-        return self._parameters.get(name, default, options)
+        return self._node_parameters().get(name, default, options)
 
     def count_publishers(self, topic: str) -> int:
         """Count the publishers of a topic on all nodes of the graph.
@@ -512,8 +523,36 @@ class Node:
 
     def _types_served(self, action: str) -> set[str]:
         """The types of the actions that this node's open servers serve under one name."""
-        servers = [each for each in self._servers() if each.name == action and each.is_open]
-        return {server.action_type.type_name for server in servers}
+        servers = self._servers_of.get(action, ())
+        return {server.action_type.type_name for server in servers if server.is_open}
+
+    def _stop_serving(self, server: ActionServer[Any, Any, Any]) -> None:
+        """Remove a server from the graph. A second call does nothing."""
+        server._endpoints.stop_taking_goals()
+        servers = self._servers_of.get(server.name, {})
+        servers.pop(server, None)
+        if not servers:
+            self._servers_of.pop(server.name, None)
+
+    def _offer(self, service: str, act: Callable[[], object]) -> None:
+        """Call ``act`` as soon as another process looks for a service of this node."""
+        name = f"{self.fully_qualified_name}/{service}"
+        self._presence.callback(self.transport.call_when_sought(name, act).close)
+
+    def _offer_descriptions(self) -> None:
+        offered = offer_descriptions(self.transport, self.fully_qualified_name)
+        self._presence.callback(offered.close)
+
+    def _offer_parameters(self) -> None:
+        if self.is_open:
+            self._node_parameters().open()
+
+    def _node_parameters(self) -> NodeParameters:
+        from turtleact.node.parameters import NodeParameters
+
+        if self._parameters is None:
+            self._parameters = NodeParameters(self, self._resources, self._home, self._tasks)
+        return self._parameters
 
     def _action_names(self, name: str) -> ActionNames:
         return action_names(resolve_name(name, self.namespace, self.name))

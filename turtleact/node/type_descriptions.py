@@ -1,52 +1,46 @@
 """Serves ``NODE/get_type_description``, which describes the types that a node uses.
 
-Nodes of ROS 2 offer this service too. In turtleact, a node opens the service only when another
-process looks for it. Until then, the service costs nothing.
+As in ROS 2, a type is looked up by its hash alone, among the types of the node's topics, services
+and actions. The answer also holds the text of each interface, with its comments and constants. A
+type that ROS 2 derives, such as ``Fibonacci_Goal``, has no text.
 
-Source: ``type_description_interfaces/srv/GetTypeDescription``; REP 2016.
+A node opens the service only when another process looks for it. Until then, it costs nothing.
+
+Source: ``type_description_interfaces/srv/GetTypeDescription``; rcl ``node_type_cache.c`` and
+``type_description_service``; REP 2016.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from typing import Any, Final
 
 from turtleact.errors import TurtleactError
-from turtleact.interfaces import WireFormat, get_interface
-from turtleact.transports.base import Closeable, Endpoint, Lazy, Reply, Transport
+from turtleact.interfaces import WireFormat, get_interface, interface_source
+from turtleact.transports.base import Closeable, Endpoint, Reply, Transport
 
-__all__ = ["GET_TYPE_DESCRIPTION", "TYPE_HASH", "offer_descriptions", "offer_when_sought"]
+__all__ = ["GET_TYPE_DESCRIPTION", "SERVICE", "TYPE_HASH", "offer_descriptions"]
 
 GET_TYPE_DESCRIPTION: Final = "type_description_interfaces/srv/GetTypeDescription"
+
+SERVICE: Final = "get_type_description"
+"""The name of the service, after the node's name."""
 
 TYPE_HASH: Final = "RIHS01_69b9c19c1021405984cc60dbbb1edceb147a6538b411d812ba6afabeed962cd5"
 """The type hash of the service. It is a constant because computing it takes 10 ms."""
 
+_HASH: Final = re.compile("RIHS01_[0-9a-f]{64}")
+
+_SEND_GOAL: Final = "_SendGoal"
+"""The suffix of an action's service type; without it, the name of the action remains."""
+
 
 def offer_descriptions(transport: Transport, node: str) -> Closeable:
     """Offer ``get_type_description`` for the node with the fully qualified name ``node``."""
-    name = _service_name(node)
+    name = f"{node}/{SERVICE}"
     endpoint = Endpoint("service", name, GET_TYPE_DESCRIPTION, node, is_unlisted=True)
-    return transport.serve(endpoint, _Format(), _Describer())
-
-
-def offer_when_sought(transport: Transport, node: str) -> Closeable:
-    """Offer a node's ``get_type_description`` once another process looks for the service.
-
-    Programs in the same process do not need the service. So a transport that reaches no other
-    process never offers the service.
-    """
-    if not isinstance(transport, Lazy):
-        return _Nothing()
-    return transport.open_when_sought(
-        _service_name(node), lambda: offer_descriptions(transport, node)
-    )
-
-
-class _Nothing:
-    """A placeholder for the type description service if the transport reaches no other process."""
-
-    def close(self) -> None:
-        """Do nothing."""
+    return transport.serve(endpoint, _Format(), _Describer(transport, node))
 
 
 class _Format(WireFormat):
@@ -59,36 +53,60 @@ class _Format(WireFormat):
 
 
 class _Describer:
-    """Answers the requests of the service."""
+    """Answers the requests of the service for one node."""
 
-    async def reply(self, request: object, caller: bytes) -> Reply:  # noqa: ARG002
-        """Describe the type that a request names."""
-        return Reply(_described(request))
+    def __init__(self, transport: Transport, node: str) -> None:
+        self._transport = transport
+        self._node = node
+
+    async def reply(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002  # as below
+        """Describe the type with the hash in the request."""
+        response = _made("srv/GetTypeDescription").Response
+        if not _HASH.fullmatch(request.type_hash):
+            return Reply(response(failure_reason="Failed to parse type hash"))
+        found = self._find(request.type_hash)
+        if found is None:
+            return Reply(response(failure_reason="Type not currently in use by this node"))
+        return Reply(_described(found, has_sources=request.include_type_sources))
+
+    def _find(self, wanted: str) -> Any:  # noqa: ANN401  # a class, loaded on demand
+        """Return the class with this hash that the node uses; None if there is none."""
+        from turtleact.interfaces.type_hash import type_hash
+
+        for name in self._candidates(wanted):
+            try:
+                found = get_interface(name)
+            except TurtleactError:  # the node passes messages on without knowing their class
+                continue
+            if type_hash(found) == wanted:
+                return found
+        return None
+
+    def _candidates(self, wanted: str) -> Iterator[str]:
+        """Return the names of types that may have this hash.
+
+        An endpoint says the hash of its type. The hash of an action is the only one that no
+        endpoint has.
+        """
+        own = [each for each in self._transport.local_endpoints() if each.node == self._node]
+        yield from dict.fromkeys(each.type_name for each in own if each.type_hash in ("", wanted))
+        yield from dict.fromkeys(
+            each.type_name.removesuffix(_SEND_GOAL)
+            for each in own
+            if each.type_name.endswith(_SEND_GOAL)
+        )
 
 
-def _service_name(node: str) -> str:
-    return f"{node}/get_type_description"
+def _described(found: Any, *, has_sources: bool) -> object:  # noqa: ANN401  # a class
+    from turtleact.interfaces.type_hash import description, referenced
 
-
-def _described(request: Any) -> object:  # noqa: ANN401  # the classes are loaded on demand
-    from turtleact.interfaces.type_hash import description, referenced, type_hash
-
-    response = _made("srv/GetTypeDescription").Response
-    try:
-        found = get_interface(request.type_name)
-    except TurtleactError as error:
-        return response(failure_reason=str(error))
-    if request.type_hash not in ("", type_hash(found)):
-        return response(failure_reason=f"{request.type_name} has another hash here")
     others = referenced(found)
-    return response(
+    types = [found, *(others[name] for name in sorted(others))]
+    described = [_individual(description(each)) for each in types]
+    return _made("srv/GetTypeDescription").Response(
         successful=True,
-        type_description=_made("msg/TypeDescription")(
-            type_description=_individual(description(found)),
-            referenced_type_descriptions=[
-                _individual(description(others[name])) for name in sorted(others)
-            ],
-        ),
+        type_description=_made("msg/TypeDescription")(described[0], described[1:]),
+        type_sources=[_source(each.type_name) for each in types] if has_sources else [],
     )
 
 
@@ -98,6 +116,13 @@ def _individual(said: Any) -> object:  # noqa: ANN401  # a dict, as it is hashed
         for each in said["fields"]
     ]
     return _made("msg/IndividualTypeDescription")(type_name=said["type_name"], fields=fields)
+
+
+def _source(name: str) -> object:
+    _package, kind, last = name.split("/")
+    if "_" in last:  # no name in an interface file has one
+        return _made("msg/TypeSource")(name, "implicit", "")
+    return _made("msg/TypeSource")(name, kind, interface_source(name))
 
 
 def _made(name: str) -> Any:  # noqa: ANN401  # a class

@@ -201,6 +201,10 @@ class FaultyTransport:
         """Show a node on the graph."""
         return self._transport.enter(node)
 
+    def call_when_sought(self, name: str, act: Callable[[], object]) -> Closeable:
+        """Call ``act`` once another process has an endpoint with this name."""
+        return self._transport.call_when_sought(name, act)
+
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """Return all endpoints on the graph, or only those of the topic or service ``name``."""
         return self._transport.endpoints(name)

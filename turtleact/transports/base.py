@@ -49,7 +49,6 @@ __all__ = [
     "Endpoint",
     "EndpointKind",
     "Format",
-    "Lazy",
     "LossAware",
     "MakeEndpoint",
     "Owner",
@@ -527,22 +526,6 @@ class CallerAware(Protocol):
         """Called when the client with this gid was closed or has died."""
 
 
-@runtime_checkable
-class Lazy(Protocol):
-    """A transport that can delay opening an object until another process looks for it."""
-
-    def open_when_sought(self, name: str, open: Callable[[], Closeable]) -> Closeable:
-        """Call ``open`` as soon as another process has an endpoint with this name.
-
-        This method costs less than an endpoint with ``on_demand``, because an endpoint with
-        ``on_demand`` exists in this process from the start.
-
-        Returns:
-            A `Closeable` that closes the object returned by ``open``. If ``open`` has not been
-            called yet, closing the `Closeable` prevents the call.
-        """
-
-
 class Transport(Protocol):
     """The graph of nodes and endpoints, as seen from one process.
 
@@ -609,6 +592,16 @@ class Transport(Protocol):
 
     def enter(self, node: str) -> Closeable:
         """Add a node with this fully qualified name to the graph."""
+
+    def call_when_sought(self, name: str, act: Callable[[], object]) -> Closeable:
+        """Call ``act`` once, as soon as another process has an endpoint with this name.
+
+        This costs less than an endpoint with ``on_demand``, because such an endpoint exists in this
+        process from the start. A transport that reaches no other process never calls ``act``.
+
+        Returns:
+            A `Closeable` that prevents the call, if ``act`` has not been called yet.
+        """
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints, this process's first. With a ``name``, only endpoints of that name."""

@@ -169,6 +169,14 @@ class MemoryTransport:
         self.tell_change()
         return _Opened(partial(self._depart, number))
 
+    def call_when_sought(
+        self,
+        name: str,  # noqa: ARG002  # as below
+        act: Callable[[], object],  # noqa: ARG002  # there are no other processes
+    ) -> Closeable:
+        """Never call ``act``, because all endpoints are in this process."""
+        return _Opened(_nothing)
+
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints on the graph, or only those of the topic or service ``name``.
 

@@ -32,12 +32,12 @@ __all__ = [
     "Context",
     "Counter",
     "Crew",
+    "Demand",
     "Inbox",
     "Named",
     "Opened",
     "Outbox",
     "Presence",
-    "Sought",
 ]
 
 logger = logging.getLogger("turtleact.transport")
@@ -91,11 +91,7 @@ class Context:
             session gets the messages of these publishers twice: as objects from the local
             transport, and as bytes from Zenoh. The subscription uses the gids to recognize and
             ignore these bytes.
-        sought: For each name, how many endpoints of this name other processes have.
-        waiting: For each name, the object to open as soon as another process has an endpoint of
-            this name.
-        asleep: For each name, the endpoints to declare as soon as another process has an endpoint
-            of this name.
+        demand: Tells which names other processes use, and calls what waits for a name.
         is_open: Whether the transport is open.
     """
 
@@ -110,60 +106,68 @@ class Context:
         self.domain = domain
         self.opened: set[Closeable] = set()
         self.latched: set[bytes] = set()
-        self.sought: Tally[str] = Tally()
-        self.asleep: dict[str, dict[Presence, None]] = {}
-        self.waiting: dict[str, Sought] = {}
+        self.demand = Demand()
         self.is_open = True
 
-    def seek(self, name: str) -> None:
-        """Record that another process has an endpoint with this name.
 
-        Open the objects and declare the endpoints that were held back until this name appeared.
-        """
-        self.sought[name] += 1
-        if name in self.waiting:
-            self.waiting.pop(name).open()
-        for presence in self.asleep.pop(name, ()):
-            presence.wake()
+class Demand:
+    """The names of the endpoints that other processes have, and what waits for such a name."""
 
-    def forgo(self, name: str) -> None:
+    def __init__(self) -> None:
+        self._counts: Tally[str] = Tally()
+        self._waiting: dict[str, dict[_Waiting, None]] = {}
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether other processes have no endpoints, and nothing waits for one."""
+        return not self._counts and not self._waiting
+
+    def has(self, name: str) -> bool:
+        """Whether another process has an endpoint with this name."""
+        return self._counts[name] > 0
+
+    def add(self, name: str) -> None:
+        """Record that another process has an endpoint with this name, and call what waits."""
+        self._counts[name] += 1
+        for waiting in self._waiting.pop(name, ()):
+            waiting.act()
+
+    def remove(self, name: str) -> None:
         """Record that an endpoint with this name in another process is gone."""
-        self.sought[name] -= 1
-        if not self.sought[name]:
-            del self.sought[name]
+        self._counts[name] -= 1
+        if not self._counts[name]:
+            del self._counts[name]
 
-
-class Sought:
-    """Opens an object as soon as another process has an endpoint of a given name; see `Lazy`.
-
-    Args:
-        context: The transport's context.
-        name: The name of the endpoint in the other process.
-        opener: The function that opens the object.
-    """
-
-    __slots__ = ("_context", "_name", "_opened", "_opener")
-
-    def __init__(self, context: Context, name: str, opener: Callable[[], Closeable]) -> None:
-        self._context = context
-        self._name = name
-        self._opener = opener
-        self._opened: Closeable | None = None
-        if context.sought[name]:
-            self.open()
+    def call_when_sought(self, name: str, act: Callable[[], object]) -> Closeable:
+        """Call ``act`` once; see `turtleact.transports.base.Transport`."""
+        waiting = _Waiting(self, name, act)
+        if self.has(name):
+            act()
         else:
-            context.waiting[name] = self
+            self._waiting.setdefault(name, {})[waiting] = None
+        return waiting
 
-    def open(self) -> None:
-        """Open the object. Called when another process has an endpoint with the object's name."""
-        self._opened = self._opener()
+    def forget(self, waiting: _Waiting) -> None:
+        """Do not call what waits. If it was called already, do nothing."""
+        others = self._waiting.get(waiting.name, {})
+        others.pop(waiting, None)
+        if not others:
+            self._waiting.pop(waiting.name, None)
+
+
+class _Waiting:
+    """A function to call when another process has an endpoint with a certain name."""
+
+    __slots__ = ("_demand", "act", "name")
+
+    def __init__(self, demand: Demand, name: str, act: Callable[[], object]) -> None:
+        self.name = name
+        self.act = act
+        self._demand = demand
 
     def close(self) -> None:
-        """Close the object if it is open. Otherwise, never open it."""
-        if self._opened is not None:
-            self._opened.close()
-        elif self._context.waiting.get(self._name) is self:
-            del self._context.waiting[self._name]
+        """Prevent the call."""
+        self._demand.forget(self)
 
 
 class Crew:
@@ -252,16 +256,15 @@ class Presence:
         self._token = token
         self._declare = declare
         self._undeclare = undeclare
-        self._on_demand = on_demand
         self._on_wake = on_wake
         self._declared: Declared | None = None
-        if on_demand and not context.sought[on_demand]:
-            context.asleep.setdefault(on_demand, {})[self] = None
+        self._waiting: Closeable | None = None
+        if on_demand and not context.demand.has(on_demand):
+            self._waiting = context.demand.call_when_sought(on_demand, self._wake)
         else:
             self._appear()
 
-    def wake(self) -> None:
-        """Declare the endpoint now, because another process has an endpoint with the same name."""
+    def _wake(self) -> None:
         self._appear()
         if self._on_wake is not None:
             self._on_wake()
@@ -278,11 +281,8 @@ class Presence:
             self._context.outbox.post(self._undeclare_token)
             if self._undeclare is not None:
                 self._context.outbox.post(self._undeclare)
-            return
-        others = self._context.asleep.get(self._on_demand, {})
-        others.pop(self, None)
-        if not others:
-            self._context.asleep.pop(self._on_demand, None)
+        elif self._waiting is not None:
+            self._waiting.close()
 
     def _declare_token(self) -> None:
         self._declared = self._context.session.declare_token(self._token)

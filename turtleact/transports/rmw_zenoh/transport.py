@@ -43,7 +43,7 @@ from turtleact.transports.base import (
 )
 from turtleact.transports.memory import MemoryTransport
 from turtleact.transports.rmw_zenoh.config import Mode, domain_of, session_config
-from turtleact.transports.rmw_zenoh.context import Context, Named, Opened, Presence, Sought
+from turtleact.transports.rmw_zenoh.context import Context, Named, Opened, Presence
 from turtleact.transports.rmw_zenoh.keys import (
     Graph,
     all_nodes,
@@ -174,9 +174,9 @@ class ZenohTransport:
         token = node_token(self.context.domain, self.context.session.zid, number, node)
         return Opened(self.context, self._near.enter(node), Presence(self.context, token))
 
-    def open_when_sought(self, name: str, open: Callable[[], Closeable]) -> Closeable:
-        """Call ``open`` as soon as another process has an endpoint with this name; see `Lazy`."""
-        return Sought(self.context, name, open)
+    def call_when_sought(self, name: str, act: Callable[[], object]) -> Closeable:
+        """Call ``act`` once, as soon as another process has an endpoint with this name."""
+        return self.context.demand.call_when_sought(name, act)
 
     def endpoints(self, name: str = "") -> tuple[Endpoint, ...]:
         """All endpoints, this transport's own first.
@@ -369,7 +369,7 @@ class ZenohTransport:
         if token is None:
             return
         if token.endpoint is not None:
-            self.context.seek(token.endpoint.name)
+            self.context.demand.add(token.endpoint.name)
         self._near.tell_change()
 
     def token_gone(self, key: str) -> None:
@@ -380,7 +380,7 @@ class ZenohTransport:
         if token is None:
             return
         if token.endpoint is not None:
-            self.context.forgo(token.endpoint.name)
+            self.context.demand.remove(token.endpoint.name)
         if token.endpoint is not None and token.endpoint.kind == "client":
             for handler in self._near.handlers(token.endpoint.name):
                 if isinstance(handler, CallerAware):
