@@ -11,7 +11,6 @@ from turtleact.workspace import (
     find_interfaces,
     folders_near,
     interface_files,
-    misnamed,
     package_name,
 )
 
@@ -94,32 +93,6 @@ def test_without_a_name_in_its_package_xml_a_package_is_called_as_its_folder(tmp
     (tmp_path / "lab").mkdir()
     (tmp_path / "lab" / "package.xml").write_text(text)
     assert package_name(tmp_path / "lab") == name
-
-
-@pytest.mark.parametrize(
-    ("file", "type_name", "wanted"),
-    [
-        ("action/count.action", "lab/action/Count", "action/Count.action"),
-        ("action/count.action", "lab/action/count", "action/Count.action"),
-        ("action/count_down.action", "lab/CountDown", "action/CountDown.action"),
-        ("action/count-down.action", "lab/count_down", "action/CountDown.action"),
-        ("actions/Count.action", "lab/action/Count", "action/Count.action"),
-        ("Action/Count.Action", "lab/action/Count", "action/Count.action"),
-        ("msgs/Go.msg", "lab/msg/Go", "msg/Go.msg"),
-        ("action/Count.action", "lab/action/Count", None),
-        ("action/other.action", "lab/action/Count", None),
-        ("action/count.action", "labs/action/Count", None),
-        ("plans/count.action", "lab/action/Count", None),
-    ],
-)
-def test_a_file_that_is_not_found_under_its_name_is_told_with_the_right_one(
-    tmp_path, file, type_name, wanted
-):
-    path = tmp_path / "lab" / file
-    path.parent.mkdir(parents=True)
-    path.touch()
-    found = misnamed(tmp_path, type_name)
-    assert found == (None if wanted is None else (path, tmp_path / "lab" / wanted))
 
 
 def test_only_so_many_folders_are_looked_at(tmp_path, monkeypatch):

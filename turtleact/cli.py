@@ -130,15 +130,10 @@ def _report(error: BaseException) -> int:
 
 def _advice(error: BaseException) -> str:
     """Return advice on an unknown interface, or an empty text for any other error."""
-    from pathlib import Path
-
     from turtleact.commands.output import ELSEWHERE
     from turtleact.errors import UnknownInterface
-    from turtleact.workspace import misnamed
 
     if isinstance(error, UnknownInterface):
-        if found := misnamed(Path(), error.type_name):
-            return f"{' If not,' if error.suggestion else ':'} rename {found[0]} to {found[1]}"
         package, slash, name = error.type_name.rpartition("/")
         if name[:1].islower():
             camel = "".join(part[:1].upper() + part[1:] for part in name.split("_"))

@@ -25,7 +25,6 @@ __all__ = [
     "find_interfaces",
     "folders_near",
     "interface_files",
-    "misnamed",
     "package_name",
     "proper_name",
 ]
@@ -73,29 +72,6 @@ def interface_files(folder: Path) -> dict[str, Path]:
     }
 
 
-def misnamed(root: Path, type_name: str) -> tuple[Path, Path] | None:
-    """Find a misnamed or misplaced file of an interface near a folder.
-
-    Return the path of the misnamed or misplaced file, and the path that the file should have; None
-    if no such file is found. For example, ``action/count.action`` and ``actions/Count.action``
-    should be ``action/Count.action``.
-    """
-    package, _, rest = type_name.partition("/")
-    name = rest.rpartition("/")[2]
-    for folder in folders_near(root):
-        if package_name(folder) != package:
-            continue
-        for place in _folders(folder):
-            kind = place.name.casefold().removesuffix("s")
-            for file in _sorted(_entries(place)) if kind in KINDS else ():
-                if file.suffix.casefold() == f".{kind}" and _alike(file.stem, name):
-                    proper = name if _INTERFACE.fullmatch(name) else proper_name(file.stem)
-                    wanted = folder / kind / f"{proper}.{kind}"
-                    if str(wanted) != str(file):
-                        return file, wanted
-    return None
-
-
 def proper_name(name: str) -> str:
     """Turn a name into the spelling that ROS 2 demands for interfaces.
 
@@ -104,10 +80,6 @@ def proper_name(name: str) -> str:
     """
     parts = re.split(r"[^A-Za-z0-9]+", name)
     return "".join(f"{part[:1].upper()}{part[1:]}" for part in parts)
-
-
-def _alike(one: str, other: str) -> bool:
-    return proper_name(one).casefold() == proper_name(other).casefold()
 
 
 def package_name(folder: Path) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from turtleact.interfaces import get_interface, load_interfaces, standard, type_hash
+from turtleact.interfaces.finders import Finders
 from turtleact.interfaces.types import REGISTRY, definition
 
 STANDARD = Path(standard.__file__).parent
@@ -19,7 +20,7 @@ SHIPPED = sorted(path.name for path in STANDARD.iterdir() if (path / "__init__.p
 def own_registry(monkeypatch):
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     with REGISTRY.isolated():
-        REGISTRY.prefixes = ()
+        REGISTRY.look_in(Finders())
         yield
 
 

@@ -14,6 +14,7 @@ import turtleact.actions  # noqa: F401  # for the interfaces that they declare
 from turtleact.commands import interfaces
 from turtleact.errors import UsageError
 from turtleact.interfaces import get_interface
+from turtleact.interfaces.finders import Finders
 from turtleact.interfaces.types import REGISTRY
 
 GOLDEN = json.loads(Path(__file__).with_name("golden").joinpath("verbs.json").read_text())
@@ -24,7 +25,7 @@ SHOWN = [case for case in GOLDEN if " interface show " in case["command"]]
 def own_registry(monkeypatch):
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     with REGISTRY.isolated():
-        REGISTRY.prefixes = ()
+        REGISTRY.look_in(Finders())
         yield
 
 
@@ -325,29 +326,6 @@ def test_an_unknown_interface_comes_with_what_to_do(
     ran = turtleact("interface", "show", type_name)
     assert (ran.status, ran.out) == (1, "")
     assert problem in ran.err
-
-
-@pytest.mark.parametrize(
-    ("type_name", "problem"),
-    [
-        (
-            "depot/action/Inventory",
-            ": rename depot/action/inventory.action to depot/action/Inventory.action\n",
-        ),
-        (
-            "depot/Inventory",
-            ": rename depot/action/inventory.action to depot/action/Inventory.action\n",
-        ),
-        ("depot/msg/Out", "did you mean 'geometry_msgs/"),
-    ],
-)
-def test_a_file_with_a_wrong_name_is_named_with_the_right_one(
-    turtleact, tmp_path, monkeypatch, type_name, problem
-):
-    put(tmp_path / "depot" / "action" / "inventory.action", "---\n---\n")
-    monkeypatch.chdir(tmp_path)
-    ran = turtleact("interface", "show", type_name)
-    assert (ran.status, "rename" in ran.err) == (1, problem in ran.err and "rename" in problem)
 
 
 def put(path, text):

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from turtleact.interfaces.finders import Finders
 from turtleact.interfaces.types import REGISTRY
 
 from ..conftest import COLLECTED
@@ -14,7 +15,7 @@ from ..conftest import COLLECTED
 @pytest.fixture(autouse=True)
 def own_registry() -> Iterator[None]:
     with REGISTRY.isolated():
-        REGISTRY.prefixes = ()
+        REGISTRY.look_in(Finders())
         for name in REGISTRY.names():  # what pages and examples have defined in this process
             if name.startswith("example_msgs/") and name not in COLLECTED:
                 REGISTRY.forget(name)

@@ -27,6 +27,7 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.classes import event_message, make_action, make_message, make_service
 from turtleact.interfaces.definition import ActionDefinition, ArrayForm, MessageDefinition
+from turtleact.interfaces.finders import Finders
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.standard import (
     UUID,
@@ -202,15 +203,15 @@ class Drill(Action, type_name="example_msgs/action/Drill"):
 
 
 @pytest.fixture(scope="module")
-def recorded_files() -> dict[str, str]:
+def golden_finders() -> Finders:
     with REGISTRY.isolated():
         load_interfaces(GOLDEN)
-        return dict(REGISTRY.files)
+        return REGISTRY.finders
 
 
 @pytest.fixture(autouse=True)
-def ros_is_known(own_registry: None, recorded_files: dict[str, str]) -> None:
-    REGISTRY.files.update(recorded_files)
+def ros_is_known(own_registry: None, golden_finders: Finders) -> None:
+    REGISTRY.look_in(golden_finders)
 
 
 # --- as in ROS ------------------------------------------------------------------------------

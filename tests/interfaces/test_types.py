@@ -12,6 +12,7 @@ import pytest
 from turtleact.errors import InvalidInterface
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.definition import MessageDefinition
+from turtleact.interfaces.finders import Finders, Workspace
 from turtleact.interfaces.standard import Point, Time
 from turtleact.interfaces.types import (
     Action,
@@ -411,9 +412,9 @@ def test_what_is_declared_in_an_isolated_block_is_forgotten():
     registry, sample = Registry(), sample_of(int32)
     with registry.isolated():
         registry.add(sample, definition(sample))
-        registry.prefixes = ("/opt/ros/jazzy",)
+        registry.look_in(Finders(workspace=Workspace(("/opt/ros/jazzy",))))
     assert not registry.names()
-    assert not registry.prefixes
+    assert registry.finders == Finders()
 
 
 @pytest.mark.parametrize(

@@ -58,8 +58,9 @@ def restart() -> NoReturn:
 
 def stamps_of(modules: Modules) -> Stamps:
     """Return the stamps of all files of the user's modules and interfaces."""
-    interfaces = (REGISTRY.nearby | REGISTRY.files).values()
-    own = {Path(each) for each in interfaces if modules.has(Path(each))}
+    finders = REGISTRY.finders
+    interfaces = (*finders.loaded.files.values(), *finders.nearby.files.values())
+    own = {each for each in interfaces if modules.has(each)}
     return {file: _stamp(file) for file in sorted(modules.files | own)}
 
 

@@ -1,21 +1,22 @@
 """Finds interfaces by name, or loads them from a file or text.
 
-``get_interface`` searches these places in order: classes declared in Python, folders given to
-``load_interfaces``, the ROS packages of ``load_workspace``, the files of ``offer_interfaces``, and
-the built-in classes in ``standard``. If a file has the same definition as a built-in class, the
-built-in class is used. A class is imported, or made from its text, when it is first used. In
-``turtleact.interfaces``, only this module opens files.
+``get_interface`` returns the class that exists already. If there is none, it asks the finders of
+``REGISTRY.finders`` in their order: folders given to ``load_interfaces``, the ROS packages of
+``load_workspace``, the files of ``offer_interfaces``, and the built-in classes in ``standard``. If
+a file has the same definition as a built-in class, the built-in class is used. A class is imported,
+or made from its text, when it is first used. In ``turtleact.interfaces``, only this module and
+``finders`` open files.
 """
 
 from __future__ import annotations
 
 import re
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from msgspec.structs import replace
+
 from turtleact.errors import InvalidInterface, UnknownInterface
-from turtleact.interfaces import standard
 from turtleact.interfaces.classes import (
     make_action,
     make_message,
@@ -31,9 +32,17 @@ from turtleact.interfaces.definition import (
     parts_of,
     type_name_pattern,
 )
+from turtleact.interfaces.finders import (
+    Files,
+    Workspace,
+    built_in_class,
+    built_in_file,
+    files_in,
+    name_of,
+)
 from turtleact.interfaces.parse import parse
-from turtleact.interfaces.types import REGISTRY, SHIPPED, Action, Message, Service, definition
-from turtleact.workspace import interface_files, proper_name
+from turtleact.interfaces.types import REGISTRY, Action, Message, Service, definition
+from turtleact.workspace import KINDS, interface_files, proper_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -83,8 +92,6 @@ __all__ = [
     "offer_interfaces",
     "package_texts",
 ]
-
-KINDS = ("msg", "srv", "action")
 
 #: Where a folder has packages: directly inside, in a ROS prefix, or in one of several prefixes.
 LAYOUTS = ("*", "share/*", "*/share/*")
@@ -187,9 +194,9 @@ def load_interfaces(folder: str | Path) -> tuple[str, ...]:
     may contain several prefixes, as colcon's ``install`` does. Inside a package, a file has the
     path ``KIND/NAME.EXT``.
 
-    A file is read at once if its interface already has a class, registered or built in. If the
-    class has another definition, the file replaces it. Any other file is read when its interface is
-    first used.
+    A file is read at once if its interface already has a class that the program declared or loaded.
+    If the class has another definition, the file replaces it. Any other file is read when its
+    interface is first used.
 
     Raises:
         InvalidInterface: if the folder does not exist, a file's name is not an interface name, or a
@@ -200,12 +207,12 @@ def load_interfaces(folder: str | Path) -> tuple[str, ...]:
         raise InvalidInterface("no such folder", source=str(folder))
     found = interface_files(root)
     found |= {file_name(path): path for path in files_in(root, *LAYOUTS)}
+    finders = REGISTRY.finders
+    REGISTRY.look_in(replace(finders, loaded=Files({**finders.loaded.files, **found})))
     for name, path in found.items():
-        # A built-in class is imported now; later it would not be compared with the file.
-        held = REGISTRY.get(name) or shipped_class(name)
+        held = REGISTRY.get(name)
         if held is not None and parse(read(path), name, source=str(path)) != definition(held):
             REGISTRY.forget(name)
-    REGISTRY.files.update({name: str(path) for name, path in found.items()})
     return tuple(sorted(found))
 
 
@@ -222,8 +229,9 @@ def load_workspace(*prefixes: str | Path) -> None:
             ignored.
     """
     added = [str(prefix) for prefix in prefixes if prefix]
-    REGISTRY.prefixes = tuple(dict.fromkeys((*REGISTRY.prefixes, *added)))
-    REGISTRY.settled.clear()
+    finders = REGISTRY.finders
+    folders = tuple(dict.fromkeys((*finders.workspace.prefixes, *added)))
+    REGISTRY.look_in(replace(finders, workspace=Workspace(folders)))
 
 
 def offer_interfaces(
@@ -238,15 +246,13 @@ def offer_interfaces(
         files: The file of each interface, by type name.
         on_use: Called with the type name and the file whenever a file is used for the first time.
     """
-    REGISTRY.nearby.update({name: str(path) for name, path in files.items()})
-    REGISTRY.on_nearby = on_use
-    REGISTRY.settled.clear()
+    finders = REGISTRY.finders
+    REGISTRY.look_in(replace(finders, nearby=Files({**finders.nearby.files, **files}, on_use)))
 
 
 def known_interfaces() -> tuple[str, ...]:
     """Return the names of all available interfaces, without derived types such as ``NAME_Goal``."""
-    files = {*REGISTRY.files, *REGISTRY.nearby}
-    names = {*REGISTRY.names(), *files, *shipped_names(), *installed_names()}
+    names = set(REGISTRY.names()).union(*(finder.names() for finder in REGISTRY.finders))
     return tuple(sorted(name for name in names if owner_and_part(name)[0] not in names))
 
 
@@ -287,9 +293,11 @@ def authored_text(cls: Interface) -> str:
         InvalidInterface: if a file of this name is malformed.
     """
     said, name = definition(cls), cls.type_name
-    for file in (given(name), installed(name), nearby(name), shipped(name)):
-        text = "" if file is None else read(file)
-        if file is not None and parse(text, name, source=str(file)) == said:
+    found = [finder.find(name) for finder in REGISTRY.finders]
+    own = [file for file in found if file is not None and not isinstance(file, type)]
+    for file in filter(None, [*own, built_in_file(name)]):
+        text = read(file)
+        if parse(text, name, source=str(file)) == said:
             return text
     return ""
 
@@ -333,7 +341,7 @@ def used_packages(type_name: str) -> set[str]:
 def ships(package: str, known: tuple[str, ...]) -> bool:
     """Whether every known interface of a package is also built in, with the same definition."""
     for name in (name for name in known if name.startswith(f"{package}/")):
-        file = shipped(name)
+        file = built_in_file(name)
         if file is None or parse(read(file), name) != definition(get_interface(name)):
             return False
     return True
@@ -347,7 +355,13 @@ def class_of(definition: Definition) -> Interface:
     Raises:
         InvalidInterface: if the definition uses an unknown message, or a message contains itself.
     """
-    return build(definition, ())
+    return same_built_in(definition) or build(definition, ())
+
+
+def same_built_in(wanted: Definition) -> Interface | None:
+    """Return the built-in class of that name if it has the same definition, or None."""
+    found = built_in_class(wanted.type_name)
+    return found if found is not None and definition(found) == wanted else None
 
 
 def build(definition: Definition, making: tuple[str, ...]) -> Interface:
@@ -379,63 +393,46 @@ def look_up(type_name: str, making: tuple[str, ...]) -> Interface | None:
     owner, part = owner_and_part(type_name)
     found = part_of(look_up(owner, making), part) if part else None
     found = found or REGISTRY.get(type_name)
-    if found is not None and not may_be_replaced(found, type_name):
+    if found is None:
+        found = found_by_finders(type_name, making)
+    return found
+
+
+def found_by_finders(type_name: str, making: tuple[str, ...]) -> Interface | None:
+    """Return the class that the first finder gives, and register it; None if no finder has one."""
+    for finder in REGISTRY.finders:
+        found = finder.find(type_name)
+        if found is None:
+            continue
+        if not isinstance(found, type):
+            on_use = finder.on_use if isinstance(finder, Files) else None
+            found = made_from(found, type_name, making, on_use)
+        REGISTRY.add(found, definition(found))
         return found
-    file = None if found is not None else given(type_name)
-    if file is None:
-        found = found or shipped_class(type_name)
-        file = other_file(type_name, found)
-    return found if file is None else built_from(file, type_name, making)
+    return None
 
 
-def may_be_replaced(found: Interface, type_name: str) -> bool:
-    """Whether the class found for a type may still be replaced by a class made from a file.
-
-    Only a built-in class can be replaced, and only until it has been compared with a file.
-    """
-    if not (REGISTRY.prefixes or REGISTRY.nearby) or type_name in REGISTRY.settled:
-        return False
-    return found.__module__.startswith(SHIPPED)
-
-
-def other_file(type_name: str, held: Interface | None) -> Traversable | None:
-    """Find the file that `load_workspace` or `offer_interfaces` provides for an interface.
-
-    The result is None if there is no file, or if the file does not differ from ``held``.
-
-    Args:
-        type_name: The full name of the interface.
-        held: The built-in class of that name, or None. If the class and the file have the same
-            definition, the class stays registered, and the function returns None. Otherwise, the
-            registry forgets the class.
-
-    Raises:
-        InvalidInterface: if ``held`` is not None and the file is malformed.
-    """
-    file, on_use = installed(type_name), None
-    if file is None:
-        file, on_use = nearby(type_name), REGISTRY.on_nearby
-    if held is not None:
-        same = file is None or parse(read(file), type_name, source=str(file)) == definition(held)
-        if same:
-            REGISTRY.settled.add(type_name)
-            return None
-        REGISTRY.forget(type_name)
-    if file is not None and on_use is not None:
-        on_use(type_name, str(file))
-    return file
-
-
-def built_from(file: Traversable, type_name: str, making: tuple[str, ...]) -> Interface:
-    """Make the class of an interface from its file.
+def made_from(
+    file: Traversable,
+    type_name: str,
+    making: tuple[str, ...],
+    on_use: Callable[[str, str], object] | None,
+) -> Interface:
+    """Make the class of an interface from its file, or return the built-in class that equals it.
 
     Raises:
         InvalidInterface: if the file is malformed or uses an unknown message. The error names the
             line.
     """
     text = read(file)
+    said = parse(text, type_name, source=str(file))
+    built_in = same_built_in(said)
+    if built_in is not None:
+        return built_in
+    if on_use is not None:
+        on_use(type_name, str(file))
     try:
-        return build(parse(text, type_name, source=str(file)), making)
+        return build(said, making)
     except InvalidInterface as error:
         unknown = error.__cause__
         if error.line or not isinstance(unknown, UnknownInterface):
@@ -449,19 +446,6 @@ def built_from(file: Traversable, type_name: str, making: tuple[str, ...]) -> In
         raise InvalidInterface(
             str(unknown), source=str(file), line=number, column=column, text=line
         ) from unknown
-
-
-def shipped_class(type_name: str) -> Interface | None:
-    """Return the built-in class with this full name, or None if there is none."""
-    package, kind, name = type_name.split("/")
-    try:
-        module = import_module(f"{standard.__name__}.{package}.{kind}")
-    except ModuleNotFoundError:
-        return None
-    found: Interface | None = vars(module).get(name) if name in module.__all__ else None
-    if found is not None:
-        REGISTRY.add(found, definition(found))
-    return found
 
 
 def first_found(type_name: str, kinds: tuple[str, ...]) -> Interface:
@@ -535,7 +519,8 @@ def suggestion(type_name: str) -> str:
     if near := nearest(name, by_name):
         return by_name[near]
     same = [each for each in known if _last(each) == name]
-    declared = [each for each in of_kind if each in REGISTRY.files or each in REGISTRY.nearby]
+    own_files = {*REGISTRY.finders.loaded.files, *REGISTRY.finders.nearby.files}
+    declared = [each for each in of_kind if each in own_files]
     if len(declared) == 1 and not (same and package[1:] == ["msg"]):
         return declared[0]
     if same:
@@ -578,22 +563,6 @@ def as_path(source: str | Path) -> Path | None:
     return Path(source) if is_path else None
 
 
-def files_in(root: Path, *layouts: str) -> list[Path]:
-    """Return the interface files under a folder.
-
-    The layouts are glob patterns for the folders of packages, relative to ``root``.
-    """
-    patterns = [f"{packages}/{kind}/*.{kind}" for packages in layouts for kind in KINDS]
-    return [path for pattern in patterns for path in sorted(root.glob(pattern))]
-
-
-def name_of(path: Path) -> str:
-    """Return the full name of an interface, derived from its file's path, or an empty string."""
-    package, kind, _ = ("", "", "", *path.absolute().parts)[-3:]
-    name = f"{package}/{kind}/{path.stem}"
-    return name if type_name_pattern.fullmatch(name) and path.suffix == f".{kind}" else ""
-
-
 def file_name(path: Path) -> str:
     """Return the full name of an interface, derived from its file's path.
 
@@ -629,68 +598,3 @@ def read(file: Traversable) -> str:
         return file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInterface(f"cannot be read: {error}", source=str(file)) from error
-
-
-def given(type_name: str) -> Traversable | None:
-    """Return the file that `load_interfaces` has found for an interface, or None."""
-    path = REGISTRY.files.get(type_name)
-    return None if path is None else Path(path)
-
-
-def nearby(type_name: str) -> Traversable | None:
-    """Return the file that a caller passed to `offer_interfaces` for an interface, or None."""
-    path = REGISTRY.nearby.get(type_name)
-    return None if path is None else Path(path)
-
-
-def shipped(type_name: str) -> Traversable | None:
-    """Return the built-in file of an interface, or None."""
-    package, kind, name = type_name.split("/")
-    file = shipped_files().joinpath(package, kind, f"{name}.{kind}")
-    return file if is_there(file) else None
-
-
-def shipped_files() -> Traversable:
-    """Return the folder that contains the files of the built-in interfaces."""
-    from importlib import resources  # slow to import
-
-    return resources.files(standard)
-
-
-def shipped_names() -> set[str]:
-    """Return the names of the built-in interfaces."""
-    root = shipped_files()
-    kinds = [
-        (package.name, kind)
-        for package in root.iterdir()
-        if package.is_dir()
-        for kind in package.iterdir()
-        if kind.name in KINDS
-    ]
-    return {
-        f"{package}/{kind.name}/{file.name.removesuffix(f'.{kind.name}')}"
-        for package, kind in kinds
-        for file in kind.iterdir()
-    }
-
-
-def installed(type_name: str) -> Traversable | None:
-    """Return the file of an interface in an installed ROS package, or None."""
-    package, kind, name = type_name.split("/")
-    places = [Path(prefix, "share", package, kind) for prefix in REGISTRY.prefixes]
-    files = (place / f"{name}.{kind}" for place in places)
-    return next((file for file in files if is_there(file)), None)
-
-
-def is_there(file: Traversable) -> bool:
-    """Whether a file exists. The result is false if the file's name is too long for the system."""
-    try:
-        return file.is_file()
-    except OSError:
-        return False
-
-
-def installed_names() -> set[str]:
-    """Return the names of the interfaces of installed ROS packages."""
-    files = [path for prefix in REGISTRY.prefixes for path in files_in(Path(prefix), "share/*")]
-    return {name_of(path) for path in files} - {""}

@@ -74,6 +74,7 @@ from turtleact.interfaces.definition import (
     did_you_mean,
     zero,
 )
+from turtleact.interfaces.finders import BUILT_IN, Finders
 from turtleact.interfaces.values import converter, describe
 
 if TYPE_CHECKING:
@@ -141,36 +142,41 @@ class Shape(msgspec.Struct, frozen=True):
 
 
 class Registry:
-    """Keeps interface classes by type name, and the files from which more classes can be made.
+    """Keeps interface classes by type name, and the places where more are looked for.
 
     A class statement with a type name registers its class here. If a class of that name with an
     equal definition is already known, the known class stays, so that ``get_interface`` always
-    returns the same class. If the definitions differ, later look-ups find the new class. However, a
-    built-in class never replaces a user's class.
+    returns the same class. If the definitions differ, later look-ups find the new class. A built-in
+    class registers only when a look-up has found it, because every finder goes before it.
 
     Attributes:
-        files: The interface files that `load_interfaces` has found, by type name.
-        prefixes: The folders where ROS packages are installed, in order of precedence.
-        nearby: The interface files that were given to `offer_interfaces`, by type name.
-        on_nearby: Called with the type name and the file when a file of ``nearby`` is first used.
-        settled: The names of the built-in interfaces that need no further comparison with files,
-            because no file had another definition.
+        finders: The places, in order. `look_in` replaces them.
     """
 
     def __init__(self) -> None:
         self._known: dict[str, tuple[Interface, Definition]] = {}
-        self.files: dict[str, str] = {}
-        self.prefixes: tuple[str, ...] = ()
-        self.nearby: dict[str, str] = {}
-        self.on_nearby: Callable[[str, str], object] | None = None
-        self.settled: set[str] = set()
+        self.finders = Finders()
+
+    def look_in(self, finders: Finders) -> None:
+        """Replace the finders, and look again for interfaces that the last one has found."""
+        self.finders = finders
+        self._known = {
+            name: held
+            for name, held in self._known.items()
+            if not held[0].__module__.startswith(BUILT_IN)
+        }
+
+    def declare(self, interface: Interface) -> None:
+        """Register the class of a class statement, unless it is built in."""
+        if not interface.__module__.startswith(BUILT_IN):
+            self.add(interface, definition(interface))
 
     def add(self, interface: Interface, definition: Definition) -> None:
         """Register a class."""
         name = definition.type_name
         held = self._known.get(name)
         if held is not None:
-            if held[1] == definition or interface.__module__.startswith(SHIPPED):
+            if held[1] == definition:
                 return
             self.forget(name)
         self._known[name] = (interface, definition)
@@ -213,12 +219,9 @@ class Registry:
             self.restore(kept)
 
 
-#: The package with the built-in classes.
-SHIPPED = "turtleact.interfaces.standard."
-
 #: The only registry of the process. It is global because a class statement has no other place to
-#: register its class, just as modules register in ``sys.modules``. It holds only classes, files and
-#: folders, nothing that belongs to a node or event loop. `Registry.isolated` resets it.
+#: register its class, just as modules register in ``sys.modules``. It holds only classes and
+#: finders, nothing that belongs to a node or event loop. `Registry.isolated` resets it.
 REGISTRY = Registry()
 
 
@@ -251,7 +254,7 @@ class MessageMeta(msgspec.StructMeta):
         cls._shape = shape
         if type_name:
             message = cast("type[Message]", cls)
-            REGISTRY.add(message, definition(message))
+            REGISTRY.declare(message)
         return cls
 
     @property
@@ -436,9 +439,9 @@ def declare(cls: type[Service] | type[Action], type_name: str, *, base: type, ki
     check_strays(cls, PARTS[kind])
     parts = [named_part(cls, part) for part in PARTS[kind]]
     # The whole comes first, because a changed definition drops everything under the old name.
-    REGISTRY.add(cls, definition(cls))
+    REGISTRY.declare(cls)
     for part in parts:
-        REGISTRY.add(part, definition(part))
+        REGISTRY.declare(part)
 
 
 def named_part(cls: type[Service] | type[Action], part: str) -> type[Message]:

@@ -1,0 +1,178 @@
+"""The places where interfaces are looked for, in order.
+
+`Finders` is the list of places. Each finder gives the class of an interface, or the file from which
+the class can be made. A class that already exists goes before all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import msgspec
+
+from turtleact.interfaces.definition import type_name_pattern
+from turtleact.workspace import KINDS
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
+    from turtleact.interfaces.types import Interface
+
+__all__ = [
+    "BUILT_IN",
+    "Files",
+    "Finder",
+    "Finders",
+    "Workspace",
+    "built_in_class",
+    "built_in_file",
+    "files_in",
+    "name_of",
+]
+
+
+class Finder(Protocol):
+    """One place where interfaces are looked for."""
+
+    def find(self, type_name: str) -> Interface | Traversable | None:
+        """Return an interface's class, or the file from which it can be made, or None."""
+
+    def names(self) -> Iterable[str]:
+        """Return the names of the interfaces in this place."""
+
+
+class Files(msgspec.Struct, frozen=True):
+    """Files whose paths are known.
+
+    Attributes:
+        files: The file of each interface, by type name.
+        on_use: Called with the type name and the file when a class is made from the file.
+    """
+
+    files: Mapping[str, Path] = {}
+    on_use: Callable[[str, str], object] | None = None
+
+    def find(self, type_name: str) -> Traversable | None:
+        """Return an interface's file, or None."""
+        return self.files.get(type_name)
+
+    def names(self) -> Iterable[str]:
+        """Return the names of all files."""
+        return self.files
+
+
+class Workspace(msgspec.Struct, frozen=True):
+    """Installed ROS packages: the files ``share/PACKAGE/KIND/NAME.EXT`` in several folders.
+
+    Attributes:
+        prefixes: The folders, in order of precedence.
+    """
+
+    prefixes: tuple[str, ...] = ()
+
+    def find(self, type_name: str) -> Traversable | None:
+        """Return an interface's file in the first folder that has one, or None."""
+        package, kind, name = type_name.split("/")
+        places = [Path(prefix, "share", package, kind) for prefix in self.prefixes]
+        files = (place / f"{name}.{kind}" for place in places)
+        try:
+            return next((file for file in files if file.is_file()), None)
+        except OSError:  # the name is too long for the system
+            return None
+
+    def names(self) -> Iterable[str]:
+        """Return the names of all files in these folders."""
+        files = [path for prefix in self.prefixes for path in files_in(Path(prefix), "share/*")]
+        return {name_of(path) for path in files} - {""}
+
+
+class BuiltIn(msgspec.Struct, frozen=True):
+    """The generated classes in ``turtleact.interfaces.standard``."""
+
+    def find(self, type_name: str) -> Interface | None:
+        """Return the class of an interface, or None."""
+        return built_in_class(type_name)
+
+    def names(self) -> Iterable[str]:
+        """Return the names of the files beside the generated classes."""
+        root = built_in_files()
+        kinds = [
+            (package.name, kind)
+            for package in root.iterdir()
+            if package.is_dir()
+            for kind in package.iterdir()
+            if kind.name in KINDS
+        ]
+        return {
+            f"{package}/{kind.name}/{file.name.removesuffix(f'.{kind.name}')}"
+            for package, kind in kinds
+            for file in kind.iterdir()
+        }
+
+
+BUILT_IN = "turtleact.interfaces.standard"
+"""The package with the built-in interfaces."""
+
+
+class Finders(msgspec.Struct, frozen=True):
+    """All finders, in the order in which they are asked.
+
+    Attributes:
+        loaded: The files of `load_interfaces`.
+        workspace: The folders of `load_workspace`.
+        nearby: The files of `offer_interfaces`.
+        built_in: What turtleact contains.
+    """
+
+    loaded: Files = Files()
+    workspace: Workspace = Workspace()
+    nearby: Files = Files()
+    built_in: BuiltIn = BuiltIn()
+
+    def __iter__(self) -> Iterator[Finder]:
+        """Yield the finders, the first one first."""
+        return iter((self.loaded, self.workspace, self.nearby, self.built_in))
+
+
+def built_in_class(type_name: str) -> Interface | None:
+    """Return the built-in class with this full name, or None if there is none."""
+    package, kind, name = type_name.split("/")
+    try:
+        module = import_module(f"{BUILT_IN}.{package}.{kind}")
+    except ModuleNotFoundError:
+        return None
+    found: Interface | None = vars(module).get(name) if name in module.__all__ else None
+    return found
+
+
+def built_in_file(type_name: str) -> Traversable | None:
+    """Return the built-in file of an interface, or None."""
+    package, kind, name = type_name.split("/")
+    file = built_in_files().joinpath(package, kind, f"{name}.{kind}")
+    return file if file.is_file() else None
+
+
+def built_in_files() -> Traversable:
+    """Return the folder that contains the files of the built-in interfaces."""
+    from importlib import resources  # slow to import
+
+    return resources.files(BUILT_IN)
+
+
+def files_in(root: Path, *layouts: str) -> list[Path]:
+    """Return the interface files under a folder.
+
+    The layouts are glob patterns for the folders of packages, relative to ``root``.
+    """
+    patterns = [f"{packages}/{kind}/*.{kind}" for packages in layouts for kind in KINDS]
+    return [path for pattern in patterns for path in sorted(root.glob(pattern))]
+
+
+def name_of(path: Path) -> str:
+    """Return the full name of an interface, derived from its file's path, or an empty string."""
+    package, kind, _ = ("", "", "", *path.absolute().parts)[-3:]
+    name = f"{package}/{kind}/{path.stem}"
+    return name if type_name_pattern.fullmatch(name) and path.suffix == f".{kind}" else ""
