@@ -20,6 +20,7 @@ from turtleact.node.parameter_rules import (
     KINDS,
     ParameterTable,
     descriptor_of,
+    fitted,
     message_of,
     out_of_range,
     value_of,
@@ -243,3 +244,21 @@ def test_a_parameter_is_declared_once():
 def test_a_check_decides_about_the_first_value_too():
     with pytest.raises(InvalidParameter, match=r"^parameter 'x': no$"):
         table().declare(descriptor_of("x", 2), message_of("x", 1), lambda _: "no")
+
+
+@together
+@pytest.mark.parametrize(
+    ("value", "kind", "held"),
+    [
+        (1, 3, 1.0),
+        ([1, 2], 8, [1.0, 2.0]),
+        ([1, 255], 5, b"\x01\xff"),
+        ([1, 256], 5, [1, 256]),
+        ([], 9, []),
+        ([], 4, []),
+        ("fast", 2, "fast"),
+        (True, 2, True),
+    ],
+)
+def test_a_value_of_json_takes_the_kind_of_its_parameter_if_it_fits(value, kind, held):
+    assert value_of(fitted("it", value, kind)) == held

@@ -16,9 +16,7 @@ article "ROS Command Line Arguments" and rcl_yaml_param_parser for initial value
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar, cast
-
-import msgspec
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from turtleact.commands.message_text import read_text_file
 from turtleact.commands.output import note, say_names
@@ -38,7 +36,13 @@ from turtleact.interfaces.standard import (
     SetParametersResult,
 )
 from turtleact.interfaces.text import Document, block, tree_of
-from turtleact.node.parameter_rules import flattened, message_of, out_of_range, value_of
+from turtleact.node.parameter_rules import (
+    KINDS,
+    fitted,
+    flattened,
+    out_of_range,
+    value_of,
+)
 from turtleact.tasks.clock import within
 
 if TYPE_CHECKING:
@@ -55,7 +59,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BELOW",
-    "KINDS",
     "WILDCARD",
     "Owner",
     "delete",
@@ -167,9 +170,14 @@ async def print_value(node: Node, owner: Owner, name: str, *, hide_type: bool) -
     """
     who = await _find(node, owner)
     [value] = await _values(node, who, [name])
-    kind = KINDS.get(value.type)
-    label, shown = ("Parameter not set.", None) if kind is None else (kind.label, plain(value))
-    say_names(f"{shown}\n" if hide_type else f"{label}\n" if kind is None else f"{label} {shown}\n")
+    shown = plain(value)
+    if hide_type:
+        say_names(f"{shown}\n")
+    elif shown is None:
+        say_names("Parameter not set.\n")
+    else:
+        word, _, is_array = kind_name(value.type).capitalize().partition(" ")
+        say_names(f"{word} {'values are' if is_array else 'value is'}: {shown}\n")
     return DONE
 
 
@@ -258,54 +266,6 @@ BELOW = "ros__parameters"
 """The key that holds a node's parameters in a file of parameters."""
 
 
-class Kind(NamedTuple):
-    """A type of parameter.
-
-    Attributes:
-        field: The field of ``ParameterValue`` that holds the value.
-        name: The name of the type.
-        label: The text that is printed before a value.
-    """
-
-    field: str
-    name: str
-    label: str
-
-
-KINDS: Final = {
-    ParameterType.PARAMETER_BOOL: Kind("bool_value", "boolean", "Boolean value is:"),
-    ParameterType.PARAMETER_INTEGER: Kind("integer_value", "integer", "Integer value is:"),
-    ParameterType.PARAMETER_DOUBLE: Kind("double_value", "double", "Double value is:"),
-    ParameterType.PARAMETER_STRING: Kind("string_value", "string", "String value is:"),
-    ParameterType.PARAMETER_BYTE_ARRAY: Kind("byte_array_value", "byte array", "Byte values are:"),
-    ParameterType.PARAMETER_BOOL_ARRAY: Kind(
-        "bool_array_value", "boolean array", "Boolean values are:"
-    ),
-    ParameterType.PARAMETER_INTEGER_ARRAY: Kind(
-        "integer_array_value", "integer array", "Integer values are:"
-    ),
-    ParameterType.PARAMETER_DOUBLE_ARRAY: Kind(
-        "double_array_value", "double array", "Double values are:"
-    ),
-    ParameterType.PARAMETER_STRING_ARRAY: Kind(
-        "string_array_value", "string array", "String values are:"
-    ),
-}
-
-SINGLE: Final = {
-    bool: ParameterType.PARAMETER_BOOL,
-    int: ParameterType.PARAMETER_INTEGER,
-    float: ParameterType.PARAMETER_DOUBLE,
-    str: ParameterType.PARAMETER_STRING,
-}
-"""The parameter type of a single value, by Python type.
-
-To get the type number of a list, add `ARRAY` to the type number of its elements.
-"""
-
-ARRAY: Final = ParameterType.PARAMETER_BOOL_ARRAY - ParameterType.PARAMETER_BOOL
-
-
 def parameter_value(text: str) -> ParameterValue:
     """Parse the text of a parameter's value.
 
@@ -359,8 +319,7 @@ def plain(value: ParameterValue) -> object:
 
 def kind_name(number: int) -> str:
     """Return the name of the parameter type with a given number."""
-    kind = KINDS.get(number)
-    return "not set" if kind is None else kind.name
+    return KINDS[number].name if number < len(KINDS) else "not set"
 
 
 def read_overrides(files: Sequence[str], assignments: Sequence[str]) -> list[Override]:
@@ -531,33 +490,17 @@ async def _set_again(
     # ROS 2 refuses an integer for a double, although ``2`` can mean nothing else. The node is asked
     # for the parameter's type only after it has refused, so all other cases cost one call.
     [known] = await _described(node, owner, [parameter.name])
-    value = _of_type(parameter.value, known.type)
+    value, given = parameter.value, value_of(parameter.value)
+    if given is not None:  # otherwise it was to be deleted
+        value = fitted(parameter.name, given, known.type)
     result = refusal
-    if value is not parameter.value:
+    if value != parameter.value:
         request = SetParameters.Request([Parameter(parameter.name, value)])
         [result] = (await _ask(node, SetParameters, owner, request)).results
     taken = "" if result.successful else out_of_range(known, value) or _quoted(value, known.type)
     if taken[1:] not in result.reason:
         result.reason = f"{result.reason.rstrip('.')}: {taken}" if result.reason else taken
     return result
-
-
-def _of_type(value: ParameterValue, kind: int) -> ParameterValue:
-    """Convert a value to its parameter's type. If the type does not fit, return the value as it is.
-
-    An integer can become a double. A list of integers from 0 to 255 can become a byte array. An
-    empty list can become an array of any type.
-    """
-    plain: object = value_of(value)
-    if value.type == kind or plain is None:
-        return value
-    try:
-        if kind == ParameterType.PARAMETER_BYTE_ARRAY:
-            is_numbers = value.type == ParameterType.PARAMETER_INTEGER_ARRAY or plain == []
-            plain = bytes(cast("list[int]", plain)) if is_numbers else plain
-        return message_of("", plain, kind)
-    except (InvalidParameter, ValueError):  # bytes() refuses numbers over 255
-        return value
 
 
 def _quoted(value: ParameterValue, kind: int) -> str:
@@ -607,15 +550,14 @@ def _insert(tree: dict[str, object], name: str, value: object) -> None:
 
 def _message(value: object, where: str) -> ParameterValue:
     """Convert a Python value to a ``ParameterValue``."""
-    items = value if isinstance(value, list) else [value]
-    kinds = {type(item) for item in items} or {bool}  # as rclpy takes an empty list
-    number = SINGLE.get(kinds.pop())
-    if number is None or kinds:
+    kinds = {type(item) for item in value} if isinstance(value, list) else set()
+    try:
+        if kinds == {int, float}:
+            raise InvalidParameter(where, "its numbers are of two kinds")
+        return fitted(where, value, ParameterType.PARAMETER_NOT_SET)
+    except InvalidParameter:
         problem = "a bool, a number, text, or a list of values of one kind"
-        raise UsageError(f"{where}: a parameter is {problem}, not {value!r}")
-    if isinstance(value, list):
-        number += ARRAY
-    return msgspec.structs.replace(ParameterValue(number), **{KINDS[number].field: value})
+        raise UsageError(f"{where}: a parameter is {problem}, not {value!r}") from None
 
 
 def _assignment(text: str) -> Override:

@@ -49,6 +49,7 @@ __all__ = [
     "ParameterTable",
     "Value",
     "descriptor_of",
+    "fitted",
     "flattened",
     "is_listed",
     "message_of",
@@ -73,26 +74,28 @@ class Kind(NamedTuple):
 
     Attributes:
         word: rclcpp's name for the kind.
+        name: ros2cli's name for the kind.
         field: The field of ``ParameterValue`` that holds the value.
         expected: A description of the Python values of this kind, for error messages.
     """
 
     word: str
+    name: str
     field: str
     expected: str
 
 
 KINDS: Final = (
-    Kind("not set", "", "nothing"),
-    Kind("bool", "bool_value", "True or False"),
-    Kind("integer", "integer_value", "a whole number"),
-    Kind("double", "double_value", "a number"),
-    Kind("string", "string_value", "a string"),
-    Kind("byte_array", "byte_array_value", "bytes"),
-    Kind("bool_array", "bool_array_value", "a list of bools"),
-    Kind("integer_array", "integer_array_value", "a list of whole numbers"),
-    Kind("double_array", "double_array_value", "a list of numbers"),
-    Kind("string_array", "string_array_value", "a list of strings"),
+    Kind("not set", "not set", "", "nothing"),
+    Kind("bool", "boolean", "bool_value", "True or False"),
+    Kind("integer", "integer", "integer_value", "a whole number"),
+    Kind("double", "double", "double_value", "a number"),
+    Kind("string", "string", "string_value", "a string"),
+    Kind("byte_array", "byte array", "byte_array_value", "bytes"),
+    Kind("bool_array", "boolean array", "bool_array_value", "a list of bools"),
+    Kind("integer_array", "integer array", "integer_array_value", "a list of whole numbers"),
+    Kind("double_array", "double array", "double_array_value", "a list of numbers"),
+    Kind("string_array", "string array", "string_array_value", "a list of strings"),
 )
 """The kinds of values, by the numbers of ``ParameterType``."""
 
@@ -280,6 +283,29 @@ def message_of(name: str, value: object, kind: int = _NOT_SET) -> ParameterValue
         return snapshotter(ParameterValue)(made)
     except InvalidMessage as misfit:
         raise InvalidParameter(name, misfit.problem) from None
+
+
+def fitted(name: str, value: object, kind: int) -> ParameterValue:
+    """Return a value of JSON or YAML as a message of a parameter's kind, or else of its own kind.
+
+    These formats write 1 for 1.0 and a list of numbers for bytes, and their empty lists may be of
+    any kind.
+
+    Args:
+        name: The parameter's name, for error messages.
+        value: The value.
+        kind: The number of the parameter's kind.
+
+    Raises:
+        InvalidParameter: if parameters cannot have this value.
+    """
+    try:
+        is_bytes = kind == _BYTES and isinstance(value, list)
+        return message_of(name, bytes(cast("list[int]", value)) if is_bytes else value, kind)
+    except (InvalidParameter, TypeError, ValueError):  # bytes() refuses text and numbers over 255
+        if value == []:  # rclpy takes an empty list for bools
+            return ParameterValue(ParameterType.PARAMETER_BOOL_ARRAY)
+        return message_of(name, value)
 
 
 def _kind_of(value: object) -> int:

@@ -20,20 +20,20 @@ from typing import Any, Final, Protocol, TypeAlias, TypeVar, cast
 
 import msgspec
 
-from turtleact.errors import InvalidMessage, ServerUnavailable, TurtleactError
-from turtleact.interfaces import Message, fields, from_dict, interface_text, known_interfaces
+from turtleact.errors import InvalidMessage, InvalidParameter, ServerUnavailable, TurtleactError
+from turtleact.interfaces import Message, fields, interface_text, known_interfaces
 from turtleact.interfaces.definition import ArrayForm, Field, did_you_mean
 from turtleact.interfaces.standard import (
     GetParameters,
     ListParameters,
     Parameter,
-    ParameterType,
     ParameterValue,
     SetParameters,
     SetParametersResult,
 )
 from turtleact.interfaces.types import constants, nested_classes
 from turtleact.node import Node
+from turtleact.node.parameter_rules import fitted, value_of
 from turtleact.services import ServiceType
 from turtleact.transports.base import EndpointKind
 from turtleact.web.name_lookup import (
@@ -71,25 +71,6 @@ Res = TypeVar("Res", bound=Message)
 LIST: Final = "/list_parameters"
 MOST_PARAMETERS: Final = 1000
 LONGEST_PARAMETER: Final = 2**16
-
-FIELDS: Final = {number: field.name for number, field in enumerate(fields(ParameterValue))}
-"""The field that holds a value, by the numbers of ``ParameterType``."""
-
-KINDS: Final[dict[int, tuple[bool, type]]] = {
-    ParameterType.PARAMETER_BOOL: (False, bool),
-    ParameterType.PARAMETER_INTEGER: (False, int),
-    ParameterType.PARAMETER_DOUBLE: (False, float),
-    ParameterType.PARAMETER_STRING: (False, str),
-    ParameterType.PARAMETER_BOOL_ARRAY: (True, bool),
-    ParameterType.PARAMETER_INTEGER_ARRAY: (True, int),
-    ParameterType.PARAMETER_BYTE_ARRAY: (True, int),
-    ParameterType.PARAMETER_DOUBLE_ARRAY: (True, float),
-    ParameterType.PARAMETER_STRING_ARRAY: (True, str),
-}
-"""For each kind of value, whether it is a list, and the type of its items.
-
-Likelier kinds come first.
-"""
 
 PROBLEM: Final = "expected true, false, a number, text, or a list of one of these"
 
@@ -333,9 +314,9 @@ class Parameters:
         if ":" not in name:
             return self._own.get(name)
         held = await self._held(name)
-        if held.type not in FIELDS or held.type == ParameterType.PARAMETER_NOT_SET:
+        value = value_of(held)
+        if value is None:
             return None
-        value = getattr(held, FIELDS[held.type])
         return msgspec.json.encode(list(value) if isinstance(value, bytes) else value).decode()
 
     async def _held(self, name: str) -> ParameterValue:
@@ -440,31 +421,17 @@ def _get_ros_version() -> Values:
 
 
 def _as_parameter(value: object, declared: int) -> ParameterValue:
-    """Turn a value from JSON into a parameter value.
-
-    JSON does not distinguish 1 from 1.0, and an empty list has no item type. In these cases, the
-    value gets the type that the node has declared.
+    """Turn a value from JSON into a parameter value, of the declared kind if possible.
 
     Raises:
         InvalidMessage: if no type of parameter can hold the value.
     """
     if value is None:
         return ParameterValue()
-    is_list = isinstance(value, list)
-    kinds = {type(each) for each in cast("list[object]", value if is_list else [value])}
-    if kinds == {int, float}:
-        kinds = {float}
-    fitting = [
-        number
-        for number, (is_array, element) in KINDS.items()
-        if is_array == is_list and (kinds <= {element} or (kinds == {int} and element is float))
-    ]
-    if not fitting:
-        raise InvalidMessage("args.value", PROBLEM)
-    # JSON has one kind of number, and an empty list has no kind, so the kind that the node has
-    # declared decides.
-    kind = declared if declared in fitting else fitting[0]
-    return from_dict(ParameterValue, {"type": kind, FIELDS[kind]: value}, root="args")
+    try:
+        return fitted("args.value", value, declared)
+    except InvalidParameter:
+        raise InvalidMessage("args.value", PROBLEM) from None
 
 
 def _with_nested(cls: type[Message]) -> list[type[Message]]:
