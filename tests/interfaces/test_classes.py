@@ -385,14 +385,14 @@ def test_the_base_of_all_services_implies_nothing():
         event_message(Service)
 
 
-def test_nothing_is_made_before_it_is_asked_for():
-    action = load_action("int32 x\n---\n---", "example_msgs/action/Late")
-    get_interface("example_msgs/action/Late_Goal")
-    parts = ["Late", "Late_Feedback", "Late_Goal", "Late_Result"]
-    made = [name for name in REGISTRY.names() if "Late" in name]
-    assert sorted(made) == [f"example_msgs/action/{part}" for part in parts]
-    implied(action)
-    assert "example_msgs/action/Late_SendGoal" in REGISTRY.names()
+def test_a_class_that_is_not_registered_is_not_found_by_its_name():
+    definition = parse("int32 x\n---\n---", "example_msgs/action/Late")
+    assert isinstance(definition, ActionDefinition)
+    action = make_action(definition, get_interface, register=False)
+    assert implied(action).send_goal.Request(goal=action.Goal(x=1)).goal == action.Goal(x=1)
+    for name in ("Late", "Late_Goal", "Late_SendGoal", "Late_SendGoal_Request"):
+        with pytest.raises(UnknownInterface):
+            get_interface(f"example_msgs/action/{name}")
 
 
 def test_the_types_are_frozen_together():

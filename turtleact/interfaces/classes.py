@@ -85,20 +85,19 @@ __all__ = [
 
 
 def make_message(
-    definition: MessageDefinition, find: Find, *, part: str = "", whole: str = ""
+    definition: MessageDefinition, find: Find, *, register: bool = True
 ) -> type[Message]:
-    """Make a message class.
+    """Make a message class; with ``register``, `get_interface` returns it from now on."""
+    name, body = message_body(definition, find)
+    made = MessageMeta(name, (Message,), body, type_name=definition.type_name, register=register)
+    return cast("type[Message]", made)
 
-    For a part of a service or action, ``part`` and ``whole`` are the names of the part and of the
-    whole interface. The qualified name of the class is then ``whole.part``.
-    """
-    package, kind, name = definition.type_name.split("/")
+
+def message_body(definition: MessageDefinition, find: Find) -> tuple[str, dict[str, object]]:
+    """Return the name and the namespace of a message class."""
     annotations: dict[str, object] = {}
-    body: dict[str, object] = {
-        "__module__": f"{package}.{kind}",
-        "__qualname__": f"{whole}.{part}" if part else name,
-        "__annotations__": annotations,
-    }
+    name, body = naming(definition.type_name)
+    body["__annotations__"] = annotations
     for constant in definition.constants:
         annotations[constant.name] = ClassVar[annotation_of(constant.type, None)]
         body[constant.name] = constant.value
@@ -106,21 +105,25 @@ def make_message(
         annotations[field.attribute] = annotation_of(field.type, nested(definition, field, find))
         if field.default is not None:
             body[field.attribute] = field.default
-    type_name = "" if part else definition.type_name
-    made = MessageMeta(part or name, (Message,), body, type_name=type_name)
-    return cast("type[Message]", made)
+    return name, body
 
 
-def make_service(definition: ServiceDefinition, find: Find) -> type[Service]:
-    """Make a service class."""
-    return cast("type[Service]", whole_class(definition, Service, ("Request", "Response"), find))
+def make_service(
+    definition: ServiceDefinition, find: Find, *, register: bool = True
+) -> type[Service]:
+    """Make a service class; see `make_message`."""
+    name, body = whole_body(definition, PARTS["srv"], find)
+    # The metaclass is type, so that the keywords reach __init_subclass__.
+    made = type(name, (Service,), body, type_name=definition.type_name, register=register)
+    return cast("type[Service]", made)
 
 
-def make_action(definition: ActionDefinition, find: Find) -> type[Action]:
-    """Make an action class."""
-    return cast(
-        "type[Action]", whole_class(definition, Action, ("Goal", "Result", "Feedback"), find)
-    )
+def make_action(definition: ActionDefinition, find: Find, *, register: bool = True) -> type[Action]:
+    """Make an action class; see `make_message`."""
+    name, body = whole_body(definition, PARTS["action"], find)
+    # The metaclass is type, so that the keywords reach __init_subclass__.
+    made = type(name, (Action,), body, type_name=definition.type_name, register=register)
+    return cast("type[Action]", made)
 
 
 def nested(definition: MessageDefinition, field: Field, find: Find) -> type[Message] | None:
@@ -138,16 +141,16 @@ def nested(definition: MessageDefinition, field: Field, find: Find) -> type[Mess
     return found
 
 
-def whole_class(
-    definition: ServiceDefinition | ActionDefinition, base: type, names: tuple[str, ...], find: Find
-) -> type:
-    """Make the class of a service or action, with a nested class for each part."""
-    package, kind, name = definition.type_name.split("/")
-    body: dict[str, object] = {"__module__": f"{package}.{kind}"}
-    for part, content in zip(names, parts_of(definition), strict=True):
-        body[part] = make_message(content, find, part=part, whole=name)
-    # The metaclass is type, so that type_name reaches __init_subclass__.
-    return type(name, (base,), body, type_name=definition.type_name)
+def whole_body(
+    definition: ServiceDefinition | ActionDefinition, parts: tuple[str, ...], find: Find
+) -> tuple[str, dict[str, object]]:
+    """Return the name and the namespace of a service or action, with a class for each part."""
+    name, body = naming(definition.type_name)
+    for part, content in zip(parts, parts_of(definition), strict=True):
+        _, own = message_body(content, find)
+        own["__qualname__"] = f"{name}.{part}"
+        body[part] = MessageMeta(part, (Message,), own)
+    return name, body
 
 
 class Implied(msgspec.Struct, frozen=True):
@@ -274,15 +277,17 @@ def service(
     name, body = naming(type_name)
     body["Request"] = message(f"{type_name}_Request", request)
     body["Response"] = message(f"{type_name}_Response", response)
-    # The metaclass is type, so that type_name reaches __init_subclass__.
-    return cast("type[Service]", type(name, (Service,), body, type_name=type_name))
+    # The metaclass is type, so that the keywords reach __init_subclass__.
+    made = type(name, (Service,), body, type_name=type_name, register=False)
+    return cast("type[Service]", made)
 
 
 def message(type_name: str, annotations: Mapping[str, object]) -> type[Message]:
-    """Make a message class with these fields."""
+    """Make a message class with these fields. It is reached through its owner, not by its name."""
     name, body = naming(type_name)
     body["__annotations__"] = annotations
-    return cast("type[Message]", MessageMeta(name, (Message,), body, type_name=type_name))
+    made = MessageMeta(name, (Message,), body, type_name=type_name, register=False)
+    return cast("type[Message]", made)
 
 
 def at_most_one(part: type[Message]) -> object:

@@ -166,10 +166,13 @@ class Registry:
             if not held[0].__module__.startswith(BUILT_IN)
         }
 
-    def declare(self, interface: Interface) -> None:
-        """Register the class of a class statement, unless it is built in."""
-        if not interface.__module__.startswith(BUILT_IN):
-            self.add(interface, definition(interface))
+    def declare(self, interface: Interface, *parts: type[Message]) -> None:
+        """Register the class of a class statement and its parts, unless they are built in."""
+        if interface.__module__.startswith(BUILT_IN):
+            return
+        # The whole comes first, because a changed definition drops everything under the old name.
+        for each in (interface, *parts):
+            self.add(each, definition(each))
 
     def add(self, interface: Interface, definition: Definition) -> None:
         """Register a class."""
@@ -238,8 +241,14 @@ class MessageMeta(msgspec.StructMeta):
         namespace: dict[str, Any],
         *,
         type_name: str = "",
+        register: bool = True,
     ) -> MessageMeta:
-        """Read the class body before msgspec makes a class from it."""
+        """Read the class body before msgspec makes a class from it.
+
+        Args:
+            type_name: The full name; empty for a part of a service or action.
+            register: Whether `get_interface` may return the class.
+        """
         if bases == (msgspec.Struct,):
             # A message is a tree and never part of a cycle, so the garbage collector can ignore it.
             base = super().__new__(mcls, name, bases, namespace, gc=False)
@@ -252,9 +261,8 @@ class MessageMeta(msgspec.StructMeta):
         shape = read_body(namespace, sys._getframe(1), type_name)
         cls = super().__new__(mcls, name, bases, namespace)
         cls._shape = shape
-        if type_name:
-            message = cast("type[Message]", cls)
-            REGISTRY.declare(message)
+        if type_name and register:
+            REGISTRY.declare(cast("type[Message]", cls))
         return cls
 
     @property
@@ -297,10 +305,12 @@ class Action:
     Result: ClassVar[type[Message]] = Message
     Feedback: ClassVar[type[Message]] = Message
 
-    def __init_subclass__(cls, *, type_name: str = "") -> None:
+    def __init_subclass__(cls, *, type_name: str = "", register: bool = True) -> None:
         """Name the Goal, Result and Feedback classes after the action, and register all classes."""
         super().__init_subclass__()
-        declare(cls, type_name, base=Action, kind="action")
+        parts = name_parts(cls, type_name, base=Action, kind="action")
+        if register:
+            REGISTRY.declare(cls, *parts)
 
 
 class Service:
@@ -313,10 +323,12 @@ class Service:
     Request: ClassVar[type[Message]] = Message
     Response: ClassVar[type[Message]] = Message
 
-    def __init_subclass__(cls, *, type_name: str = "") -> None:
+    def __init_subclass__(cls, *, type_name: str = "", register: bool = True) -> None:
         """Name the Request and Response classes after the service, and register all classes."""
         super().__init_subclass__()
-        declare(cls, type_name, base=Service, kind="srv")
+        parts = name_parts(cls, type_name, base=Service, kind="srv")
+        if register:
+            REGISTRY.declare(cls, *parts)
 
 
 Interface: TypeAlias = type[Message] | type[Service] | type[Action]
@@ -423,8 +435,10 @@ def expect_interface(kind: type, given: object) -> None:
     raise TypeError(f"expected a subclass of turtleact.{kind.__name__}, not {named}{hint}")
 
 
-def declare(cls: type[Service] | type[Action], type_name: str, *, base: type, kind: str) -> None:
-    """Complete a service or action: name its parts, and register it with its parts."""
+def name_parts(
+    cls: type[Service] | type[Action], type_name: str, *, base: type, kind: str
+) -> list[type[Message]]:
+    """Give a service or action and its parts their full names, and return the parts."""
     source = cls.__qualname__
     if cls.__bases__ != (base,):
         raise InvalidInterface(f"derive it only from {base.__name__}", source=source)
@@ -437,11 +451,7 @@ def declare(cls: type[Service] | type[Action], type_name: str, *, base: type, ki
     check_type_name(type_name, kinds=(kind,) if kind == "action" else ("action", "srv"))
     cls.type_name = type_name
     check_strays(cls, PARTS[kind])
-    parts = [named_part(cls, part) for part in PARTS[kind]]
-    # The whole comes first, because a changed definition drops everything under the old name.
-    REGISTRY.declare(cls)
-    for part in parts:
-        REGISTRY.declare(part)
+    return [named_part(cls, part) for part in PARTS[kind]]
 
 
 def named_part(cls: type[Service] | type[Action], part: str) -> type[Message]:

@@ -24,7 +24,7 @@ from turtleact.interfaces import Message, get_interface, type_hash
 from turtleact.interfaces.classes import make_message
 from turtleact.interfaces.definition import MessageDefinition, definition_text
 from turtleact.interfaces.parse import parse
-from turtleact.interfaces.types import REGISTRY, definition, fields, nested_classes
+from turtleact.interfaces.types import definition, fields, nested_classes
 
 __all__ = ["Schema", "class_of", "schema_of"]
 
@@ -155,8 +155,7 @@ def _from_text(schema: Schema, known: type[Message] | None) -> type[Message]:
     """
     root, *rest = _HEADING.split(schema.text)
     texts = {_short(name): text for name, text in zip(rest[::2], rest[1::2], strict=True)}
-    with REGISTRY.isolated():
-        made = _Making(schema.name, texts).make(schema.name, root)
+    made = _Making(schema.name, texts).make(schema.name, root)
     return known if known is not None and _layout(known) == _layout(made) else made
 
 
@@ -183,7 +182,8 @@ class _Making:
         # The parser reads a .msg, whatever the type belongs to.
         plain = _PART.sub(lambda found: found[0].replace("_", UNDERSCORE), text)
         said = cast("MessageDefinition", parse(plain, f"{package}/msg/{own}", source=name))
-        return make_message(msgspec.structs.replace(said, type_name=name), self._find)
+        said = msgspec.structs.replace(said, type_name=name)
+        return make_message(said, self._find, register=False)
 
     def _find(self, name: str) -> type[Message]:
         name = name.replace(UNDERSCORE, "_")
