@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "SECOND",
+    "Source",
     "compiled",
     "error_class",
     "from_dict",
@@ -139,6 +140,39 @@ def error_class(root: str) -> type[InvalidMessage]:
     return InvalidGoal if root == "goal" else InvalidMessage
 
 
+class Source:
+    """The source code of a function, built line by line, and the objects that the function uses."""
+
+    def __init__(self, signature: str) -> None:
+        self.lines = [f"def function({signature}):"]
+        self.names: dict[str, object] = {}
+        self.count = 0
+        self.depth = 1
+
+    def add(self, line: str) -> None:
+        """Add a statement."""
+        self.lines.append(" " * self.depth + line)
+
+    def fresh(self, prefix: str = "v") -> str:
+        """Return a variable name that is not used yet."""
+        self.count += 1
+        return f"{prefix}{self.count}"
+
+    def hold(self, value: object) -> str:
+        """Make an object available to the generated code, and return its variable name there."""
+        name = self.fresh("k")
+        self.names[name] = value
+        return name
+
+    def function(self) -> Callable[..., object]:
+        """Compile the function.
+
+        Running the code is safe: interfaces contribute only identifiers and numbers to the code.
+        """
+        exec("\n".join(self.lines), self.names)  # noqa: S102
+        return self.names["function"]  # type: ignore[return-value]  # the text defines it
+
+
 @functools.cache
 def compiled(cls: type[M], root: str) -> Callable[[M], M]:
     """Return the generated function that checks and copies messages of this class.
@@ -151,19 +185,18 @@ def compiled(cls: type[M], root: str) -> Callable[[M], M]:
     def fail(inner: InvalidMessage) -> InvalidMessage:
         return error(root + inner.path, inner.problem)
 
-    names: dict[str, object] = {
-        "cls": cls,
-        "adapt": functools.partial(adapted, cls),
-        "fail": fail,
-        "InvalidMessage": InvalidMessage,
-    }
-    pairs = list(zip(fields(cls), nested_classes(cls), strict=True))
-    for index, (field, nested) in enumerate(pairs):
-        names[f"copy{index}"] = copy = None if nested is None else compiled(nested, "")
-        names[f"slow{index}"] = functools.partial(placed, field, converter(field.type, copy))
-    # The text consists only of field names, which are identifiers, and of numbers.
-    exec(source([field for field, _ in pairs]), names)  # noqa: S102
-    return names["copy"]  # type: ignore[return-value]  # the text defines it
+    source = Source("m")
+    source.names |= {"cls": cls, "adapt": functools.partial(adapted, cls), "fail": fail}
+    source.names["InvalidMessage"] = InvalidMessage
+    source.add("try:")
+    source.depth += 1
+    source.add("if type(m) is not cls: m = adapt(m)")
+    pairs = zip(fields(cls), nested_classes(cls), strict=True)
+    values = [add_field(source, field, nested) for field, nested in pairs]
+    source.add(f"return cls({', '.join(values)})")
+    source.depth -= 1
+    source.add("except InvalidMessage as inner: raise fail(inner) from None")
+    return source.function()  # type: ignore[return-value]  # the text is made to be so
 
 
 def adapted(cls: type[M], value: object) -> M:
@@ -192,57 +225,50 @@ def placed(field: Field, convert: Callable[[object], object], value: object) -> 
         raise InvalidMessage(f".{field.name}{inner.path}", inner.problem) from None
 
 
-def source(members: list[Field]) -> str:
-    """Return the source code of the function that copies a message with these fields."""
-    lines = ["def copy(m):", " try:", "  if type(m) is not cls: m = adapt(m)"]
-    for index, field in enumerate(members):
-        lines.append(f"  v{index} = m.{field.attribute}")
-        lines += [f"  {line}" for line in statements(field.type, index)]
-    arguments = ", ".join(f"v{index}" for index in range(len(members)))
-    lines += [f"  return cls({arguments})", " except InvalidMessage as inner:"]
-    lines.append("  raise fail(inner) from None")
-    return "\n".join(lines)
+def add_field(source: Source, field: Field, nested: type[Message] | None) -> str:
+    """Add code that checks and copies one field, and return the variable of the copy."""
+    copy = None if nested is None else compiled(nested, "")
+    value = source.fresh()
+    convert = source.hold(functools.partial(placed, field, converter(field.type, copy)))
+    slow = f"{value} = {convert}({value})"
+    source.add(f"{value} = m.{field.attribute}")
+    if field.type.is_sequence:
+        add_sequence(source, field.type, copy, value, slow)
+    elif copy is not None:
+        add_guarded(source, f"{value} = {source.hold(copy)}({value})", slow)
+    else:
+        source.add(f"if {misses(field.type, value)}: {slow}")
+    return value
 
 
-def statements(field_type: FieldType, index: int) -> list[str]:
-    """Return code that checks and copies the value of one field.
-
-    The code replaces the value in the variable ``v{index}`` by the copy.
-    """
-    value, slow = f"v{index}", f"v{index} = slow{index}(v{index})"
-    if field_type.is_sequence:
-        return sequence(field_type, index, slow)
-    if field_type.is_nested:
-        return guarded(f"{value} = copy{index}({value})", slow)
-    return [f"if {misses(field_type, value)}: {slow}"]
-
-
-def sequence(field_type: FieldType, index: int, slow: str) -> list[str]:
-    """Return code that checks the elements of a sequence and then copies the sequence."""
-    value = f"v{index}"
+def add_sequence(
+    source: Source, field_type: FieldType, copy: object, value: str, slow: str
+) -> None:
+    """Add code that checks the elements of a sequence and then copies the sequence."""
     word, length = "if", wrong_length(field_type, value)
-    lines = []
     if field_type.name in BYTE_TYPES:
-        lines = [f"if type({value}) is bytes and not ({length}): pass"]
+        source.add(f"if type({value}) is bytes and not ({length}): pass")
         word = "elif"
-    lines += [f"{word} type({value}) is not list or {length}: {slow}", "else:"]
-    if field_type.is_nested:
-        copies = f"{value} = list(map(copy{index}, {value}))"
-        return [*lines, *(f" {line}" for line in guarded(copies, slow))]
-    return [
-        *lines,
-        f" for x in {value}:",
-        f"  if {misses(field_type.element, 'x')}: {slow}; break",
-        f" else: {value} = {value}.copy()",
-    ]
+    source.add(f"{word} type({value}) is not list or {length}: {slow}")
+    source.add("else:")
+    source.depth += 1
+    if copy is not None:
+        add_guarded(source, f"{value} = list(map({source.hold(copy)}, {value}))", slow)
+    else:
+        source.add(f"for x in {value}:")
+        source.add(f" if {misses(field_type.element, 'x')}: {slow}; break")
+        source.add(f"else: {value} = {value}.copy()")
+    source.depth -= 1
 
 
-def guarded(fast: str, slow: str) -> list[str]:
-    """Return code that runs ``fast``. If ``fast`` raises InvalidMessage, the code runs ``slow``.
+def add_guarded(source: Source, fast: str, slow: str) -> None:
+    """Add code that runs ``fast``. If ``fast`` raises InvalidMessage, the code runs ``slow``.
 
     ``slow`` finds the element that does not fit.
     """
-    return ["try:", f" {fast}", f"except InvalidMessage: {slow}"]
+    source.add("try:")
+    source.add(f" {fast}")
+    source.add(f"except InvalidMessage: {slow}")
 
 
 def misses(field_type: FieldType, value: str) -> str:

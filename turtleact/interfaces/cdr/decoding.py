@@ -24,7 +24,6 @@ from turtleact.interfaces.cdr.layout import (
     WIDEST,
     Item,
     Runs,
-    Source,
     code_in_run,
     common_alignment,
     common_run,
@@ -39,6 +38,7 @@ from turtleact.interfaces.cdr.layout import (
     run,
     size_of,
 )
+from turtleact.interfaces.conversion import Source
 from turtleact.interfaces.definition import ArrayForm
 from turtleact.interfaces.types import Message, fields
 

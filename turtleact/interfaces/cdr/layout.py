@@ -34,7 +34,6 @@ __all__ = [
     "Item",
     "Places",
     "Runs",
-    "Source",
     "code_in_run",
     "common_alignment",
     "common_run",
@@ -104,39 +103,6 @@ class Item(NamedTuple):
 
     code: str
     text: str = ""
-
-
-class Source:
-    """The source code of a function, built line by line, and the objects that the function uses."""
-
-    def __init__(self, signature: str) -> None:
-        self.lines = [f"def function({signature}):"]
-        self.names: dict[str, object] = {}
-        self.count = 0
-        self.depth = 1
-
-    def add(self, line: str) -> None:
-        """Add a statement."""
-        self.lines.append(" " * self.depth + line)
-
-    def fresh(self, prefix: str = "v") -> str:
-        """Return a variable name that is not used yet."""
-        self.count += 1
-        return f"{prefix}{self.count}"
-
-    def hold(self, value: object) -> str:
-        """Make an object available to the generated code, and return its variable name there."""
-        name = self.fresh("k")
-        self.names[name] = value
-        return name
-
-    def function(self) -> Callable[..., object]:
-        """Compile the function.
-
-        Running the code is safe: interfaces contribute only identifiers and numbers to the code.
-        """
-        exec("\n".join(self.lines), self.names)  # noqa: S102
-        return self.names["function"]  # type: ignore[return-value]  # the text defines it
 
 
 def size_of(code: str) -> int:
