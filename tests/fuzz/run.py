@@ -63,12 +63,12 @@ def used() -> int:
 
 def instrument_generated() -> None:
     """Counts the branches of functions that are made at run time, too."""
-    make = layout.Source.function
+    make = conversion.Source.function
 
-    def function(source: layout.Source) -> object:
+    def function(source: conversion.Source) -> object:
         return atheris.instrument_func(make(source))
 
-    layout.Source.function = function  # type: ignore[method-assign,assignment]
+    conversion.Source.function = function  # type: ignore[method-assign,assignment]
 
 
 def forget_classes() -> None:

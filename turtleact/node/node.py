@@ -52,6 +52,7 @@ from turtleact.services import (
     ServiceType,
     service_events,
 )
+from turtleact.summaries import field_hint
 from turtleact.tasks import Home, current_tasks
 from turtleact.tasks.clock import Clock, check_timeout
 from turtleact.transports import MemoryTransport, QoS, Transport
@@ -712,6 +713,12 @@ async def open_node(
     with node._tasks.stoppable():  # a body may raise SystemExit; only trio needs this
         try:
             yield node
+        except TypeError as error:
+            # Messages are made in C, which says which field is unknown, but suggests none.
+            hint = field_hint(error)
+            if hint and hint not in getattr(error, "__notes__", ()):  # an outer node adds none
+                error.add_note(hint)
+            raise
         finally:
             await node.aclose()
 
