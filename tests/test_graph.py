@@ -9,7 +9,7 @@ from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import Empty, Kill, TurtlePose, Twist
 from turtleact.names import action_names
 from turtleact.transports import MemoryTransport, QoS
-from turtleact.transports.base import Endpoint, EndpointKind, TimePolicies
+from turtleact.transports.base import Endpoint, EndpointKind, ServiceHandler, TimePolicies
 
 POSE, TWIST = "turtlesim/msg/Pose", "geometry_msgs/msg/Twist"
 PUBLISHER: EndpointKind = "publisher"
@@ -28,7 +28,7 @@ def graph_with(*opened: tuple[EndpointKind, str, str]) -> Graph:
         elif kind == "subscription":
             transport.subscribe(endpoint, WireFormat(Twist), lambda message: None)
         elif kind == "service":
-            transport.serve(endpoint, WireFormat(Empty), object())
+            transport.serve(endpoint, WireFormat(Empty), ServiceHandler())
         else:
             transport.join(endpoint, WireFormat(Empty))
     return graph_of(transport)

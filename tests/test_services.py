@@ -33,7 +33,7 @@ from turtleact.services import LocalService, ServiceClient, ServiceServer
 from turtleact.tasks import Background
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
-from turtleact.transports.base import Endpoint, Reply
+from turtleact.transports.base import Endpoint, Reply, ServiceHandler
 
 from .lab import ON_ASYNCIO, ON_TRIO, other_tasks, running, settle
 
@@ -1075,7 +1075,7 @@ async def test_calls_go_on_when_their_client_is_closed(gate):
 # --- servers that are not in this process ----------------------------------------------------
 
 
-class Afar:
+class Afar(ServiceHandler):
     """What a server elsewhere looks like from here: it can be called, and not be taken hold of."""
 
     async def reply(self, request: Any, caller: bytes) -> Reply:

@@ -50,9 +50,9 @@ from turtleact.transports.base import (
     MakeEndpoint,
     Owner,
     Reply,
+    ServiceHandler,
     Transport,
     find_server,
-    observer_of,
     wait_until_served,
 )
 
@@ -90,6 +90,7 @@ class LocalService(Protocol):
     """The part of `LocalServiceServer` that clients in the same process use."""
 
     is_open: bool
+    observer: CallObserver | None
 
     async def answer(self, request: object) -> object: ...
 
@@ -134,7 +135,7 @@ class ServiceServer(Generic[Req, Res]):
             self._local.observer.close()
 
 
-class LocalServiceServer(Generic[Req, Res]):
+class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
     """Handles the requests of one service, from clients in this process and in others.
 
     Transports, and clients in the same process, call this object.
@@ -387,8 +388,9 @@ class ServiceClient(Generic[Req, Res]):
         requests to be sent as messages.
         """
         found = self._transport.local(self.name, self.service_type.type_name)
-        is_observed = self._caller.observer is not None or observer_of(found) is not None
-        return found if isinstance(found, LocalService) and not is_observed else None
+        if not isinstance(found, LocalService) or self._caller.observer is not None:
+            return None
+        return found if found.observer is None else None
 
     def _find(self) -> object | None:
         return self._find_local() or (self._caller if self._caller.is_served else None)

@@ -15,7 +15,7 @@ from turtleact.goals.wire import GoalNote
 from turtleact.interfaces import WireFormat, implied
 from turtleact.names import action_names
 from turtleact.transports import MemoryTransport, QoS
-from turtleact.transports.base import Closeable, Endpoint, EndpointKind, Reply
+from turtleact.transports.base import Closeable, Endpoint, EndpointKind, Reply, ServiceHandler
 
 from ..lab import ON_ASYNCIO, Count, bare_goal, running, settle
 
@@ -129,7 +129,7 @@ def endpoint(kind: EndpointKind, name: str, type_name: str, qos: QoS | None = No
     return Endpoint(kind, name, type_name, "/user", qos or QoS())
 
 
-class Handler:
+class Handler(ServiceHandler):
     """Answers requests, which these tests never send."""
 
     async def reply(self, request: object, caller: bytes) -> Reply:

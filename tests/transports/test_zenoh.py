@@ -51,7 +51,7 @@ from turtleact.node.node import PARAMETER_SERVICES
 from turtleact.tasks import current_tasks
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
-from turtleact.transports.base import REQUEST_NOTE, Endpoint, Reply, Target
+from turtleact.transports.base import REQUEST_NOTE, Endpoint, Reply, ServiceHandler, Target
 from turtleact.transports.rmw_zenoh import service_clients
 from turtleact.transports.rmw_zenoh.attachment import read_attachment, write_attachment
 from turtleact.transports.rmw_zenoh.config import session_config
@@ -510,7 +510,7 @@ async def test_a_request_that_is_under_way_is_refused_a_second_time(address, cap
 async def test_a_note_follows_the_attachment_of_a_request(address):
     heard: list[str] = []
 
-    class Handler:
+    class Handler(ServiceHandler):
         async def reply(self, request: object, caller: bytes) -> Reply:
             heard.append(REQUEST_NOTE.get())
             return Reply(Sum.Response(total=5))
@@ -1095,7 +1095,7 @@ async def test_a_server_may_answer_at_once_or_in_a_while(address, numbers, total
         assert reply.message == Sum.Response(total=total)
 
 
-class CutOff:
+class CutOff(ServiceHandler):
     """A handler with a task that somebody cancels; then it can answer without one, or not."""
 
     def __init__(self, *, answers_then: bool) -> None:
@@ -1453,10 +1453,10 @@ SERVER = """
 import asyncio, signal, sys, anyio
 from turtleact.interfaces import WireFormat
 from turtleact.transports import open_zenoh
-from turtleact.transports.base import Endpoint, Reply, Target
+from turtleact.transports.base import Endpoint, Reply, ServiceHandler, Target
 from turtleact.interfaces.standard import CancelGoal
 
-class Silent:
+class Silent(ServiceHandler):
     async def reply(self, request, caller):
         print("asked", flush=True)
         await anyio.sleep_forever()
@@ -1936,7 +1936,7 @@ async def test_a_goal_may_take_longer_than_zenoh_waits(address, monkeypatch):
     monkeypatch.setattr("turtleact.transports.rmw_zenoh.session.PATIENCE", 0.1)
     gate, asked = Gate(), list[bytes]()
 
-    class Counting:
+    class Counting(ServiceHandler):
         """Counts the requests for results; the third one opens the gate."""
 
         def __init__(self, handler: Any) -> None:
@@ -1948,7 +1948,7 @@ async def test_a_goal_may_take_longer_than_zenoh_waits(address, monkeypatch):
                 gate.opened.set()
             return await self._handler.reply(request, caller)
 
-    def serve(endpoint: Endpoint, format: Any, handler: object) -> Any:
+    def serve(endpoint: Endpoint, format: Any, handler: ServiceHandler) -> Any:
         is_counted = endpoint.name.endswith("get_result")
         return offer(endpoint, format, Counting(handler) if is_counted else handler)
 
@@ -1971,7 +1971,7 @@ async def test_a_call_that_takes_longer_is_told(address, monkeypatch):
     async with two(address) as (here, there, _):
         opened = anyio.Event()
 
-        class Slow:
+        class Slow(ServiceHandler):
             async def reply(self, request: object, caller: bytes) -> Any:
                 await opened.wait()
 

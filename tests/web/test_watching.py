@@ -26,7 +26,7 @@ from turtleact.interfaces.standard import (
 )
 from turtleact.sim.pictures import hue_of
 from turtleact.transports import MemoryTransport, QoS, open_zenoh
-from turtleact.transports.base import STATUS_QOS, Endpoint
+from turtleact.transports.base import STATUS_QOS, Endpoint, ServiceHandler
 from turtleact.web import open_bridge
 from turtleact.web.bridge import FAREWELL
 from turtleact.web.goal_history import MOST_ACTIVE, MOST_ENDED
@@ -262,7 +262,7 @@ async def test_goals_of_an_unknown_type_are_shown_until_their_server_is_gone():
         line(bridge) as client,
     ):
         strange = Endpoint("service", "/odd/_action/send_goal", "odd/action/Odd_SendGoal", "/other")
-        odd = transport.serve(strange, WireFormat(Empty.Request), None)
+        odd = transport.serve(strange, WireFormat(Empty.Request), ServiceHandler())
         statuses = other.publisher(
             GoalStatusArray, "/odd/_action/status", QoS(durability="transient_local")
         )
@@ -286,7 +286,7 @@ async def bridged_beside(
     strange = Endpoint("service", name, f"{other_type}_SendGoal", "/lab")
     async with bridged() as (node, bridge), line(bridge) as client:
         await node.action_server(Count, "count", execute).wait_until_serving()
-        other = node.transport.serve(strange, WireFormat(Empty.Request), None)
+        other = node.transport.serve(strange, WireFormat(Empty.Request), ServiceHandler())
         await watch(client)
         yield node, client
         other.close()

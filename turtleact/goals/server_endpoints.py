@@ -54,6 +54,7 @@ from turtleact.transports.base import (
     QoS,
     Reply,
     Respond,
+    ServiceHandler,
     Transport,
 )
 
@@ -182,7 +183,7 @@ class ActionEndpoints:
         )
 
 
-class _ActionService:
+class _ActionService(ServiceHandler):
     """One of the action's three services. Its message classes are made when they are first needed.
 
     A request from another process needs no check, because decoding the request has checked it.
@@ -201,7 +202,6 @@ class _ActionService:
         self.name = name
         self.is_open = True
         self.answered = tasks.signal()
-        self.observer: CallObserver | None = None
         self.waiting = 0
         self._tasks = tasks
         self._checked: LocalServiceServer[Any, Any] | None = None
@@ -232,13 +232,6 @@ class _ActionService:
         """Answer a request from another process."""
         with self._counting():
             return await self.handle(request, caller)
-
-    def reply_nowait(self, request: Any, caller: bytes, respond: Respond) -> bool:  # noqa: ANN401, ARG002
-        """Answer a request from another process immediately, without starting a task.
-
-        Return False, without an answer, if the answer needs a task.
-        """
-        return False
 
     async def aclose(self) -> None:
         """Answer every waiting request."""

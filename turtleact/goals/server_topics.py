@@ -114,7 +114,7 @@ class FeedbackTopic(Source):
         return implied(self._action).feedback_message
 
 
-class StatusTopic(GoalObserver):
+class StatusTopic(Source, GoalObserver):
     """Publishes the status of all goals that a server holds.
 
     When a goal changes, the topic only marks the goal as changed. A message lists all goals, and a

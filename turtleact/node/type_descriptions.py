@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import WireFormat, get_interface, interface_source
-from turtleact.transports.base import Closeable, Endpoint, Reply, Transport
+from turtleact.transports.base import Closeable, Endpoint, Reply, ServiceHandler, Transport
 
 __all__ = ["GET_TYPE_DESCRIPTION", "SERVICE", "TYPE_HASH", "offer_descriptions"]
 
@@ -52,7 +52,7 @@ class _Format(WireFormat):
         super().__init__(lambda: get_interface(GET_TYPE_DESCRIPTION))
 
 
-class _Describer:
+class _Describer(ServiceHandler):
     """Answers the requests of the service for one node."""
 
     def __init__(self, transport: Transport, node: str) -> None:

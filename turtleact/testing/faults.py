@@ -34,6 +34,7 @@ from turtleact.transports.base import (
     Endpoint,
     Format,
     Publication,
+    ServiceHandler,
     Source,
     Target,
 )
@@ -172,7 +173,7 @@ class FaultyTransport:
         """Open a publisher of a topic."""
         return self._transport.advertise(endpoint, format, source)
 
-    def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
+    def serve(self, endpoint: Endpoint, format: Format, handler: ServiceHandler) -> Closeable:
         """Offer ``handler`` as the server of a service."""
         return self._transport.serve(endpoint, format, handler)
 
@@ -183,14 +184,14 @@ class FaultyTransport:
         """
         return self._transport.join(endpoint, format, target)
 
-    def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
+    def all_local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
         """Return all handlers in this process that serve a service.
 
         This works even while the link is cut.
         """
         return self._transport.all_local(name, type_name)
 
-    def local(self, name: str, type_name: str) -> object | None:
+    def local(self, name: str, type_name: str) -> ServiceHandler | None:
         """Return the oldest handler in this process that serves a service.
 
         This works even while the link is cut.

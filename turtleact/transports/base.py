@@ -14,10 +14,9 @@ them. A transport guarantees:
 - Two endpoints of the same name and type communicate even if their QoS policies differ.
 - Every call ends, either with a reply or with an error that says why there is none.
 
-The handler that you pass to `Transport.serve` may be any object. A client in the same process gets
-the handler from `Transport.local` and calls it directly, so no request passes through the
-transport. If the handler is an `AsyncHandler`, clients in other processes can call it through the
-`Caller` that `Transport.join` returns.
+A client in the same process as a server may get the server's `ServiceHandler` from
+`Transport.local` and call it directly, so no request passes through the transport. All other
+clients call it through the `Caller` that `Transport.join` returns.
 
 Source: ROS 2 ``rmw``; the QoS policies of the ROS 2 documentation.
 """
@@ -26,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
@@ -40,16 +39,13 @@ __all__ = [
     "EVERY_SERVER",
     "STATUS_QOS",
     "AsyncCloseable",
-    "AsyncHandler",
     "CallObserver",
     "Caller",
-    "CallerAware",
     "Closeable",
     "Deliver",
     "Endpoint",
     "EndpointKind",
     "Format",
-    "LossAware",
     "MakeEndpoint",
     "Owner",
     "PendingCall",
@@ -59,15 +55,13 @@ __all__ = [
     "Reply",
     "Respond",
     "ServerKind",
+    "ServiceHandler",
     "Serving",
     "Source",
-    "SyncHandler",
     "Target",
-    "ThreadedHandler",
     "TimePolicies",
     "Transport",
     "find_server",
-    "observer_of",
     "wait_until_served",
     "why_not_served",
 ]
@@ -309,7 +303,7 @@ class Publication(Closeable, Protocol):
         """Wait until the publication is no longer congested. Cancelling: safe."""
 
 
-class Source(Protocol):
+class Source:
     """Makes the messages of a topic from the current state of an object.
 
     Unless the topic is latched, messages are made only while somebody reads the topic. A subclass
@@ -329,11 +323,6 @@ class Source(Protocol):
 
         If the topic already has a reader, this is called while the publisher is being opened.
         """
-
-
-@runtime_checkable
-class LossAware(Protocol):
-    """A source that is told when its topic loses messages."""
 
     def message_lost(self) -> None:
         """Called when a message was dropped because too many messages were waiting to be sent."""
@@ -401,8 +390,8 @@ class CallObserver(Protocol):
     A call is identified by the gid of its client and by its sequence number. The methods must not
     raise. They are called in the event loop, unless the client or the server handles calls in other
     threads. The observer gets a request or response as bytes if it travels between processes, and
-    otherwise as an object. To observe a handler, set the handler's attribute ``observer`` before
-    you pass the handler to `Transport.serve`.
+    otherwise as an object. To observe a server, set the attribute ``observer`` of its
+    `ServiceHandler`.
     """
 
     def requested(self, request: object, gid: bytes, sequence: int) -> None:
@@ -480,47 +469,40 @@ class Caller(Closeable, Protocol):
         """Explain, with type names cut before ``suffix``, why a call would reach no server."""
 
 
-@runtime_checkable
-class AsyncHandler(Protocol):
-    """A handler of a service that answers clients in any process, and may wait to do so."""
-
-    async def reply(self, request: object, caller: bytes) -> Reply:
-        """Answer a request. ``caller`` is the gid of the client."""
-
-
 Respond: TypeAlias = Callable[[Reply | TurtleactError], object]
 """A function that takes the answer to a request."""
 
 
-@runtime_checkable
-class SyncHandler(Protocol):
-    """An `AsyncHandler` that can also answer some requests without a task."""
+class ServiceHandler:
+    """Answers the requests of a service, from clients in any process. Subclass it for each service.
 
-    def reply_nowait(self, request: object, caller: bytes, respond: Respond) -> bool:
+    Attributes:
+        observer: Watches the calls; None (the default) if nobody watches them. Set it before you
+            pass the handler to `Transport.serve`.
+        is_threaded: Whether `reply_nowait` is called in the thread that receives a request from
+            another process. This is faster than passing the request to the event loop. The method
+            must then be quick, must always return True, and may call ``respond`` in any thread.
+    """
+
+    observer: CallObserver | None = None
+    is_threaded: bool = False
+
+    async def reply(self, request: object, caller: bytes) -> Reply:
+        """Answer a request. ``caller`` is the gid of the client."""
+        raise NotImplementedError
+
+    def reply_nowait(
+        self,
+        request: object,  # noqa: ARG002  # a subclass uses all three
+        caller: bytes,  # noqa: ARG002
+        respond: Respond,  # noqa: ARG002
+    ) -> bool:
         """Answer a request by calling ``respond`` once, now or later, with a reply or an error.
 
         Return True if ``respond`` has been or will be called. Return False if the request must be
         answered in a task. Before returning False, the handler must not change anything.
         """
-
-
-@runtime_checkable
-class ThreadedHandler(Protocol):
-    """A `SyncHandler` that is called in the thread that receives a request from another process.
-
-    This is faster than passing the request to the event loop. `SyncHandler.reply_nowait` must be
-    quick, must always return True, and may call ``respond`` in any thread.
-
-    Attributes:
-        is_threaded: True.
-    """
-
-    is_threaded: bool
-
-
-@runtime_checkable
-class CallerAware(Protocol):
-    """A handler that is told when a client of its service has gone."""
+        return False
 
     def caller_lost(self, caller: bytes) -> None:
         """Called when the client with this gid was closed or has died."""
@@ -570,10 +552,10 @@ class Transport(Protocol):
         publish to the topic in any thread, but not in two threads at the same time.
         """
 
-    def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
+    def serve(self, endpoint: Endpoint, format: Format, handler: ServiceHandler) -> Closeable:
         """Offer ``handler`` as the server of a service, and show the server on the graph.
 
-        Each request from another process is handled in its own task, unless a `SyncHandler` answers
+        Each request from another process is handled in its own task, unless the handler answers
         it without a task. Closing the service lets these tasks finish. Closing the transport
         cancels the tasks of all requests.
 
@@ -584,10 +566,10 @@ class Transport(Protocol):
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
         """Add a service client to the graph, and return the object that calls the service."""
 
-    def local(self, name: str, type_name: str) -> object | None:
+    def local(self, name: str, type_name: str) -> ServiceHandler | None:
         """The oldest handler that serves a service in this process; None if there is none."""
 
-    def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
+    def all_local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
         """All handlers that serve a service in this process, in the order they were offered."""
 
     def enter(self, node: str) -> Closeable:
@@ -624,12 +606,6 @@ class Transport(Protocol):
         scope or `asyncio.timeout`. Do not use `asyncio.wait_for` of Python 3.11, because `wait_for`
         waits in another task and misses changes before that task runs.
         """
-
-
-def observer_of(handler: object) -> CallObserver | None:
-    """Return the observer of a handler's calls; None if the handler has none."""
-    observer: CallObserver | None = getattr(handler, "observer", None)
-    return observer
 
 
 async def wait_until_served(

@@ -19,9 +19,7 @@ from turtleact.tasks import Signal, current_tasks
 from turtleact.tasks.clock import Clock, WallClock
 from turtleact.transports.base import (
     EVERY_SERVER,
-    AsyncHandler,
     Caller,
-    CallerAware,
     CallObserver,
     Closeable,
     Deliver,
@@ -32,9 +30,9 @@ from turtleact.transports.base import (
     QoS,
     RawFormat,
     Reply,
+    ServiceHandler,
     Source,
     Target,
-    observer_of,
     why_not_served,
 )
 
@@ -115,7 +113,7 @@ class MemoryTransport:
         self,
         endpoint: Endpoint,
         format: Format,  # noqa: ARG002  # as above
-        handler: object,
+        handler: ServiceHandler,
     ) -> Closeable:
         """Offer ``handler`` as a server of a service. Requests go to the oldest handler.
 
@@ -144,16 +142,16 @@ class MemoryTransport:
         caller.on_close = self._appear_as(endpoint, leave)
         return caller
 
-    def local(self, name: str, type_name: str) -> object | None:
+    def local(self, name: str, type_name: str) -> ServiceHandler | None:
         """The oldest handler that serves a service; None if there is none."""
         offers = self._handlers.get((name, type_name))
         return offers[0].handler if offers else None
 
-    def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
+    def all_local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
         """All handlers that serve a service, oldest first."""
         return tuple(offer.handler for offer in self._handlers.get((name, type_name), ()))
 
-    def handlers(self, name: str) -> list[object]:
+    def handlers(self, name: str) -> list[ServiceHandler]:
         """The handlers of all services called ``name``, whatever their types."""
         return [
             offer.handler
@@ -270,8 +268,7 @@ class MemoryTransport:
 
     def _lose(self, caller: _Caller) -> None:
         for handler in self.handlers(caller.endpoint.name):
-            if isinstance(handler, CallerAware):
-                handler.caller_lost(caller.gid)
+            handler.caller_lost(caller.gid)
 
 
 class _Topic:
@@ -427,7 +424,7 @@ class _Caller:
     @property
     def is_served(self) -> bool:
         if self._seen != self._transport.changes:
-            self._is_served = isinstance(self._handler(), AsyncHandler)
+            self._is_served = self._handler() is not None
             self._seen = self._transport.changes
         return self._is_served
 
@@ -435,14 +432,13 @@ class _Caller:
         name, handler = self.endpoint.name, self._handler()
         if not self._is_open:
             raise TurtleactError(f"the client of service '{name}' is closed: open another")
-        if not isinstance(handler, AsyncHandler):
+        if handler is None:
             raise ServerUnavailable(name, self.why_not_served(), kind="service")
         self._calls += 1
         try:
-            theirs = observer_of(handler)
-            if self.observer is None and theirs is None:
+            if self.observer is None and handler.observer is None:
                 return await handler.reply(request, self.gid)
-            return await self._call_observed(handler, request, theirs)
+            return await self._call_observed(handler, request)
         except TurtleactError:
             raise
         except Exception as error:
@@ -452,13 +448,11 @@ class _Caller:
             if not self._is_open:
                 self._leave_if_idle()
 
-    async def _call_observed(
-        self, handler: AsyncHandler, request: object, theirs: CallObserver | None
-    ) -> Reply:
+    async def _call_observed(self, handler: ServiceHandler, request: object) -> Reply:
         """Call a handler, and report the call to the observers of the client and of the handler."""
         self._sequence += 1
         sequence = self._sequence
-        observers = [each for each in (self.observer, theirs) if each is not None]
+        observers = [each for each in (self.observer, handler.observer) if each is not None]
         for each in observers:
             each.requested(request, self.gid, sequence)
         reply = await handler.reply(request, self.gid)
@@ -494,7 +488,7 @@ class _Caller:
         if not self._calls:
             self.on_close()
 
-    def _handler(self) -> object | None:
+    def _handler(self) -> ServiceHandler | None:
         return self._transport.local(self.endpoint.name, self.endpoint.type_name)
 
 
@@ -508,7 +502,7 @@ class _Offer:
 
     __slots__ = ("handler", "leave", "node")
 
-    def __init__(self, handler: object, node: str) -> None:
+    def __init__(self, handler: ServiceHandler, node: str) -> None:
         self.leave: Leave | None = None
         self.handler = handler
         self.node = node

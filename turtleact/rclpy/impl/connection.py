@@ -33,6 +33,7 @@ from turtleact.transports.base import (
     Endpoint,
     Publication,
     Reply,
+    ServiceHandler,
     Source,
     Target,
 )
@@ -138,7 +139,7 @@ class CallEvents(CallObserver, Protocol):
         """Whether to tell the observer about calls."""
 
 
-class RequestHandler:
+class RequestHandler(ServiceHandler):
     """Passes the requests for a service to a function that may answer in any thread, at any time.
 
     Args:
@@ -153,6 +154,7 @@ class RequestHandler:
     """
 
     is_threaded = True
+    observer: CallEvents | None
 
     def __init__(
         self, take: Callable[[bytes, Respond], None], observer: CallEvents | None = None

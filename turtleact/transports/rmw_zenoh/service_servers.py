@@ -21,13 +21,10 @@ from turtleact.errors import InvalidMessage, ServerUnavailable, ServiceError, Tu
 from turtleact.summaries import loggable, summary
 from turtleact.transports.base import (
     REQUEST_NOTE,
-    AsyncHandler,
     Closeable,
     Format,
     Reply,
-    SyncHandler,
-    ThreadedHandler,
-    observer_of,
+    ServiceHandler,
 )
 from turtleact.transports.rmw_zenoh.attachment import (
     GID_SIZE,
@@ -54,7 +51,6 @@ class WireService:
         context: The transport's context.
         named: The server's endpoint.
         format: Decodes requests and encodes responses.
-        is_for_others: Whether the handlers also answer requests from other processes.
 
     Attributes:
         context: The transport's context.
@@ -65,9 +61,7 @@ class WireService:
         is_open: Whether the server is open for requests and for further handlers.
     """
 
-    def __init__(
-        self, context: Context, named: Named, format: Format, *, is_for_others: bool
-    ) -> None:
+    def __init__(self, context: Context, named: Named, format: Format) -> None:
         self.context = context
         self.name = named.endpoint.name
         self.format = format
@@ -77,13 +71,12 @@ class WireService:
         self._is_threaded = False  # whether the first of them is
         self._declared: Declared | None = None
         self.is_open = True
-        declare = self._declare if is_for_others else None
         self.presence = Presence(
-            context, named.token, declare, self._undeclare, on_demand=named.on_demand
+            context, named.token, self._declare, self._undeclare, on_demand=named.on_demand
         )
         context.opened.add(self)
 
-    def add(self, handler: object) -> Closeable:
+    def add(self, handler: ServiceHandler) -> Closeable:
         """Add a handler. Requests from other processes go to the oldest handler.
 
         Returns:
@@ -104,7 +97,7 @@ class WireService:
 
     def _set_offers(self, offers: tuple[_Offer, ...]) -> None:
         self._offers = offers
-        self._is_threaded = bool(offers) and offers[0].is_threaded
+        self._is_threaded = bool(offers) and offers[0].handler.is_threaded
 
     def close(self) -> None:
         """Accept no more requests. Requests under way continue. A second call does nothing."""
@@ -161,8 +154,8 @@ class WireService:
             return
         offer = offers[0]
         request = self.under_way[key] = _Request(self, offer, query, key)
-        if offer.observer is not None:
-            offer.observer.requested(query.payload, *key)
+        if offer.handler.observer is not None:
+            offer.handler.observer.requested(query.payload, *key)
         if beside.note:  # the handler's task inherits it from this context
             context = copy_context()
             context.run(REQUEST_NOTE.set, beside.note)
@@ -217,8 +210,9 @@ class _Request(msgspec.Struct, eq=False):
         # The same as `write_attachment`, inlined because this runs for each reply.
         attachment = LAYOUT.pack(sequence, time_ns(), GID_SIZE, gid) + note_tail(reply.note)
         service.context.outbox.post(partial(self.query.reply, payload, attachment))
-        if self.offer.observer is not None:
-            self.offer.observer.responded(payload, gid, sequence)
+        observer = self.offer.handler.observer
+        if observer is not None:
+            observer.responded(payload, gid, sequence)
         if not service.is_open:
             service.leave_if_idle()
 
@@ -231,9 +225,8 @@ class _Request(msgspec.Struct, eq=False):
 
     def _answer_nowait(self, message: object) -> bool:
         """Run the handler without a task, and answer. Return False if the handler needs a task."""
-        sync = self.offer.sync
         try:
-            return sync is not None and sync.reply_nowait(message, self.key[0], self.respond)
+            return self.offer.handler.reply_nowait(message, self.key[0], self.respond)
         except Exception as error:
             self.refuse(self._failure(error))
             return True
@@ -246,7 +239,6 @@ class _Request(msgspec.Struct, eq=False):
         """
         service, handler = self.service, self.offer.handler
         try:
-            assert handler is not None  # noqa: S101  # otherwise it would not be chosen
             self.respond(await handler.reply(message, self.key[0]))
         except Exception as error:
             self.refuse(self._failure(error))
@@ -269,13 +261,10 @@ class _Request(msgspec.Struct, eq=False):
 class _Offer:
     """A handler of a service, together with the handler's registration in the local transport."""
 
-    __slots__ = ("_near", "_service", "handler", "is_threaded", "observer", "sync")
+    __slots__ = ("_near", "_service", "handler")
 
-    def __init__(self, service: WireService, near: Closeable, handler: object) -> None:
-        self.handler = handler if isinstance(handler, AsyncHandler) else None
-        self.sync = handler if isinstance(handler, SyncHandler) else None
-        self.is_threaded = isinstance(handler, ThreadedHandler)
-        self.observer = observer_of(handler)
+    def __init__(self, service: WireService, near: Closeable, handler: ServiceHandler) -> None:
+        self.handler = handler
         self._service = service
         self._near = near
 

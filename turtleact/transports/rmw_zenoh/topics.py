@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import anyio
 
 from turtleact.errors import InvalidMessage
-from turtleact.transports.base import Deliver, Format, LossAware, Publication, QoS, Source
+from turtleact.transports.base import Deliver, Format, Publication, QoS, Source
 from turtleact.transports.rmw_zenoh.attachment import count_in, gid_in
 from turtleact.transports.rmw_zenoh.context import Context, Counter, Named, Opened, Presence
 
@@ -273,7 +273,7 @@ class WirePublication:
             context.outbox.post(self._put)  # one job per message keeps the order among publishers
         else:
             _note_loss(self._topic, self._qos, self._unsent, "published than can be sent")
-            if isinstance(self._source, LossAware):
+            if self._source is not None:
                 self._source.message_lost()
 
     def _send_current(self) -> int:
@@ -450,7 +450,7 @@ class DirectSubscription(WireSubscription):
         self._context.inbox.push(lambda: super(DirectSubscription, self)._complain(error))
 
 
-class _Relay:
+class _Relay(Source):
     """Replaces the publication's source in the local transport.
 
     The local transport knows only the readers in this process. Therefore, the relay reports these

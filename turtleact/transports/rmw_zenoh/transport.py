@@ -30,14 +30,13 @@ from turtleact.tasks import current_tasks
 from turtleact.tasks.clock import Clock, check_timeout
 from turtleact.transports.base import (
     EVERY_SERVER,
-    AsyncHandler,
     Caller,
-    CallerAware,
     Closeable,
     Deliver,
     Endpoint,
     Format,
     Publication,
+    ServiceHandler,
     Source,
     Target,
 )
@@ -132,21 +131,18 @@ class ZenohTransport:
         made = DirectSubscription if in_any_thread else WireSubscription
         return made(self.context, named, format, deliver, on_gap)
 
-    def serve(self, endpoint: Endpoint, format: Format, handler: object) -> Closeable:
+    def serve(self, endpoint: Endpoint, format: Format, handler: ServiceHandler) -> Closeable:
         """Offer ``handler`` as the server of a service. This raises the same errors as `advertise`.
 
         A request gets an error if another request with the same gid and sequence number is under
         way. An exception of the handler is sent to the client. Clients of ROS 2 log the error.
         """
         self._check_open()
-        is_for_others = isinstance(handler, AsyncHandler)
         key = (endpoint.node, endpoint.name, endpoint.type_name)
-        service = self._services.get(key) if is_for_others else None
+        service = self._services.get(key)
         if service is None or not service.is_open:
             named = self._name(endpoint, format)
-            service = WireService(self.context, named, format, is_for_others=is_for_others)
-            if is_for_others:
-                self._services[key] = service
+            service = self._services[key] = WireService(self.context, named, format)
         return service.add(handler)
 
     def join(self, endpoint: Endpoint, format: Format, target: Target = EVERY_SERVER) -> Caller:
@@ -159,11 +155,11 @@ class ZenohTransport:
         """
         return WireCaller(self.context, self._name(endpoint, format), format, target, self._servers)
 
-    def all_local(self, name: str, type_name: str) -> tuple[object, ...]:
+    def all_local(self, name: str, type_name: str) -> tuple[ServiceHandler, ...]:
         """All handlers that serve a service in this process."""
         return self._near.all_local(name, type_name)
 
-    def local(self, name: str, type_name: str) -> object | None:
+    def local(self, name: str, type_name: str) -> ServiceHandler | None:
         """The oldest handler that serves a service in this process; None if there is none."""
         return self._near.local(name, type_name)
 
@@ -383,8 +379,7 @@ class ZenohTransport:
             self.context.demand.remove(token.endpoint.name)
         if token.endpoint is not None and token.endpoint.kind == "client":
             for handler in self._near.handlers(token.endpoint.name):
-                if isinstance(handler, CallerAware):
-                    handler.caller_lost(token.endpoint.gid)
+                handler.caller_lost(token.endpoint.gid)
         if token.endpoint is not None and token.endpoint.kind == "service":
             for each in tuple(self.context.opened):
                 if isinstance(each, WireCaller):
