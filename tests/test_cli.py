@@ -27,7 +27,7 @@ def ends(monkeypatch, capsys):
     """Runs a job through the door: its exit status and what stands on stderr."""
 
     def run(job):
-        monkeypatch.setattr(verbs, "parse", lambda _: job)
+        monkeypatch.setattr(verbs, "run_verb", lambda _: job())
         return cli.run(["verb"]), capsys.readouterr().err
 
     return run
@@ -75,7 +75,7 @@ def test_a_bug_is_one_line_that_says_how_to_see_more(ends):
 def test_in_dev_mode_a_bug_shows_its_traceback():
     code = (
         "import sys; from turtleact import cli; from turtleact.commands import VERBS, verbs;"
-        "verbs.parse = lambda _: 1 / 0; sys.argv = ['turtleact', 'verb']; cli.main()"
+        "verbs.run_verb = lambda _: 1 / 0; sys.argv = ['turtleact', 'verb']; cli.main()"
     )
     outcome = subprocess.run(
         [sys.executable, "-X", "dev", "-c", code], capture_output=True, text=True, check=False
@@ -157,7 +157,7 @@ def test_characters_that_the_output_cannot_show_are_escaped(ends, monkeypatch):
 def test_closed_outputs_are_no_reason_to_fail(monkeypatch):
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
-    monkeypatch.setattr(verbs, "parse", lambda _: raises(UsageError("no")))
+    monkeypatch.setattr(verbs, "run_verb", lambda _: raises(UsageError("no"))())
     assert cli.run(["verb"]) == 2
 
 

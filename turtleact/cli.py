@@ -1,6 +1,6 @@
 """The entry point of the command line: takes arguments, returns an exit status.
 
-`turtleact.commands.verbs` declares the verbs. This module runs the verbs and turns every exception
+`turtleact.commands.verbs` runs the verb. This module calls it and turns every exception
 into a line on stderr and an exit status. Modules are imported only when needed, because users wait
 for every import. Importing Typer alone takes five times as long as running an empty Python program.
 
@@ -71,9 +71,9 @@ def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit status. An error is printed to stderr."""
     _make_printable()
     try:
-        from turtleact.commands.verbs import parse
+        from turtleact.commands.verbs import run_verb
 
-        status = parse(arguments)()
+        status = run_verb(arguments)
         if sys.stdout is not None and not sys.stdout.closed:
             sys.stdout.flush()
     except KeyboardInterrupt:
@@ -102,9 +102,9 @@ def _complete() -> None:
     watch.start()
     status = 0
     with suppress(Exception):
-        from turtleact.commands.verbs import parse
+        from turtleact.commands.verbs import run_verb
 
-        status = parse(())()
+        status = run_verb(())
     leave(status)
 
 

@@ -80,7 +80,7 @@ def offered(monkeypatch, capsys):
     def tab(*words, shell="bash"):
         for name, value in asked_by(shell, *words).items():
             monkeypatch.setenv(name, value)
-        assert verbs.parse(())() == 0
+        assert verbs.run_verb(()) == 0
         out, err = capsys.readouterr()
         assert err == ""
         return out.splitlines()

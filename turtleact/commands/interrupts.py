@@ -65,24 +65,28 @@ class Interrupts:
         Raises:
             BaseException: if the command raised it.
         """
-        runner = asyncio.Runner(loop_factory=new_event_loop)
-        # The handlers also cover the closing of the loop, which waits for all tasks and threads.
-        with self._handled(runner.get_loop()), runner:
-            try:
-                return runner.run(self._act(main))
-            except asyncio.CancelledError:
-                if not self.received:
-                    raise
-                return self.status
-            except SystemExit:
-                # The user's code ends the program. The command cleans up while its tasks still run.
-                self._ask_to_end()
-                with suppress(asyncio.CancelledError):
-                    if self._task is not None:
-                        runner.get_loop().run_until_complete(self._task)
+        try:
+            runner = asyncio.Runner(loop_factory=new_event_loop)
+            # The handlers also cover the closing of the loop, which waits for tasks and threads.
+            with self._handled(runner.get_loop()), runner:
+                return self._run(runner, main)
+        finally:
+            main.close()  # it has not begun if the signal came first
+
+    def _run(self, runner: asyncio.Runner, main: Coroutine[object, object, int]) -> int:
+        try:
+            return runner.run(self._act(main))
+        except asyncio.CancelledError:
+            if not self.received:
                 raise
-            finally:
-                main.close()  # it has not begun if the signal came first
+            return self.status
+        except SystemExit:
+            # The user's code ends the program. The command cleans up while its tasks still run.
+            self._ask_to_end()
+            with suppress(asyncio.CancelledError):
+                if self._task is not None:
+                    runner.get_loop().run_until_complete(self._task)
+            raise
 
     def end(self) -> None:
         """Let `wait` return, as if a signal had come."""

@@ -21,7 +21,8 @@ from typing import Final, NamedTuple
 from xml.sax.saxutils import escape, quoteattr
 
 from turtleact.commands.output import say
-from turtleact.errors import TurtleactError, UsageError
+from turtleact.commands.settings import WrongOptions
+from turtleact.errors import TurtleactError
 
 __all__ = ["NewPackage", "check", "create"]
 
@@ -90,25 +91,27 @@ def check(package: NewPackage, *, has_node_name: bool) -> None:
         has_node_name: Whether the user named an executable.
 
     Raises:
-        UsageError: if a name or the build type is not allowed, or if the user named an executable
+        WrongOptions: if a name or the build type is not allowed, or if the user named an executable
             for a package that has only interfaces.
     """
     if package.build_type not in BUILD_TYPES:
-        raise UsageError(f"--build-type is {' or '.join(BUILD_TYPES)}: turtleact compiles nothing")
+        raise WrongOptions(
+            f"--build-type is {' or '.join(BUILD_TYPES)}: turtleact compiles nothing"
+        )
     if has_node_name and package.build_type == "ament_cmake":
         problem = "has interfaces only: leave out --node-name, or give --build-type ament_python"
-        raise UsageError(f"a package of the build type ament_cmake {problem}")
+        raise WrongOptions(f"a package of the build type ament_cmake {problem}")
     name, node = package.name, package.node_name
     if not _NAME.fullmatch(name):
         problem = "use lower case, digits and single underscores, beginning with a letter"
-        raise UsageError(f"'{name}' is not the name of a ROS package: {problem}")
+        raise WrongOptions(f"'{name}' is not the name of a ROS package: {problem}")
     if keyword.iskeyword(name) or _is_module(name):
-        raise UsageError(f"'{name}' is the name of a Python module already: choose another name")
+        raise WrongOptions(f"'{name}' is the name of a Python module already: choose another name")
     if not node.isidentifier() or keyword.iskeyword(node) or node.startswith("__"):
-        raise UsageError(f"--node-name must be a valid name of a Python module, not '{node}'")
+        raise WrongOptions(f"--node-name must be a valid name of a Python module, not '{node}'")
     for each in package.dependencies:
         if not _NAME.fullmatch(each):
-            raise UsageError(f"--dependencies must be names of packages, not '{each}'")
+            raise WrongOptions(f"--dependencies must be names of packages, not '{each}'")
 
 
 def _is_module(name: str) -> bool:

@@ -32,6 +32,7 @@ __all__ = [
     "Reliability",
     "Service",
     "Watched",
+    "WrongOptions",
     "endpoints",
     "quoted",
 ]
@@ -48,6 +49,10 @@ _WITH_PORT = re.compile(r"(tcp|udp|tls|quic|ws)/(?P<address>.*)")
 _ADDRESS = re.compile(r"(\[[0-9A-Fa-f:.]+(%\w+)?\]|[^\s/:\[\]]+):(?P<port>[0-9]{1,9})")
 """A host and its port. An IPv6 address is in brackets."""
 _ENDPOINT = re.compile(r"[a-z][a-z0-9-]*/\S+")
+
+
+class WrongOptions(UsageError):
+    """Options or arguments of a verb do not fit each other, or cannot be understood."""
 
 
 class Reach(NamedTuple):
@@ -69,7 +74,7 @@ class Reach(NamedTuple):
         """Return the graph that these command-line options select.
 
         Raises:
-            UsageError: if ``connect`` is not a list of endpoints.
+            WrongOptions: if ``connect`` is not a list of endpoints.
         """
         return cls(endpoints("--connect", connect), domain, config)
 
@@ -267,13 +272,13 @@ def endpoints(option: str, text: str | None) -> tuple[str, ...]:
     """Split the value of an option into endpoints, which are separated by commas.
 
     Raises:
-        UsageError: if a part of the value is not an endpoint.
+        WrongOptions: if a part of the value is not an endpoint.
     """
     found = () if text is None else tuple(text.split(","))
     for each in found:
         if not (_ENDPOINT.fullmatch(each) and _is_reachable(each)):
             example = "tcp/[::1]:7447" if each.count(":") > 1 else "tcp/127.0.0.1:7447"
-            raise UsageError(f"{option} takes an endpoint such as {example}, not {quoted(each)}")
+            raise WrongOptions(f"{option} takes an endpoint such as {example}, not {quoted(each)}")
     return found
 
 

@@ -1,9 +1,9 @@
-"""Declares the verbs and their options for Typer, which turns a command line into a job.
+"""Turns functions into the verbs of the command line, with Typer.
 
-A command function checks its arguments as far as possible and returns a job, which does the work.
-The job runs outside of Typer, because Typer handles broken pipes and interrupts in its own way.
-Each group of verbs is a module, which is imported only when the user chooses the group. The job
-imports the modules of `turtleact.commands` that do the work.
+A verb is a function with Typer options, which does its work and returns the exit status. `verb`
+adds the options that many verbs share, such as ``--connect``, and opens the graph for a function
+that takes a node. Each group of verbs is a module, which is imported only when the user chooses the
+group. The functions import what they need, so that ``--help`` and the Tab key stay fast.
 
 `Verb` accepts the forms of arguments that ``ros2`` accepts. If the user types a verb that
 only ``ros2`` has, `Group` suggests an alternative. Both classes override only documented methods
@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from collections.abc import Callable, Sequence
-from functools import partial
 from importlib import import_module
-from typing import Annotated, Any, Final, TypeAlias
+from inspect import Parameter, signature
+from typing import Annotated, Any, Final, TypeVar, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -25,28 +26,33 @@ from typer.main import get_command
 
 from turtleact.commands import GROUPS, VERBS
 from turtleact.commands.output import printable
-from turtleact.errors import UsageError
+from turtleact.commands.settings import WrongOptions
+from turtleact.commands.verbs.options import BUNDLES, TYPE_NAME, Interfaces, folder
 
 __all__ = [
     "SETTINGS",
     "Group",
-    "Job",
+    "MessageVerb",
     "Verb",
-    "assemble",
     "load",
     "new_group",
-    "parse",
+    "run_verb",
+    "verb",
     "without_daemon",
 ]
 
-Job: TypeAlias = Callable[[], int]
-"""A function that does the work of a verb and returns the exit status."""
+F = TypeVar("F", bound=Callable[..., Any])
 
 SETTINGS: Final[dict[str, Any]] = {
     "add_completion": False,
     "context_settings": {"help_option_names": ["-h", "--help"]},
 }
 """The options of Typer for all groups of verbs."""
+
+UNSEEN: Final = ("Node", "Reach", "Style", "Policies")
+"""The types of what `BUNDLES` makes, which modules of verbs import for the type checker alone."""
+
+_KIND: Final = Parameter.KEYWORD_ONLY
 
 _VALUE: Final = re.compile(r"-[\d.\s]|---\s")
 """The beginning of a value with a leading dash: ``-5``, ``- x: 1``, or a YAML document."""
@@ -114,10 +120,7 @@ _MEANT: Final = {"--web": "[HOST:]PORT", "--listen": "tcp/HOST:PORT"}
 
 
 class Verb(TyperCommand):
-    """A command that accepts the forms of arguments that ``ros2`` accepts.
-
-    A `UsageError` is reported in the format of Typer's own usage errors.
-    """
+    """A command that accepts the forms of arguments that ``ros2`` accepts."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
         """Parse the arguments.
@@ -146,15 +149,50 @@ class Verb(TyperCommand):
         """Return the options and arguments, set up so that the help shows no type for switches."""
         return _without_type(super().get_params(ctx))
 
-    def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above; the job
-        """Call the command function, which makes the job.
+    def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above
+        """Run the verb, and end with the exit status that it returns.
 
-        Report a `UsageError` in the format of Typer's own usage errors.
+        `WrongOptions` are reported in the format of Typer's own usage errors.
         """
         try:
-            return super().invoke(ctx)
-        except UsageError as error:
+            raise typer.Exit(super().invoke(ctx) or 0)
+        except WrongOptions as error:
             ctx.fail(printable(str(error)))
+        except (EOFError, KeyboardInterrupt, OSError, SystemExit) as error:
+            raise _Ended(error) from None
+
+
+class _Ended(Exception):
+    """A verb has ended with an exception that Typer would handle in its own way."""
+
+    def __init__(self, error: BaseException) -> None:
+        super().__init__(error)
+        self.error = error
+
+
+class MessageVerb(Verb):
+    """A verb that takes a message as its last argument.
+
+    A shell splits a message without quotes into several arguments. If the arguments look like a
+    message that was split, the error says so.
+    """
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as in `Verb`
+        """Parse the arguments as `Verb` does, and fail if there are too many."""
+        ctx.allow_extra_args = True
+        left = super().parse_args(ctx, args)
+        if ctx.resilient_parsing:
+            return left
+        name = [each for each in self.params if each.param_type_name == "argument"][-1].name or ""
+        first, text = ctx.params["type_name"], ctx.params[name]
+        given = (text,) if first is None or TYPE_NAME.fullmatch(first) else (first, text)
+        words = [each for each in (*given, *left) if each is not None]
+        if len(words) > 1 and ":" in "".join(words):
+            what, quotes = ("goal" if name == "goal" else "message"), shlex.quote(" ".join(words))
+            ctx.fail(f"the shell splits the {what} at its spaces. Quote it: {quotes}")
+        if left:
+            ctx.fail(f"Got unexpected extra argument(s) ({' '.join(left)})")
+        return left
 
 
 class Group(TyperGroup):
@@ -205,37 +243,106 @@ class LazyGroup(Group):
         return name, load(name) if name in VERBS else command, rest
 
 
-def parse(arguments: Sequence[str]) -> Job:
-    """Parse a command line into a job. Typer prints help, completions and usage errors.
+def run_verb(arguments: Sequence[str]) -> int:
+    """Run a command line, and return the exit status.
 
-    If Typer has printed help, completions or a usage error, the job only returns the exit status.
+    Typer prints help, completions and usage errors. All exceptions of verbs are raised.
     """
-    jobs: list[Job | None] = []
     # The options for completion can only stand before a verb. Even when they are absent, Typer
     # imports pydantic to read them, so a line that begins with a verb does without them.
     completion = not arguments or arguments[0].startswith("-")
-    command = get_command(assemble(lambda job, **_: jobs.append(job), completion=completion))
+    command = get_command(_assemble(completion=completion))
     try:
         command.main(list(arguments), prog_name="turtleact")
+    except _Ended as ended:
+        raise ended.error from None
     except SystemExit as end:
-        if jobs and jobs[0] is not None:
-            return jobs[0]
         is_unread = isinstance(end.__context__, BrokenPipeError)
-        return partial(_exit_status, BROKEN_PIPE if is_unread else int(end.code or 0))
+        return BROKEN_PIPE if is_unread else int(end.code or 0)
     raise AssertionError("Typer always exits")
 
 
-def assemble(take: Callable[..., None], *, completion: bool = True) -> typer.Typer:
+def verb(
+    group: typer.Typer,
+    name: str | None = None,
+    *,
+    cls: type[TyperCommand] = Verb,
+    knows: bool = False,
+    **settings: Any,  # noqa: ANN401  # those of Typer.command
+) -> Callable[[F], F]:
+    """Add a function to a group as a verb.
+
+    Each parameter of the function is an option or argument, except those in `BUNDLES`, which stand
+    for several options. If the function has the parameter ``node``, it is a coroutine function, and
+    runs on the graph that the options select.
+
+    Args:
+        group: The group.
+        name: The name of the verb; None for the name of the function.
+        cls: The class of the command.
+        knows: Whether to add ``--interfaces``, and to find the interfaces before the verb runs.
+        **settings: More arguments of `typer.Typer.command`.
+    """
+
+    def add(function: F) -> F:
+        group.command(name, cls=cls, **settings)(_command(function, knows=knows))
+        return function
+
+    return add
+
+
+def _command(function: Callable[..., Any], *, knows: bool) -> Callable[..., int | None]:
+    """Make the function that Typer calls, with a parameter for each option."""
+    own = signature(function).parameters
+    bundled = {each: _options(BUNDLES[each]) for each in own if each in BUNDLES}
+    single = _options(function)
+    added: list[Parameter] = []
+    # The options of the graph are the last ones of each help text.
+    for each in sorted(own, key=("node", "reach").__contains__):
+        added += bundled[each].values() if each in bundled else [single[each]]
+    if knows:
+        added.append(Parameter("interfaces", _KIND, default=None, annotation=Interfaces))
+
+    def act(**given: Any) -> int | None:  # noqa: ANN401  # whatever the options are
+        values = {each: given[each] for each in own if each not in bundled}
+        for each, options in bundled.items():
+            values[each] = BUNDLES[each](**{option: given[option] for option in options})
+        if knows:
+            from turtleact.commands.interfaces import make_known
+
+            make_known(folder(given["interfaces"]))
+        if "node" not in own:
+            status: int | None = function(**values)
+            return status
+        from turtleact.commands import graph
+
+        return graph.run(values.pop("node"), lambda node: function(node=node, **values))
+
+    act.__name__, act.__doc__ = function.__name__, function.__doc__
+    act.__signature__ = signature(act).replace(parameters=added)  # type: ignore[attr-defined]  # read by inspect
+    act.__annotations__ = {each.name: each.annotation for each in added}
+    return act
+
+
+def _options(function: Callable[..., Any]) -> dict[str, Parameter]:
+    """Return the parameters of a function, with annotations that Typer can read."""
+    unseen = dict.fromkeys(UNSEEN, object)
+    hints = get_type_hints(function, None, unseen, include_extras=True)
+    return {
+        name: each.replace(annotation=hints[name], kind=_KIND)
+        for name, each in signature(function).parameters.items()
+    }
+
+
+def _assemble(*, completion: bool) -> typer.Typer:
     """Make the Typer app that lists all verbs, without importing them.
 
     Args:
-        take: Called with the job that the command function returns.
         completion: Whether to add the options that install and show shell completion.
     """
     app = typer.Typer(
         cls=LazyGroup,
         callback=_root,
-        result_callback=take,
         invoke_without_command=True,
         **(SETTINGS | {"add_completion": completion}),
     )
@@ -332,10 +439,9 @@ def _unloaded() -> None:
     """Stand in for the command function of a verb that `LazyGroup` has not imported yet."""
 
 
-def _daemon(what: Annotated[str, typer.Argument()] = "") -> Job:  # noqa: ARG001  # whatever it is
+def _daemon(what: Annotated[str, typer.Argument()] = "") -> None:  # noqa: ARG001  # whatever it is
     """Say that the daemon of ``ros2`` is not running."""
     typer.echo("The daemon is not running: each command asks the graph itself")
-    return partial(_exit_status, 0)
 
 
 def _without_type(params: list[Any]) -> list[Any]:
@@ -344,10 +450,6 @@ def _without_type(params: list[Any]) -> list[Any]:
         if getattr(param, "is_flag", False) and param.metavar is None:
             param.metavar = ""
     return params
-
-
-def _exit_status(status: int) -> int:
-    return status
 
 
 def _check_text(ctx: typer.Context, param: Any) -> None:  # noqa: ANN401  # option or argument

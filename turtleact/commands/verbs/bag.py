@@ -1,4 +1,4 @@
-"""Declares the group ``bag`` for Typer."""
+"""The verbs of ``bag``."""
 
 from __future__ import annotations
 
@@ -11,20 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import typer
 
 from turtleact.commands import completion
-from turtleact.commands.settings import quoted
-from turtleact.commands.verbs import Job, Verb, new_group
+from turtleact.commands.settings import WrongOptions, quoted
+from turtleact.commands.verbs import Verb, new_group, verb
 from turtleact.commands.verbs.options import (
-    Config,
-    Connect,
-    Domain,
-    Interfaces,
-    folder,
+    Json,
+    argument,
+    flag,
     hertz,
     in_seconds,
-    reach,
+    value,
     whole,
 )
-from turtleact.errors import TurtleactError, UsageError
+from turtleact.errors import TurtleactError
 
 if TYPE_CHECKING:
     from turtleact.commands.settings import Reach
@@ -98,269 +96,163 @@ def _with_frequency(args: Sequence[str]) -> list[str]:
     return found
 
 
-def _several(name: str, text: str, *, panel: str = WHAT, names: Callable[..., Any] | None) -> Any:  # noqa: ANN401  # as typer.Option
-    return typer.Option(
-        name, metavar="NAME...", help=text, rich_help_panel=panel, autocompletion=names
-    )
+def _several(name: str, text: str, names: Callable[..., Any] | None = None) -> Any:  # noqa: ANN401  # as typer.Option
+    return value(name, metavar="NAME...", text=text, panel=WHAT, autocompletion=names)
 
 
-def _flag(*names: str, text: str, panel: str = WHAT) -> Any:  # noqa: ANN401  # as typer.Option
-    return typer.Option(*names, help=text, rich_help_panel=panel)
+def _played(*names: str, text: str) -> Any:  # noqa: ANN401  # likewise
+    return in_seconds(*names, text=text, panel=PLAYING, is_of_bag=True)
 
 
-Positional: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="TOPIC",
-        help="Topics to record.",
-        autocompletion=completion.topics,
-        show_default=False,
-    ),
-]
 Topics: TypeAlias = Annotated[
-    list[str] | None, _several("--topics", "These topics.", names=completion.topics)
+    list[str] | None, _several("--topics", "These topics.", completion.topics)
 ]
-Services: TypeAlias = Annotated[
-    list[str] | None, _several("--services", "These services.", names=None)
-]
+Services: TypeAlias = Annotated[list[str] | None, _several("--services", "These services.")]
 Actions: TypeAlias = Annotated[
-    list[str] | None, _several("--actions", "These actions.", names=completion.actions)
-]
-Types: TypeAlias = Annotated[
-    list[str] | None, _several("--topic-types", "Topics of these types.", names=None)
-]
-All: TypeAlias = Annotated[
-    bool, _flag("--all", "-a", text="All topics, services and actions, except hidden topics.")
-]
-AllTopics: TypeAlias = Annotated[
-    bool, _flag("--all-topics", text="All topics, except hidden ones.")
-]
-AllServices: TypeAlias = Annotated[bool, _flag("--all-services", text="All services.")]
-AllActions: TypeAlias = Annotated[bool, _flag("--all-actions", text="All actions.")]
-Hidden: TypeAlias = Annotated[
-    bool, _flag("--include-hidden-topics", text="Hidden topics too, with --all.")
+    list[str] | None, _several("--actions", "These actions.", completion.actions)
 ]
 Regex: TypeAlias = Annotated[
     str,
-    typer.Option(
-        "--regex",
-        "-e",
+    value(
+        *("--regex", "-e"),
         metavar="EXPR",
-        help="Everything whose name this regular expression finds.",
-        rich_help_panel=WHAT,
+        text="Everything whose name this regular expression finds.",
+        panel=WHAT,
     ),
 ]
 ExcludeRegex: TypeAlias = Annotated[
     str,
-    typer.Option(
-        "--exclude-regex",
-        "-x",
+    value(
+        *("--exclude-regex", "-x"),
         metavar="EXPR",
-        help="Leave out everything whose name this regular expression finds.",
-        rich_help_panel=WHAT,
+        text="Leave out everything whose name this regular expression finds.",
+        panel=WHAT,
     ),
 ]
 ExcludeTopics: TypeAlias = Annotated[
-    list[str] | None, _several("--exclude-topics", "Leave these out.", names=completion.topics)
+    list[str] | None, _several("--exclude-topics", "Leave these out.", completion.topics)
 ]
 ExcludeServices: TypeAlias = Annotated[
-    list[str] | None, _several("--exclude-services", "Leave these out.", names=None)
+    list[str] | None, _several("--exclude-services", "Leave these out.")
 ]
 ExcludeActions: TypeAlias = Annotated[
-    list[str] | None, _several("--exclude-actions", "Leave these out.", names=completion.actions)
-]
-ExcludeTypes: TypeAlias = Annotated[
-    list[str] | None,
-    _several("--exclude-topic-types", "Leave topics of these types out.", names=None),
-]
-Output: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="NAME",
-        help="The folder to create; by default, one with the time in its name.",
-        rich_help_panel=FILES,
-        show_default=False,
-    ),
+    list[str] | None, _several("--exclude-actions", "Leave these out.", completion.actions)
 ]
 MaxSize: TypeAlias = Annotated[
     int,
-    typer.Option(
-        "--max-bag-size",
-        "-b",
+    value(
+        *("--max-bag-size", "-b"),
         metavar="BYTES",
+        text="Begin another file after so many bytes; 0 for never.",
+        panel=FILES,
         parser=whole,
-        help="Begin another file after so many bytes; 0 for never.",
-        rich_help_panel=FILES,
     ),
 ]
 MaxDuration: TypeAlias = Annotated[
     float,
     in_seconds(
-        "--max-bag-duration",
-        "-d",
+        *("--max-bag-duration", "-d"),
         text="Begin another file after this time; 0 for never.",
         panel=FILES,
         is_of_bag=True,
     ),
 ]
-CacheSize: TypeAlias = Annotated[
-    int,
-    typer.Option(
-        "--max-cache-size",
-        metavar="BYTES",
-        parser=whole,
-        help="How much may wait to be written. Beyond that, messages are dropped and counted.",
-        rich_help_panel=FILES,
-    ),
-]
-Storage: TypeAlias = Annotated[
-    Literal["mcap"] | None,
-    typer.Option("--storage", "-s", help="The format of the files.", rich_help_panel=FILES),
-]
 PresetProfile: TypeAlias = Annotated[
     Preset,
-    typer.Option(
+    value(
         "--storage-preset-profile",
         metavar="NAME",
-        help="Whether to compress: zstd_fast or zstd_small.",
-        rich_help_panel=FILES,
+        text="Whether to compress: zstd_fast or zstd_small.",
+        panel=FILES,
     ),
 ]
 Overrides: TypeAlias = Annotated[
     Path | None,
-    typer.Option(
+    value(
         "--qos-profile-overrides-path",
         metavar="FILE",
-        help="Quality of service by topic, in a YAML file of 'ros2 bag'.",
+        text="Quality of service by topic, in a YAML file of 'ros2 bag'.",
     ),
 ]
 Ignored: TypeAlias = Annotated[
-    bool, typer.Option("--disable-keyboard-controls", hidden=True, help="For scripts of ros2.")
+    bool, flag("--disable-keyboard-controls", text="For scripts of ros2.", hidden=True)
 ]
-BagPath: TypeAlias = Annotated[
-    Path, typer.Argument(metavar="BAG", help="The folder of the bag, or one of its files.")
-]
+BagPath: TypeAlias = Annotated[Path, argument("BAG", "The folder of the bag, or one of its files.")]
 ReadStorage: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--storage", "-s", hidden=True, help="Not needed: the file tells."),
-]
-NamesOnly: TypeAlias = Annotated[
-    bool, typer.Option("--topic-name", "-t", help="Print only the names of the topics.")
-]
-Verbose: TypeAlias = Annotated[
-    bool,
-    typer.Option(
-        "--verbose", "-v", help="Count requests and responses apart; reads all of the bag."
-    ),
-]
-
-PlayRate: TypeAlias = Annotated[
-    str,
-    typer.Option(
-        "--rate",
-        "-r",
-        metavar="FACTOR",
-        help="How much faster than recorded; max plays without any waiting.",
-        rich_help_panel=PLAYING,
-    ),
-]
-Loop: TypeAlias = Annotated[
-    bool, _flag("--loop", "-l", text="Start over at the end.", panel=PLAYING)
+    str | None, value("--storage", "-s", text="Not needed: the file tells.", hidden=True)
 ]
 StartOffset: TypeAlias = Annotated[
-    float,
-    in_seconds(
-        "--start-offset",
-        text="Begin this many seconds after the start of the bag.",
-        panel=PLAYING,
-        is_of_bag=True,
-    ),
+    float, _played("--start-offset", text="Begin this many seconds after the start of the bag.")
 ]
 PlayDuration: TypeAlias = Annotated[
-    float | None,
-    in_seconds(
-        "--playback-duration",
-        text="Leave out what was recorded later.",
-        panel=PLAYING,
-        is_of_bag=True,
-    ),
-]
-Delay: TypeAlias = Annotated[
-    float, in_seconds("--delay", "-d", text="Wait before playing.", panel=PLAYING, is_of_bag=True)
-]
-Remap: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--remap",
-        "-m",
-        metavar="OLD:=NEW...",
-        help="Give topics and actions other names.",
-        rich_help_panel=PLAYING,
-    ),
-]
-SendGoals: TypeAlias = Annotated[
-    bool,
-    _flag(
-        "--send-actions-as-client",
-        text="Send the goals and cancel requests again, with new ids, instead of publishing the "
-        "topics of actions.",
-        panel=PLAYING,
-    ),
-]
-ClockFrequency: TypeAlias = Annotated[
-    float | None,
-    typer.Option(
-        "--clock",
-        metavar="[HZ]",
-        parser=hertz,
-        help="Publish the time in the bag on /clock, 40 times a second.",
-        rich_help_panel=PLAYING,
-        show_default=False,
-    ),
-]
-Action: TypeAlias = Annotated[
-    str | None,
-    typer.Argument(metavar="ACTION", help="Only goals of this action.", show_default=False),
-]
-AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object a line.")]
-Bags: TypeAlias = Annotated[
-    list[str],
-    typer.Option("--input", "-i", metavar="BAG...", help="The bags to read."),
-]
-ConvertOutput: TypeAlias = Annotated[
-    Path,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="NAME",
-        help="The folder to create, or a YAML file of 'ros2 bag convert'.",
-    ),
-]
-
-Port: TypeAlias = Annotated[
-    int, typer.Option("--port", metavar="N", parser=whole, help="The port; 0 for any free one.")
-]
-NoOpen: TypeAlias = Annotated[
-    bool, typer.Option("--no-open", help="Only print the address, and open no browser.")
+    float | None, _played("--playback-duration", text="Leave out what was recorded later.")
 ]
 
 app = new_group("bag")
 
 
-@app.command(cls=ManyVerb)
+Output: TypeAlias = Annotated[
+    Path | None,
+    value(
+        *("--output", "-o"),
+        metavar="NAME",
+        text="The folder to create; by default, one with the time in its name.",
+        panel=FILES,
+        show_default=False,
+    ),
+]
+Cache: TypeAlias = Annotated[
+    int,
+    value(
+        "--max-cache-size",
+        metavar="BYTES",
+        text="How much may wait to be written. Beyond that, messages are dropped and counted.",
+        panel=FILES,
+        parser=whole,
+    ),
+]
+Everything: TypeAlias = Annotated[
+    bool,
+    flag(
+        *("--all", "-a"),
+        text="All topics, services and actions, except hidden topics.",
+        panel=WHAT,
+    ),
+]
+Positional: TypeAlias = Annotated[
+    list[str] | None,
+    argument("TOPIC", "Topics to record.", completion.topics, show_default=False),
+]
+Hidden: TypeAlias = Annotated[
+    bool,
+    flag("--include-hidden-topics", text="Hidden topics too, with --all.", panel=WHAT),
+]
+ExcludeTypes: TypeAlias = Annotated[
+    list[str] | None,
+    _several("--exclude-topic-types", "Leave topics of these types out."),
+]
+Storage: TypeAlias = Annotated[
+    Literal["mcap"] | None,
+    value("--storage", "-s", text="The format of the files.", panel=FILES),
+]
+AllTopics: TypeAlias = Annotated[
+    bool, flag("--all-topics", text="All topics, except hidden ones.", panel=WHAT)
+]
+
+
+@verb(app, cls=ManyVerb, knows=True)
 def record(
+    reach: Reach,
     positional: Positional = None,
     *,
     topics: Topics = None,
     services: Services = None,
     actions: Actions = None,
-    types: Types = None,
-    everything: All = False,
+    types: Annotated[list[str] | None, _several("--topic-types", "Topics of these types.")] = None,
+    everything: Everything = False,
     all_topics: AllTopics = False,
-    all_services: AllServices = False,
-    all_actions: AllActions = False,
+    all_services: Annotated[bool, flag("--all-services", text="All services.", panel=WHAT)] = False,
+    all_actions: Annotated[bool, flag("--all-actions", text="All actions.", panel=WHAT)] = False,
     hidden: Hidden = False,
     regex: Regex = "",
     exclude_regex: ExcludeRegex = "",
@@ -371,16 +263,12 @@ def record(
     output: Output = None,
     max_size: MaxSize = 0,
     max_duration: MaxDuration = 0,
-    cache: CacheSize = 100 * 1024 * 1024,
+    cache: Cache = 100 * 1024 * 1024,
     storage: Storage = None,  # noqa: ARG001  # there is one
     preset: PresetProfile = "none",
     overrides: Overrides = None,
     _keyboard: Ignored = False,  # there are none
-    interfaces: Interfaces = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """Record topics, services and actions to a bag, until Ctrl-C."""
     named: dict[str, Any] = {
         "topics": [*(positional or ()), *(topics or ())],
@@ -393,60 +281,82 @@ def record(
         "all_actions": everything or all_actions,
     }
     if not any(named.values()):
-        raise UsageError(
+        raise WrongOptions(
             "nothing to record: name topics, or give --all, --actions, --services, --regex or "
             "another option of --help"
         )
+    sessions = _work("bag_sessions")
     left_out = [*(exclude_topics or ()), *(exclude_services or ()), *(exclude_actions or ())]
     named |= {"exclude": left_out, "exclude_types": exclude_types, "exclude_regex": exclude_regex}
-    path = output or Path(time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S"))
-    compression = "none" if preset == "fastwrite" else preset
-    files = path, max_size, max_duration, cache, compression, overrides
-    return _recording(
-        reach(connect, domain, config), interfaces, {**named, "hidden": hidden}, files
+    order = sessions.RecordOrder(
+        output or Path(time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S")),
+        _selection(**named, hidden=hidden),
+        max_size,
+        max_duration,
+        cache,
+        _compression(preset),
+        overrides,
     )
+    status: int = sessions.record_graph(reach, order)
+    return status
 
 
-def _recording(
-    where: Reach, interfaces: Path | None, named: dict[str, Any], files: tuple[object, ...]
-) -> Job:
-    """Return the job that records messages to a bag; see `bag_sessions.RecordOrder`."""
-
-    def job() -> int:
-        from turtleact.commands.interfaces import make_known
-
-        sessions = _work("bag_sessions")
-        make_known(folder(interfaces))
-        path, *limits = files
-        order = sessions.RecordOrder(path, _selection(**named), *limits)
-        status: int = sessions.record_graph(where, order)
-        return status
-
-    return job
-
-
-@app.command(cls=Verb)
+@verb(app)
 def info(
     bag: BagPath,
     *,
-    names_only: NamesOnly = False,
-    verbose: Verbose = False,
+    names_only: Annotated[
+        bool, flag("--topic-name", "-t", text="Print only the names of the topics.")
+    ] = False,
+    verbose: Annotated[
+        bool,
+        flag(
+            *("--verbose", "-v"),
+            text="Count requests and responses apart; reads all of the bag.",
+        ),
+    ] = False,
     storage: ReadStorage = None,  # noqa: ARG001  # the file tells
-) -> Job:
+) -> int:
     """Print what is in a bag, and what is missing from it."""
-
-    def job() -> int:
-        contents = _work("bag_contents")
-        status: int = contents.print_info(
-            bag, verbose=verbose, names_only=names_only and not verbose
-        )
-        return status
-
-    return job
+    print_info = _work("bag_contents").print_info
+    status: int = print_info(bag, verbose=verbose, names_only=names_only and not verbose)
+    return status
 
 
-@app.command(cls=ManyVerb)
+Clock: TypeAlias = Annotated[
+    float | None,
+    value(
+        "--clock",
+        metavar="[HZ]",
+        text="Publish the time in the bag on /clock, 40 times a second.",
+        panel=PLAYING,
+        parser=hertz,
+        show_default=False,
+    ),
+]
+Rate: TypeAlias = Annotated[
+    str,
+    value(
+        *("--rate", "-r"),
+        metavar="FACTOR",
+        text="How much faster than recorded; max plays without any waiting.",
+        panel=PLAYING,
+    ),
+]
+Remap: TypeAlias = Annotated[
+    list[str] | None,
+    value(
+        *("--remap", "-m"),
+        metavar="OLD:=NEW...",
+        text="Give topics and actions other names.",
+        panel=PLAYING,
+    ),
+]
+
+
+@verb(app, cls=ManyVerb, knows=True)
 def play(
+    reach: Reach,
     bag: BagPath,
     *,
     topics: Topics = None,
@@ -457,34 +367,30 @@ def play(
     exclude_topics: ExcludeTopics = None,
     exclude_services: ExcludeServices = None,
     exclude_actions: ExcludeActions = None,
-    rate: PlayRate = "1.0",
-    loop: Loop = False,
+    rate: Rate = "1.0",
+    loop: Annotated[
+        bool, flag("--loop", "-l", text="Start over at the end.", panel=PLAYING)
+    ] = False,
     offset: StartOffset = 0,
     duration: PlayDuration = None,
-    delay: Delay = 0,
+    delay: Annotated[float, _played("--delay", "-d", text="Wait before playing.")] = 0,
     remap: Remap = None,
-    send_goals: SendGoals = False,
-    clock: ClockFrequency = None,
+    send_goals: Annotated[
+        bool,
+        flag(
+            "--send-actions-as-client",
+            text="Send the goals and cancel requests again, with new ids, instead of publishing "
+            "the topics of actions.",
+            panel=PLAYING,
+        ),
+    ] = False,
+    clock: Clock = None,
     overrides: Overrides = None,
     storage: ReadStorage = None,  # noqa: ARG001  # the file tells
     _keyboard: Ignored = False,  # there are none
-    interfaces: Interfaces = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """Publish the messages of a bag again, or send its goals again."""
-    named: dict[str, Any] = {
-        "topics": topics,
-        "services": services,
-        "actions": actions,
-        "regex": regex,
-    }
-    is_all = not any(named.values())
-    left_out = [*(exclude_topics or ()), *(exclude_services or ()), *(exclude_actions or ())]
-    named |= {"exclude": left_out, "exclude_regex": exclude_regex, "hidden": True}
-    named |= dict.fromkeys(("all_topics", "all_services", "all_actions"), is_all)
-    options = {
+    options: dict[str, Any] = {
         "rate": _rate(rate),
         "loop": loop,
         "start_offset": offset,
@@ -493,46 +399,43 @@ def play(
         "remap": dict(map(_renamed, remap or ())),
         "clock": clock or 0.0,
     }
-    where = reach(connect, domain, config)
-
-    def job() -> int:
-        from turtleact.commands.interfaces import make_known
-
-        sessions = _work("bag_sessions")
-        make_known(folder(interfaces))
-        taken = {**options, "selection": _selection(**named)}
-        order = sessions.PlayOrder(bag, taken, delay, overrides)
-        status: int = sessions.play_bag(where, order)
-        return status
-
-    return job
+    sessions = _work("bag_sessions")
+    left_out = [*(exclude_topics or ()), *(exclude_services or ()), *(exclude_actions or ())]
+    options["selection"] = _taken(
+        {"topics": topics, "services": services, "actions": actions, "regex": regex},
+        exclude=left_out,
+        exclude_regex=exclude_regex,
+    )
+    order = sessions.PlayOrder(bag, options, delay, overrides)
+    status: int = sessions.play_bag(reach, order)
+    return status
 
 
-@app.command(cls=Verb)
+@verb(app, knows=True)
 def goals(
     bag: BagPath,
-    action: Action = None,
+    action: Annotated[
+        str | None, argument("ACTION", "Only goals of this action.", show_default=False)
+    ] = None,
     *,
-    as_json: AsJson = False,
-    interfaces: Interfaces = None,
-) -> Job:
+    as_json: Json = False,
+) -> int:
     """List the goals in a bag."""
-
-    def job() -> int:
-        from turtleact.commands.interfaces import make_known
-
-        contents = _work("bag_contents")
-        make_known(folder(interfaces))
-        status: int = contents.print_goals(bag, action, as_json=as_json)
-        return status
-
-    return job
+    status: int = _work("bag_contents").print_goals(bag, action, as_json=as_json)
+    return status
 
 
-@app.command(cls=ManyVerb)
+@verb(app, cls=ManyVerb)
 def convert(
-    bags: Bags,
-    output: ConvertOutput,
+    bags: Annotated[list[str], value("--input", "-i", metavar="BAG...", text="The bags to read.")],
+    output: Annotated[
+        Path,
+        value(
+            *("--output", "-o"),
+            metavar="NAME",
+            text="The folder to create, or a YAML file of 'ros2 bag convert'.",
+        ),
+    ],
     *,
     topics: Topics = None,
     services: Services = None,
@@ -545,51 +448,56 @@ def convert(
     max_size: MaxSize = 0,
     max_duration: MaxDuration = 0,
     preset: PresetProfile = "none",
-) -> Job:
+) -> int:
     """Convert bags: merge, cut by time or topic, split or compress them."""
-    named: dict[str, Any] = {
-        "topics": topics,
-        "services": services,
-        "actions": actions,
-        "regex": regex,
-    }
-    is_all = not any(named.values())
-    named |= {"exclude": exclude_topics, "exclude_regex": exclude_regex, "hidden": True}
-    named |= dict.fromkeys(("all_topics", "all_services", "all_actions"), is_all)
+    converting = _work("bag_converting")
     inputs = [Path(each) for each in bags if each not in ("mcap", "sqlite3")]  # ids of storages
-
-    def job() -> int:
-        converting = _work("bag_converting")
-        if output.suffix in (".yaml", ".yml"):
-            outputs = converting.outputs_in(output)
-        else:
-            start, end = converting.cut(inputs[0], offset, duration)
-            split = converting.Split(
-                max_size=max_size,
-                max_duration=round(max_duration * 1e9),
-                compression="none" if preset == "fastwrite" else preset,
-            )
-            selection = _selection(**named)
-            outputs = [
-                converting.Output(
-                    path=output, selection=selection, start=start, end=end, split=split
-                )
-            ]
-        status: int = converting.run(inputs, outputs)
-        return status
-
-    return job
+    if output.suffix in (".yaml", ".yml"):
+        outputs = converting.outputs_in(output)
+    else:
+        start, end = converting.cut(inputs[0], offset, duration)
+        split = converting.Split(
+            max_size=max_size,
+            max_duration=round(max_duration * 1e9),
+            compression=_compression(preset),
+        )
+        selection = _taken(
+            {"topics": topics, "services": services, "actions": actions, "regex": regex},
+            exclude=exclude_topics,
+            exclude_regex=exclude_regex,
+        )
+        outputs = [
+            converting.Output(path=output, selection=selection, start=start, end=end, split=split)
+        ]
+    status: int = converting.run(inputs, outputs)
+    return status
 
 
-@app.command(cls=Verb)
-def view(bag: BagPath, *, port: Port = 0, no_open: NoOpen = False) -> Job:
+@verb(app)
+def view(
+    bag: BagPath,
+    *,
+    port: Annotated[
+        int, value("--port", metavar="N", text="The port; 0 for any free one.", parser=whole)
+    ] = 0,
+    no_open: Annotated[
+        bool, flag("--no-open", text="Only print the address, and open no browser.")
+    ] = False,
+) -> int:
     """Show a bag in a browser, with a time line."""
+    status: int = _work("bag_sessions").view_bag(bag, port, is_opened=not no_open)
+    return status
 
-    def job() -> int:
-        status: int = _work("bag_sessions").view_bag(bag, port, is_opened=not no_open)
-        return status
 
-    return job
+def _compression(preset: Preset) -> str:
+    return "none" if preset == "fastwrite" else preset
+
+
+def _taken(named: dict[str, Any], **left_out: Any) -> Selection:  # noqa: ANN401  # as Selection
+    """Make the selection of messages from a bag: those named, or all if none are named."""
+    flags = ("all_topics", "all_services", "all_actions")
+    everything = dict.fromkeys(flags, not any(named.values()))
+    return _selection(**named, **left_out, **everything, hidden=True)
 
 
 def _rate(text: str) -> float | str:
@@ -599,7 +507,7 @@ def _rate(text: str) -> float | str:
     try:
         return hertz(text)
     except typer.BadParameter:
-        raise UsageError(f"--rate takes a factor above zero or max, not {quoted(text)}") from None
+        raise WrongOptions(f"--rate takes a factor above zero or max, not {quoted(text)}") from None
 
 
 def _renamed(rule: str) -> tuple[str, str]:
@@ -608,7 +516,7 @@ def _renamed(rule: str) -> tuple[str, str]:
 
     old, sign, new = rule.partition(":=")
     if not sign:
-        raise UsageError(f"--remap takes rules such as /old:=/new, not {quoted(rule)}")
+        raise WrongOptions(f"--remap takes rules such as /old:=/new, not {quoted(rule)}")
     return resolve_name(old), resolve_name(new)
 
 

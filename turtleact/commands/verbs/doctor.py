@@ -1,48 +1,37 @@
-"""Declares the verb ``doctor`` for Typer."""
+"""The verb ``doctor``."""
 
 from __future__ import annotations
 
-from typing import Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from turtleact.commands import VERBS
-from turtleact.commands.verbs import SETTINGS, Job, Verb
-from turtleact.commands.verbs.options import Config, Connect, Domain, Interfaces, folder, reach
+from turtleact.commands.verbs import SETTINGS, verb
+from turtleact.commands.verbs.options import flag
 
-__all__ = ["app", "doctor"]
+if TYPE_CHECKING:
+    from turtleact.commands.settings import Reach
 
-AsJson: TypeAlias = Annotated[
-    bool, typer.Option("--json", help="Print a line of JSON for each fault.")
-]
-Verbose: TypeAlias = Annotated[
-    bool,
-    typer.Option(
-        "--verbose", "-v", help="Print facts too: routers, versions, sessions, domains in use."
-    ),
-]
+__all__ = ["app"]
 
 app = typer.Typer(**SETTINGS)
 
 
-@app.command(cls=Verb, help=VERBS["doctor"])
+@verb(app, knows=True, help=VERBS["doctor"])
 def doctor(
+    reach: Reach,
     *,
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    interfaces: Interfaces = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+    as_json: Annotated[bool, flag("--json", text="Print a line of JSON for each fault.")] = False,
+    verbose: Annotated[
+        bool,
+        flag(
+            *("--verbose", "-v"),
+            text="Print facts too: routers, versions, sessions, domains in use.",
+        ),
+    ] = False,
+) -> int:
     """``doctor``."""
-    where = reach(connect, domain, config)
+    from turtleact.commands import doctor
 
-    def job() -> int:
-        from turtleact.commands import doctor
-        from turtleact.commands.interfaces import make_known
-
-        make_known(folder(interfaces))
-        return doctor.run(where, as_json=as_json, verbose=verbose)
-
-    return job
+    return doctor.run(reach, as_json=as_json, verbose=verbose)

@@ -1,4 +1,4 @@
-"""Declares the verbs about goals and the group ``action`` for Typer."""
+"""The verbs about goals, and those of ``action``."""
 
 from __future__ import annotations
 
@@ -6,53 +6,41 @@ import os
 import re
 import shlex
 import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
 from turtleact.commands import VERBS, completion
-from turtleact.commands.settings import Place, Reach, quoted
-from turtleact.commands.verbs import SETTINGS, Job, Verb, new_group
+from turtleact.commands.settings import Place, Reach, WrongOptions, quoted
+from turtleact.commands.verbs import SETTINGS, MessageVerb, new_group, verb
 from turtleact.commands.verbs.options import (
-    Config,
-    Connect,
-    Csv,
-    Domain,
-    Flow,
-    FullLength,
     Interfaces,
-    MessageVerb,
-    NoArrays,
-    NoStrings,
+    Json,
     Plain,
     ShowTypes,
-    Truncate,
+    argument,
     count_of,
+    flag,
     folder,
     in_seconds,
-    journal_in,
     message_of,
     name_of,
-    on_graph,
-    on_known_graph,
     only_one,
-    reach,
     span,
     speed_or_max,
     stdin_of,
-    style,
     type_and_text,
     type_of,
+    value,
     whole,
 )
-from turtleact.errors import InvalidName, UsageError
+from turtleact.errors import InvalidName
 
 if TYPE_CHECKING:
+    from turtleact.commands.message_text import Style
     from turtleact.commands.transcript import View
-    from turtleact.commands.verbs.options import Look
     from turtleact.node import Node
 
 __all__ = ["action", "app", "moment"]
@@ -75,139 +63,23 @@ EMBEDDED = "Embedded world"
 
 Name: TypeAlias = Annotated[str, name_of("action", "/patrol", completion.actions)]
 Type: TypeAlias = Annotated[str | None, type_of("action", is_asked=True)]
-PartsOrFolder: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--interfaces",
-        "-i",
-        metavar="PART|PART",
-        help="Print only these parts: GOAL_SERVICE, CANCEL_SERVICE, RESULT_SERVICE, "
-        "FEEDBACK_TOPIC, STATUS_TOPIC. Or a folder with more interfaces, as for other verbs.",
-    ),
-]
-Goal: TypeAlias = Annotated[str | None, message_of("goal", "GOAL")]
-Feedback: TypeAlias = Annotated[
-    bool, typer.Option("--feedback", "-f", help="Print each feedback message.")
-]
-Timeout: TypeAlias = Annotated[
-    float | None,
-    in_seconds(
-        "--timeout",
-        "-t",
-        text="Cancel the goal if it takes longer. With 0, exit as soon as a server has accepted "
-        "it: the goal goes on.",
-    ),
-]
-Reattach: TypeAlias = Annotated[
-    float,
-    in_seconds(
-        "--reattach", text="If the server is not there yet or goes away, wait so long for it."
-    ),
-]
-Stdin: TypeAlias = Annotated[bool, stdin_of("goal")]
-GoalFile: TypeAlias = Annotated[
-    Path | None, typer.Option("--goal-file", metavar="PATH", help="Read the goal from a file.")
-]
-JsonEvents: TypeAlias = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object per line, including feedback.")
-]
-Speed: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FACTOR",
-        help="How fast time passes: 2 is twice as fast as real time; up to 100, or max.",
-        autocompletion=completion.words("max"),
-        rich_help_panel=EMBEDDED,
-    ),
-]
-Seed: TypeAlias = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        parser=whole,
-        help="The seed of its random choices.",
-        rich_help_panel=EMBEDDED,
-    ),
-]
-Embedded: TypeAlias = Annotated[
-    bool,
-    typer.Option(
-        "--embedded",
-        help="Always start a world in this process. By default, only if no server is in reach.",
-        rich_help_panel=EMBEDDED,
-    ),
-]
-
-AnyName: TypeAlias = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="NAME",
-        help="The action. If left out, all actions.",
-        autocompletion=completion.actions,
-    ),
-]
-Id: TypeAlias = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="ID",
-        help="The goal's id, or its first four digits or more.",
-        autocompletion=completion.goal_ids,
-    ),
-]
-IdOrName: TypeAlias = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="ID|NAME",
-        help="The goal's id, or its first four digits or more. Or an action with one running goal.",
-        autocompletion=completion.goal_ids,
-    ),
-]
 Ids: TypeAlias = Annotated[
     list[str] | None,
-    typer.Argument(
-        metavar="ID|NAME",
-        help="The ids of goals, or actions with one running goal each. With --all or --before, the "
+    argument(
+        "ID|NAME",
+        "The ids of goals, or actions with one running goal each. With --all or --before, the "
         "action.",
-        autocompletion=completion.goal_ids,
+        completion.goal_ids,
     ),
 ]
-Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object per line.")]
 Journal: TypeAlias = Annotated[
-    Path | None, journal_in(None, "Read this journal instead of asking the servers.")
-]
-Since: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--since",
-        metavar="TIME",
-        help="With --journal: only goals accepted within this time, such as 1h, or since then, "
-        "such as 2026-11-21T20:15.",
-    ),
-]
-All: TypeAlias = Annotated[
-    bool, typer.Option("--all", help="Cancel all goals of the action, or of all actions.")
+    Path | None,
+    value("--journal", metavar="FILE", text="Read this journal instead of asking the servers."),
 ]
 AllPaused: TypeAlias = Annotated[
-    bool, typer.Option("--all", help="All goals of the action, or of all actions.")
+    bool, flag("--all", text="All goals of the action, or of all actions.")
 ]
-Standing: TypeAlias = Annotated[
-    float,
-    in_seconds(
-        "--timeout", text="If a body does not stand still within this time, its goal goes on."
-    ),
-]
-Before: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--before",
-        metavar="TIME",
-        help="Cancel the goals accepted up to this time: 2026-11-21T20:15, or seconds since 1970.",
-    ),
-]
-
-KnownType: TypeAlias = Annotated[str, type_of("action")]
 CountActions: TypeAlias = Annotated[bool, count_of("--count-actions")]
-Count: TypeAlias = Annotated[bool, count_of("--count")]
 
 _CANCELING = """\
 [bold]Examples[/]
@@ -227,10 +99,15 @@ app = typer.Typer(**SETTINGS)
 action = new_group("action")
 
 
-def _written(*, domain: int, **options: object) -> str:
-    """Return the options that select the graph, as text for a command line."""
-    if str(domain) != (os.environ.get("ROS_DOMAIN_ID") or "0"):
-        options["domain"] = domain
+def _written(reach: Reach, interfaces: Path | None) -> str:
+    """Return the options that select the graph and the interfaces, as text for a command line."""
+    options: dict[str, object] = {
+        "connect": ",".join(reach.connect) or None,
+        "config": reach.config,
+        "interfaces": interfaces,
+    }
+    if str(reach.domain) != (os.environ.get("ROS_DOMAIN_ID") or "0"):
+        options["domain"] = reach.domain
     return "".join(
         f" --{option} {shlex.quote(str(value))}"
         for option, value in options.items()
@@ -238,306 +115,333 @@ def _written(*, domain: int, **options: object) -> str:
     )
 
 
-@app.command("send-goal", cls=MessageVerb, help=VERBS["send-goal"], epilog=EXAMPLES)
+Speed: TypeAlias = Annotated[
+    str | None,
+    value(
+        metavar="FACTOR",
+        text="How fast time passes: 2 is twice as fast as real time; up to 100, or max.",
+        panel=EMBEDDED,
+        autocompletion=completion.words("max"),
+    ),
+]
+Timeout: TypeAlias = Annotated[
+    float | None,
+    in_seconds(
+        *("--timeout", "-t"),
+        text="Cancel the goal if it takes longer. With 0, exit as soon as a server has "
+        "accepted it: the goal goes on.",
+    ),
+]
+Embedded: TypeAlias = Annotated[
+    bool,
+    flag(
+        "--embedded",
+        text="Always start a world in this process. By default, only if no server is in reach.",
+        panel=EMBEDDED,
+    ),
+]
+Reattach: TypeAlias = Annotated[
+    float,
+    in_seconds(
+        "--reattach",
+        text="If the server is not there yet or goes away, wait so long for it.",
+    ),
+]
+
+
 def send_goal(
+    reach: Reach,
     name: Name,
     type_name: Type = None,
-    goal: Goal = None,
+    goal: Annotated[str | None, message_of("goal", "GOAL")] = None,
     *,
-    feedback: Feedback = False,
+    feedback: Annotated[
+        bool, flag("--feedback", "-f", text="Print each feedback message.")
+    ] = False,
     timeout: Timeout = None,
     reattach: Reattach = 0.0,
-    stdin: Stdin = False,
-    goal_file: GoalFile = None,
-    json: JsonEvents = False,
+    stdin: Annotated[bool, stdin_of("goal")] = False,
+    goal_file: Annotated[
+        Path | None, value("--goal-file", metavar="PATH", text="Read the goal from a file.")
+    ] = None,
+    json: Annotated[
+        bool, flag("--json", text="Print one JSON object per line, including feedback.")
+    ] = False,
     plain: Plain = False,
     interfaces: Interfaces = None,
     speed: Speed = None,
-    seed: Seed = None,
+    seed: Annotated[
+        int | None,
+        value(metavar="N", text="The seed of its random choices.", panel=EMBEDDED, parser=whole),
+    ] = None,
     embedded: Embedded = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
-    """Make the job of ``send-goal`` and ``action send_goal``."""
+) -> int:
+    """``send-goal`` and ``action send_goal``."""
     type_name, goal = type_and_text(type_name, goal, "goal")
     only_one("how it is shown", json=json, plain=plain)
-    view: View = "json" if json else "plain" if plain else "auto"
     only_one("the goal", GOAL=goal is not None, stdin=stdin, goal_file=goal_file is not None)
     way = "speed" if speed is not None else "seed" if seed is not None else "embedded"
     is_embedded = embedded or speed is not None or seed is not None
-    only_one("where to send it", **{way: is_embedded}, connect=connect is not None)
+    only_one("where to send it", **{way: is_embedded}, connect=bool(reach.connect))
     if is_embedded and timeout == 0:
         problem = "leaves the goal to a server, and an embedded world ends with the command"
-        raise UsageError(f"--timeout 0 {problem}")
+        raise WrongOptions(f"--timeout 0 {problem}")
     if is_embedded and reattach:
-        raise UsageError("--reattach is for servers in other processes, not for an embedded world")
+        raise WrongOptions(
+            "--reattach is for servers in other processes, not for an embedded world"
+        )
     place = Place(
         1.0 if speed is None else speed_or_max(speed),
         seed or 0,
-        None if is_embedded else reach(connect, domain, config),
+        None if is_embedded else reach,
         folder(interfaces),
-        _written(connect=connect, domain=domain, config=config, interfaces=interfaces),
+        _written(reach, interfaces),
     )
+    from turtleact.commands.interfaces import make_known
+    from turtleact.commands.message_text import GoalText
+    from turtleact.commands.send_goal import Order, run
 
-    def job() -> int:
-        from turtleact.commands.interfaces import make_known
-        from turtleact.commands.message_text import GoalText
-        from turtleact.commands.send_goal import Order, run
-
-        path = None if goal_file is None else str(goal_file)
-        text = GoalText.read(goal, stdin=stdin, path=path)
-        make_known(place.interfaces)
-        order = Order(name, type_name, text, place, feedback, timeout, view, reattach)
-        return run(order)
-
-    return job
+    text = GoalText.read(goal, stdin=stdin, path=folder(goal_file))
+    make_known(place.interfaces)
+    view: View = "json" if json else _view(plain=plain)
+    return run(Order(name, type_name, text, place, feedback, timeout, view, reattach))
 
 
-@app.command(cls=Verb, help=VERBS["goals"])
+verb(app, "send-goal", cls=MessageVerb, help=VERBS["send-goal"], epilog=EXAMPLES)(send_goal)
+verb(action, "send_goal", cls=MessageVerb, help=VERBS["send-goal"], epilog=EXAMPLES)(send_goal)
+
+
+@verb(app, help=VERBS["goals"])
 def goals(
-    name: AnyName = None,
+    reach: Reach,
+    name: Annotated[
+        str | None, argument("NAME", "The action. If left out, all actions.", completion.actions)
+    ] = None,
     *,
     json: Json = False,
     journal: Journal = None,
-    since: Since = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+    since: Annotated[
+        str | None,
+        value(
+            "--since",
+            metavar="TIME",
+            text="With --journal: only goals accepted within this time, such as 1h, or since "
+            "then, such as 2026-11-21T20:15.",
+        ),
+    ] = None,
+) -> int:
     """``goals``."""
     if journal is not None:
+        from turtleact.commands import journaled_goals
+
         first = 0 if since is None else _since(since)
-        return _read(lambda goals: goals.print_goals(journal, name, first, as_json=json))
+        return journaled_goals.print_goals(journal, name, first, as_json=json)
     if since is not None:
-        raise UsageError("--since needs --journal: servers forget goals soon after their end")
-    from turtleact.commands import held_goals
+        raise WrongOptions("--since needs --journal: servers forget goals soon after their end")
+    from turtleact.commands import graph, held_goals
 
-    return on_graph(
-        reach(connect, domain, config),
-        lambda node: held_goals.print_goals(node, name, as_json=json),
-    )
+    return graph.run(reach, partial(held_goals.print_goals, name=name, as_json=json))
 
 
-@app.command(cls=Verb, help=VERBS["cancel"], epilog=_CANCELING)
+@verb(app, help=VERBS["cancel"], epilog=_CANCELING)
 def cancel(
+    reach: Reach,
     what: Ids = None,
     *,
-    all_: All = False,
-    before: Before = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+    all_: Annotated[
+        bool, flag("--all", text="Cancel all goals of the action, or of all actions.")
+    ] = False,
+    before: Annotated[
+        str | None,
+        value(
+            "--before",
+            metavar="TIME",
+            text="Cancel the goals accepted up to this time: 2026-11-21T20:15, or seconds since "
+            "1970.",
+        ),
+    ] = None,
+) -> int:
     """``cancel``."""
     only_one("which goals are meant", all=all_, before=before is not None)
-    given = what or []
     is_many = all_ or before is not None
-    if is_many and len(given) > 1:
-        raise UsageError("--all and --before take one action; without one, they mean all actions")
-    if not is_many and not given:
-        raise UsageError("give the ids of goals, or --all; 'turtleact goals' lists them")
-    ids = [] if is_many else [_watched(text) for text in given]
+    given = _given(what, "--all and --before take" if is_many else "")
     until = 0 if before is None else moment(before)
+    from turtleact.commands import graph, held_goals
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import held_goals
-
-        if is_many:
-            return await held_goals.cancel_many(node, given[0] if given else None, until)
-        return await held_goals.cancel(node, ids)
-
-    return on_graph(reach(connect, domain, config), look)
+    if is_many:
+        name = given[0] if given else None
+        return graph.run(reach, lambda node: held_goals.cancel_many(node, name, until))
+    ids = [_watched(text) for text in given]
+    return graph.run(reach, lambda node: held_goals.cancel(node, ids))
 
 
-@app.command(cls=Verb, help=VERBS["pause"], epilog=_PAUSING)
+@verb(app, help=VERBS["pause"], epilog=_PAUSING)
 def pause(
+    reach: Reach,
     what: Ids = None,
     *,
     all_: AllPaused = False,
-    timeout: Standing = 5.0,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+    timeout: Annotated[
+        float,
+        in_seconds(
+            "--timeout", text="If a body does not stand still within this time, its goal goes on."
+        ),
+    ] = 5.0,
+) -> int:
     """``pause``."""
-    look = _switch(what or [], is_all=all_, is_paused=True, timeout=timeout)
-    return on_graph(reach(connect, domain, config), look)
+    return _switch(reach, what, is_all=all_, is_paused=True, timeout=timeout)
 
 
-@app.command(cls=Verb, help=VERBS["resume"])
-def resume(
-    what: Ids = None,
-    *,
-    all_: AllPaused = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+@verb(app, help=VERBS["resume"])
+def resume(reach: Reach, what: Ids = None, *, all_: AllPaused = False) -> int:
     """``resume``."""
-    look = _switch(what or [], is_all=all_, is_paused=False, timeout=0.0)
-    return on_graph(reach(connect, domain, config), look)
+    return _switch(reach, what, is_all=all_, is_paused=False, timeout=0.0)
 
 
-def _switch(given: list[str], *, is_all: bool, is_paused: bool, timeout: float) -> Look:
-    """Return a function that pauses or resumes goals, selected by their ids or by their action."""
-    if is_all and len(given) > 1:
-        raise UsageError("--all takes one action; without one, it means all actions")
-    if not is_all and not given:
-        raise UsageError("give the ids of goals, or --all; 'turtleact goals' lists them")
+def _switch(
+    reach: Reach, what: list[str] | None, *, is_all: bool, is_paused: bool, timeout: float
+) -> int:
+    """Pause or resume goals, selected by their ids or by their action."""
+    given = _given(what, "--all takes" if is_all else "")
     ids = [] if is_all else [_watched(text) for text in given]
+    from turtleact.commands import graph, held_goals
 
-    async def look(node: Node) -> int:
-        from turtleact.commands import held_goals
-
-        if is_all:
-            name = given[0] if given else None
-            return await held_goals.switch_all(node, name, is_paused=is_paused, timeout=timeout)
-        return await held_goals.switch(node, ids, is_paused=is_paused, timeout=timeout)
-
-    return look
+    if is_all:
+        look = partial(held_goals.switch_all, name=given[0] if given else None)
+    else:
+        look = partial(held_goals.switch, wanted=ids)
+    return graph.run(reach, partial(look, is_paused=is_paused, timeout=timeout))
 
 
-@app.command(cls=Verb, help=VERBS["watch"])
+def _given(what: list[str] | None, many: str) -> list[str]:
+    """Return the ids and names that the user gave.
+
+    Args:
+        what: The ids and names.
+        many: The options that select many goals, with a verb; empty if none was given.
+
+    Raises:
+        WrongOptions: if there is none without such an option, or more than one with it.
+    """
+    given = what or []
+    if many and len(given) > 1:
+        meant = "they mean" if " and " in many else "it means"
+        raise WrongOptions(f"{many} one action; without one, {meant} all actions")
+    if not many and not given:
+        raise WrongOptions("give the ids of goals, or --all; 'turtleact goals' lists them")
+    return given
+
+
+@verb(app, help=VERBS["watch"])
 def watch(
-    what: IdOrName = None,
+    reach: Reach,
+    what: Annotated[
+        str | None,
+        argument(
+            "ID|NAME",
+            "The goal's id, or its first four digits or more. Or an action with one running goal.",
+            completion.goal_ids,
+        ),
+    ] = None,
     *,
     plain: Plain = False,
     interfaces: Interfaces = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """``watch``."""
     if what is None:
-        raise UsageError(
+        raise WrongOptions(
             "give the id of a goal, or an action with one running goal; 'turtleact goals' lists all"
         )
-    options = _written(connect=connect, domain=domain, config=config, interfaces=interfaces)
-    where, view = reach(connect, domain, config), _view(plain=plain)
-    return _follow(where, interfaces, _watched(what), view, options)
+    return _follow(reach, interfaces, _watched(what), _view(plain=plain))
 
 
-@app.command(cls=Verb, help=VERBS["result"])
+@verb(app, help=VERBS["result"])
 def result(
-    goal_id: Id = None,
+    reach: Reach,
+    goal_id: Annotated[
+        str | None,
+        argument("ID", "The goal's id, or its first four digits or more.", completion.goal_ids),
+    ] = None,
     *,
     journal: Journal = None,
     interfaces: Interfaces = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """``result``."""
     if goal_id is None:
-        raise UsageError("give the id of a goal; 'turtleact goals' lists them")
+        raise WrongOptions("give the id of a goal; 'turtleact goals' lists them")
     wanted = _goal_id(goal_id)
-    if journal is not None:
-        return _read(lambda goals: goals.print_result(journal, wanted, folder(interfaces)))
-    options = _written(connect=connect, domain=domain, config=config, interfaces=interfaces)
-    return _follow(reach(connect, domain, config), interfaces, wanted, None, options)
+    if journal is None:
+        return _follow(reach, interfaces, wanted, None)
+    from turtleact.commands import journaled_goals
+
+    return journaled_goals.print_result(journal, wanted, folder(interfaces))
 
 
-action.command("send_goal", cls=MessageVerb, help=VERBS["send-goal"], epilog=EXAMPLES)(send_goal)
-
-
-@action.command("list", cls=Verb)
-def list_actions(
-    *,
-    types: ShowTypes = False,
-    count: CountActions = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+@verb(action, "list")
+async def list_actions(node: Node, *, types: ShowTypes = False, count: CountActions = False) -> int:
     """List the actions on the graph."""
     from turtleact.commands import listing
 
-    return on_graph(
-        reach(connect, domain, config),
-        lambda node: listing.print_list(node, "action", types=types, count=count, hidden=False),
-    )
+    return await listing.print_list(node, "action", types=types, count=count, hidden=False)
 
 
-@action.command(cls=Verb)
-def info(
+@verb(action)
+async def info(
+    node: Node,
     name: Name,
     *,
     types: ShowTypes = False,
-    count: Count = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+    count: Annotated[bool, count_of("--count")] = False,
+) -> int:
     """Print which nodes serve an action and which are its clients."""
     from turtleact.commands import listing
 
-    return on_graph(
-        reach(connect, domain, config),
-        lambda node: listing.print_action_info(node, name, types=types, count=count),
-    )
+    return await listing.print_action_info(node, name, types=types, count=count)
 
 
-@action.command("type", cls=Verb)
-def type_(name: Name, *, connect: Connect = None, domain: Domain = 0, config: Config = None) -> Job:
+@verb(action, "type")
+async def type_(node: Node, name: Name) -> int:
     """Print the type of an action."""
     from turtleact.commands import listing
 
-    return on_graph(
-        reach(connect, domain, config), lambda node: listing.print_type(node, "action", name)
-    )
+    return await listing.print_type(node, "action", name)
 
 
-@action.command(cls=Verb)
-def find(
-    type_name: KnownType,
-    *,
-    count: CountActions = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+@verb(action)
+async def find(
+    node: Node, type_name: Annotated[str, type_of("action")], *, count: CountActions = False
+) -> int:
     """List the actions of a type."""
     from turtleact.commands import listing
 
-    return on_graph(
-        reach(connect, domain, config),
-        lambda node: listing.print_found(node, "action", type_name, count=count, hidden=False),
-    )
+    return await listing.print_found(node, "action", type_name, count=count, hidden=False)
 
 
-@action.command(cls=Verb)
+@verb(action)
 def echo(
+    reach: Reach,
     name: Name,
     type_name: Type = None,
     *,
-    csv: Csv = False,
-    flow: Flow = False,
-    full_length: FullLength = False,
-    truncate_length: Truncate = 128,
-    no_arr: NoArrays = False,
-    no_str: NoStrings = False,
-    interfaces: PartsOrFolder = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+    style: Style,
+    interfaces: Annotated[
+        str | None,
+        value(
+            *("--interfaces", "-i"),
+            metavar="PART|PART",
+            text="Print only these parts: GOAL_SERVICE, CANCEL_SERVICE, RESULT_SERVICE, "
+            "FEEDBACK_TOPIC, STATUS_TOPIC. Or a folder with more interfaces, as for other verbs.",
+        ),
+    ] = None,
+) -> int:
     """Print the feedback, the states, the requests and the responses of an action."""
-    from turtleact.commands import event_echo
+    from turtleact.commands import event_echo, graph
+    from turtleact.commands.interfaces import make_known
 
     parts = None if interfaces is None else _parts(interfaces, event_echo.PARTS)
-    longest = None if full_length else truncate_length
-    order = event_echo.Order(
-        name,
-        type_name,
-        style(csv=csv, flow=flow, longest=longest, no_arr=no_arr, no_str=no_str),
-        parts or event_echo.PARTS,
-    )
-    return on_known_graph(
-        reach(connect, domain, config),
-        Path(interfaces) if interfaces is not None and parts is None else None,
-        lambda: lambda node: event_echo.echo_action(node, order),
-    )
+    make_known(interfaces if parts is None else None)
+    order = event_echo.Order(name, type_name, style, parts or event_echo.PARTS)
+    return graph.run(reach, partial(event_echo.echo_action, order=order))
 
 
 def moment(text: str) -> int:
@@ -548,7 +452,7 @@ def moment(text: str) -> int:
             local time.
 
     Raises:
-        UsageError: if the text has neither of these forms, or if the moment is out of range.
+        WrongOptions: if the text has neither of these forms, or if the moment is out of range.
     """
     seconds = _SECONDS.fullmatch(text)
     if seconds:
@@ -557,7 +461,7 @@ def moment(text: str) -> int:
         nanoseconds = _moment_of_iso(text)
     if not 0 < nanoseconds < _LATEST:
         problem = "takes a time such as 2026-11-21T20:15:00Z, or seconds since 1970"
-        raise UsageError(f"--before {problem}, not {quoted(text)}")
+        raise WrongOptions(f"--before {problem}, not {quoted(text)}")
     return nanoseconds
 
 
@@ -577,7 +481,7 @@ def _since(text: str) -> int:
     The value is a point in time, or a length of time that ends now.
 
     Raises:
-        UsageError: if the text is neither a length of time nor a point in time.
+        WrongOptions: if the text is neither a length of time nor a point in time.
     """
     try:
         return time.time_ns() - round(span(text) * 1e9)
@@ -585,9 +489,9 @@ def _since(text: str) -> int:
         pass
     try:
         return moment(text)
-    except UsageError:
+    except WrongOptions:
         problem = "takes a length of time such as 1h, or a time such as 2026-11-21T20:15:00Z"
-        raise UsageError(f"--since {problem}, not {quoted(text)}") from None
+        raise WrongOptions(f"--since {problem}, not {quoted(text)}") from None
 
 
 def _parts(text: str, known: tuple[str, ...]) -> list[str] | None:
@@ -596,7 +500,7 @@ def _parts(text: str, known: tuple[str, ...]) -> list[str] | None:
     Return None if the value is a folder instead.
 
     Raises:
-        UsageError: if the value is neither a list of known parts nor a folder.
+        WrongOptions: if the value is neither a list of known parts nor a folder.
     """
     parts = [each.strip().upper() for each in text.split("|")]
     if all(each in known for each in parts):
@@ -604,25 +508,14 @@ def _parts(text: str, known: tuple[str, ...]) -> list[str] | None:
     if Path(text).is_dir():
         return None
     words = ", ".join(known)
-    raise UsageError(f"--interfaces takes a folder, or some of {words}, not {quoted(text)}")
-
-
-def _read(look: Callable[[ModuleType], int]) -> Job:
-    """Return a job that imports `turtleact.commands.journaled_goals` and passes it to ``look``."""
-
-    def job() -> int:
-        from turtleact.commands import journaled_goals
-
-        return look(journaled_goals)
-
-    return job
+    raise WrongOptions(f"--interfaces takes a folder, or some of {words}, not {quoted(text)}")
 
 
 def _goal_id(text: str) -> str:
     digits = text.replace("-", "").lower()
     if not _GOAL_ID.fullmatch(digits):
         problem = "is not a goal id, which has 32 hexadecimal digits; the first 4 are enough"
-        raise UsageError(f"{quoted(text)} {problem}. 'turtleact goals' lists all goals")
+        raise WrongOptions(f"{quoted(text)} {problem}. 'turtleact goals' lists all goals")
     return digits
 
 
@@ -642,16 +535,10 @@ def _view(*, plain: bool) -> View:
     return "plain" if plain else "auto"
 
 
-def _follow(
-    where: Reach, interfaces: Path | None, wanted: str, view: View | None, options: str
-) -> Job:
-    """Return the job that follows a goal. Without a view, it only waits for the result."""
+def _follow(reach: Reach, interfaces: Path | None, wanted: str, view: View | None) -> int:
+    """Follow a goal. Without a view, only wait for the result."""
+    from turtleact.commands import held_goals
+    from turtleact.commands.interfaces import make_known
 
-    def job() -> int:
-        from turtleact.commands import held_goals
-        from turtleact.commands.interfaces import make_known
-
-        make_known(folder(interfaces))
-        return held_goals.run(where, wanted, view, options)
-
-    return job
+    make_known(folder(interfaces))
+    return held_goals.run(reach, wanted, view, _written(reach, interfaces))

@@ -1,39 +1,34 @@
-"""Declares the group ``journal`` for Typer."""
+"""The verb of ``journal``."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, TypeAlias
-
-import typer
+from typing import Annotated
 
 from turtleact.commands import VERBS
-from turtleact.commands.verbs import Job, Verb, new_group
-from turtleact.commands.verbs.options import span
+from turtleact.commands.verbs import new_group, verb
+from turtleact.commands.verbs.options import argument, span, value
 
 __all__ = ["app"]
-
-File: TypeAlias = Annotated[Path, typer.Argument(metavar="FILE", help="The journal.")]
-Keep: TypeAlias = Annotated[
-    float,
-    typer.Option(
-        "--keep",
-        metavar="TIME",
-        parser=span,
-        help="Keep the goals that ended within this time, such as 7d, 12h or 30min.",
-    ),
-]
 
 app = new_group("journal", VERBS["journal"])
 
 
-@app.command(cls=Verb)
-def prune(file: File, *, keep: Keep) -> Job:
+@verb(app)
+def prune(
+    file: Annotated[Path, argument("FILE", "The journal.")],
+    *,
+    keep: Annotated[
+        float,
+        value(
+            "--keep",
+            metavar="TIME",
+            text="Keep the goals that ended within this time, such as 7d, 12h or 30min.",
+            parser=span,
+        ),
+    ],
+) -> int:
     """Delete goals that ended long ago. A server may be writing the journal meanwhile."""
+    from turtleact.commands.journaled_goals import prune_goals
 
-    def job() -> int:
-        from turtleact.commands.journaled_goals import prune_goals
-
-        return prune_goals(file, round(keep * 1e9))
-
-    return job
+    return prune_goals(file, round(keep * 1e9))

@@ -1,132 +1,51 @@
-"""Declares the verbs about nodes, their parameters and services for Typer."""
+"""The verbs of ``node``, ``param`` and ``service``."""
 
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-import typer
-
 from turtleact.commands import completion
-from turtleact.commands.settings import quoted
-from turtleact.commands.verbs import Job, Verb, new_group
+from turtleact.commands.settings import WrongOptions, quoted
+from turtleact.commands.verbs import MessageVerb, new_group, verb
 from turtleact.commands.verbs.options import (
-    Config,
-    Connect,
-    Csv,
-    Domain,
-    Flow,
-    FullLength,
-    Interfaces,
-    MessageVerb,
-    NoArrays,
-    NoStrings,
     ShowTypes,
-    Truncate,
+    argument,
     count_of,
+    flag,
     hertz,
     in_seconds,
     message_of,
     name_of,
-    on_graph,
-    on_known_graph,
     only_one,
-    reach,
     stdin_of,
-    style,
     type_and_text,
     type_of,
+    value,
 )
-from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable
-
-    from turtleact.commands.verbs.options import Look
+    from turtleact.commands.message_text import Style
+    from turtleact.commands.settings import Reach
     from turtleact.node import Node
 
 __all__ = ["app", "param", "service"]
 
 NodeName: TypeAlias = Annotated[str, name_of("node", "/turtlesim", completion.nodes, "NODE")]
-AnyNode: TypeAlias = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="NODE", help="The node. If left out, all nodes.", autocompletion=completion.nodes
-    ),
-]
 Name: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        metavar="PARAMETER",
-        help="The parameter, such as background_r.",
-        autocompletion=completion.parameters,
-    ),
+    str, argument("PARAMETER", "The parameter, such as background_r.", completion.parameters)
 ]
-Names: TypeAlias = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="PARAMETER", help="The parameters.", autocompletion=completion.parameters
-    ),
-]
-Value: TypeAlias = Annotated[
-    str, typer.Argument(metavar="VALUE", help="A bool, a number, text or a list, as YAML.")
-]
-File: TypeAlias = Annotated[
-    Path, typer.Argument(metavar="FILE", help="A file in the format of 'param dump'.")
-]
-Hidden: TypeAlias = Annotated[
-    bool, typer.Option("--include-hidden-nodes", help="Include hidden nodes.")
-]
+Hidden: TypeAlias = Annotated[bool, flag("--include-hidden-nodes", text="Include hidden nodes.")]
 Timeout: TypeAlias = Annotated[
     float, in_seconds("--timeout", text="How long to wait for the node.")
 ]
-Filter: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--filter", metavar="REGEX", help="Only names that begin with a match of this expression."
-    ),
-]
-Prefixes: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--param-prefixes",
-        metavar="NAME",
-        help="Only names with this prefix. Can be given several times.",
-    ),
-]
-ParamTypes: TypeAlias = Annotated[bool, typer.Option("--param-type", help="Print the types too.")]
-HideType: TypeAlias = Annotated[bool, typer.Option("--hide-type", help="Print the value only.")]
-NoWildcard: TypeAlias = Annotated[
-    bool,
-    typer.Option("--no-use-wildcard", help="Skip what the file sets for all nodes (/**)."),
-]
-SomeNode: TypeAlias = Annotated[str, name_of("node", "/turtlesim", completion.nodes)]
-All: TypeAlias = Annotated[bool, typer.Option("--all", "-a", help="List hidden nodes too.")]
-Count: TypeAlias = Annotated[bool, count_of("--count-nodes")]
-ShowHidden: TypeAlias = Annotated[
-    bool,
-    typer.Option("--include-hidden", help="Print hidden topics, services and actions too."),
-]
-
 ServiceName: TypeAlias = Annotated[str, name_of("service", "/spawn", completion.services)]
-ServiceType: TypeAlias = Annotated[str, type_of("service")]
 AskedType: TypeAlias = Annotated[str | None, type_of("service", is_asked=True)]
-Values: TypeAlias = Annotated[str | None, message_of("request")]
-Stdin: TypeAlias = Annotated[bool, stdin_of("request")]
-Rate: TypeAlias = Annotated[
-    float | None,
-    typer.Option(
-        "--rate",
-        "-r",
-        metavar="HZ",
-        parser=hertz,
-        help="Repeat the call this many times per second.",
-    ),
-]
 CountServices: TypeAlias = Annotated[bool, count_of("--count-services")]
 HiddenServices: TypeAlias = Annotated[
-    bool, typer.Option("--include-hidden-services", help="Include hidden services.")
+    bool, flag("--include-hidden-services", text="Include hidden services.")
 ]
 
 app = new_group("node")
@@ -134,311 +53,245 @@ param = new_group("param")
 service = new_group("service")
 
 
-@app.command("list", cls=Verb)
-def list_nodes(
+@verb(app, "list")
+async def list_nodes(
+    node: Node,
     *,
-    hidden: All = False,
-    count: Count = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+    hidden: Annotated[bool, flag("--all", "-a", text="List hidden nodes too.")] = False,
+    count: Annotated[bool, count_of("--count-nodes")] = False,
+) -> int:
     """List the nodes on the graph."""
     from turtleact.commands import listing
 
-    return on_graph(
-        reach(connect, domain, config),
-        lambda node: listing.print_nodes(node, count=count, hidden=hidden),
-    )
+    return await listing.print_nodes(node, count=count, hidden=hidden)
 
 
-@app.command(cls=Verb)
-def info(
-    name: SomeNode,
+@verb(app)
+async def info(
+    node: Node,
+    name: Annotated[str, name_of("node", "/turtlesim", completion.nodes)],
     *,
-    hidden: ShowHidden = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+    hidden: Annotated[
+        bool, flag("--include-hidden", text="Print hidden topics, services and actions too.")
+    ] = False,
+) -> int:
     """Print the topics, services and actions of a node."""
     from turtleact.commands import listing
 
-    return on_graph(
-        reach(connect, domain, config),
-        lambda node: listing.print_node_info(node, name, hidden=hidden),
-    )
+    return await listing.print_node_info(node, name, hidden=hidden)
 
 
-@param.command("list", cls=Verb)
+@verb(param, "list")
 def list_parameters(
-    node_name: AnyNode = None,
+    reach: Reach,
+    node_name: Annotated[
+        str | None, argument("NODE", "The node. If left out, all nodes.", completion.nodes)
+    ] = None,
     *,
     hidden: Hidden = False,
-    filter_: Filter = None,
-    prefixes: Prefixes = None,
-    types: ParamTypes = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+    filter_: Annotated[
+        str | None,
+        value(
+            "--filter",
+            metavar="REGEX",
+            text="Only names that begin with a match of this expression.",
+        ),
+    ] = None,
+    prefixes: Annotated[
+        list[str] | None,
+        value(
+            "--param-prefixes",
+            metavar="NAME",
+            text="Only names with this prefix. Can be given several times.",
+        ),
+    ] = None,
+    types: Annotated[bool, flag("--param-type", text="Print the types too.")] = False,
+) -> int:
     """List the parameters of one node or of all nodes."""
-    from turtleact.commands import node_parameters
-
     try:
         pattern = None if filter_ is None else re.compile(filter_)
     except re.error as error:
         problem = f"takes a regular expression, not {quoted(filter_ or '')}: {error}"
-        raise UsageError(f"--filter {problem}") from None
+        raise WrongOptions(f"--filter {problem}") from None
+    from turtleact.commands import graph
+    from turtleact.commands.node_parameters import print_names
 
-    def look(node: Node) -> Awaitable[int]:
-        return node_parameters.print_names(
-            node, node_name, pattern=pattern, prefixes=prefixes or (), types=types, hidden=hidden
-        )
-
-    return on_graph(reach(connect, domain, config), look)
+    look = partial(print_names, name=node_name, types=types, hidden=hidden)
+    return graph.run(reach, partial(look, pattern=pattern, prefixes=prefixes or ()))
 
 
-@param.command(cls=Verb)
-def get(
+@verb(param)
+async def get(
+    node: Node,
     node_name: NodeName,
     name: Name,
     *,
-    hide_type: HideType = False,
+    hide_type: Annotated[bool, flag("--hide-type", text="Print the value only.")] = False,
     hidden: Hidden = False,
     timeout: Timeout = 1.0,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """Print the value of a parameter."""
-    from turtleact.commands import node_parameters
+    from turtleact.commands.node_parameters import Owner, print_value
 
-    owner = node_parameters.Owner(node_name, hidden, timeout)
-    return on_graph(
-        reach(connect, domain, config),
-        lambda node: node_parameters.print_value(node, owner, name, hide_type=hide_type),
-    )
+    return await print_value(node, Owner(node_name, hidden, timeout), name, hide_type=hide_type)
 
 
-@param.command("set", cls=Verb)
+@verb(param, "set")
 def set_(
+    reach: Reach,
     node_name: NodeName,
     name: Name,
-    value: Value,
+    text: Annotated[str, argument("VALUE", "A bool, a number, text or a list, as YAML.")],
     *,
     hidden: Hidden = False,
     timeout: Timeout = 1.0,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """Set a parameter."""
-    from turtleact.commands import node_parameters
+    from turtleact.commands import graph
+    from turtleact.commands.node_parameters import Owner, parameter_value, set_value
 
-    owner = node_parameters.Owner(node_name, hidden, timeout)
-    message = node_parameters.parameter_value(value)
-    return on_graph(
-        reach(connect, domain, config),
-        lambda node: node_parameters.set_value(node, owner, name, message),
-    )
+    owner, message = Owner(node_name, hidden, timeout), parameter_value(text)
+    return graph.run(reach, lambda node: set_value(node, owner, name, message))
 
 
-@param.command(cls=Verb)
-def delete(
+@verb(param)
+async def delete(
+    node: Node,
     node_name: NodeName,
     name: Name,
     *,
     hidden: Hidden = False,
     timeout: Timeout = 1.0,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """Delete a parameter."""
     from turtleact.commands import node_parameters
 
     owner = node_parameters.Owner(node_name, hidden, timeout)
-    return on_graph(
-        reach(connect, domain, config), lambda node: node_parameters.delete(node, owner, name)
-    )
+    return await node_parameters.delete(node, owner, name)
 
 
-@param.command(cls=Verb)
-def describe(
+@verb(param)
+async def describe(
+    node: Node,
     node_name: NodeName,
-    names: Names,
+    names: Annotated[list[str], argument("PARAMETER", "The parameters.", completion.parameters)],
     *,
     hidden: Hidden = False,
     timeout: Timeout = 1.0,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """Print what parameters are for, and which values they may have."""
     from turtleact.commands import node_parameters
 
     owner = node_parameters.Owner(node_name, hidden, timeout)
-    return on_graph(
-        reach(connect, domain, config), lambda node: node_parameters.describe(node, owner, names)
-    )
+    return await node_parameters.describe(node, owner, names)
 
 
-@param.command(cls=Verb)
-def dump(
-    node_name: NodeName,
-    *,
-    hidden: Hidden = False,
-    timeout: Timeout = 1.0,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+@verb(param)
+async def dump(
+    node: Node, node_name: NodeName, *, hidden: Hidden = False, timeout: Timeout = 1.0
+) -> int:
     """Print all parameters of a node as a YAML file."""
     from turtleact.commands import node_parameters
 
-    owner = node_parameters.Owner(node_name, hidden, timeout)
-    return on_graph(reach(connect, domain, config), lambda node: node_parameters.dump(node, owner))
+    return await node_parameters.dump(node, node_parameters.Owner(node_name, hidden, timeout))
 
 
-@param.command("load", cls=Verb)
+@verb(param, "load")
 def load_(
+    reach: Reach,
     node_name: NodeName,
-    path: File,
+    path: Annotated[Path, argument("FILE", "A file in the format of 'param dump'.")],
     *,
-    no_wildcard: NoWildcard = False,
+    no_wildcard: Annotated[
+        bool, flag("--no-use-wildcard", text="Skip what the file sets for all nodes (/**).")
+    ] = False,
     hidden: Hidden = False,
     timeout: Timeout = 1.0,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """Set the parameters of a node from a file."""
-    from turtleact.commands import graph, node_parameters
+    from turtleact.commands import graph
+    from turtleact.commands.node_parameters import Owner, load, read_file
 
-    owner = node_parameters.Owner(node_name, hidden, timeout)
-    where = reach(connect, domain, config)
-
-    def job() -> int:
-        found = node_parameters.read_file(str(path), use_wildcard=not no_wildcard)
-        return graph.run(where, lambda node: node_parameters.load(node, owner, found, str(path)))
-
-    return job
+    owner = Owner(node_name, hidden, timeout)
+    found = read_file(str(path), use_wildcard=not no_wildcard)
+    return graph.run(reach, lambda node: load(node, owner, found, str(path)))
 
 
-@service.command("list", cls=Verb)
-def list_services(
+@verb(service, "list")
+async def list_services(
+    node: Node,
     *,
     types: ShowTypes = False,
     count: CountServices = False,
     hidden: HiddenServices = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """List the services on the graph."""
     from turtleact.commands import listing
 
-    return on_graph(
-        reach(connect, domain, config),
-        lambda node: listing.print_list(node, "service", types=types, count=count, hidden=hidden),
-    )
+    return await listing.print_list(node, "service", types=types, count=count, hidden=hidden)
 
 
-@service.command("info", cls=Verb)
-def service_info(
-    name: ServiceName, *, connect: Connect = None, domain: Domain = 0, config: Config = None
-) -> Job:
+@verb(service, "info")
+async def service_info(node: Node, name: ServiceName) -> int:
     """Print the type of a service, and how many servers and clients it has."""
     from turtleact.commands import listing
 
-    return on_graph(
-        reach(connect, domain, config), lambda node: listing.print_service_info(node, name)
-    )
+    return await listing.print_service_info(node, name)
 
 
-@service.command("type", cls=Verb)
-def type_(
-    name: ServiceName, *, connect: Connect = None, domain: Domain = 0, config: Config = None
-) -> Job:
+@verb(service, "type")
+async def type_(node: Node, name: ServiceName) -> int:
     """Print the type of a service."""
     from turtleact.commands import listing
 
-    return on_graph(
-        reach(connect, domain, config), lambda node: listing.print_type(node, "service", name)
-    )
+    return await listing.print_type(node, "service", name)
 
 
-@service.command(cls=Verb)
-def find(
-    type_name: ServiceType,
+@verb(service)
+async def find(
+    node: Node,
+    type_name: Annotated[str, type_of("service")],
     *,
     count: CountServices = False,
     hidden: HiddenServices = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """List the services of a type."""
     from turtleact.commands import listing
 
-    return on_graph(
-        reach(connect, domain, config),
-        lambda node: listing.print_found(node, "service", type_name, count=count, hidden=hidden),
-    )
+    return await listing.print_found(node, "service", type_name, count=count, hidden=hidden)
 
 
-@service.command(cls=MessageVerb)
+@verb(service, cls=MessageVerb, knows=True)
 def call(
+    reach: Reach,
     name: ServiceName,
     type_name: AskedType = None,
-    values: Values = None,
+    values: Annotated[str | None, message_of("request")] = None,
     *,
-    stdin: Stdin = False,
-    rate: Rate = None,
-    interfaces: Interfaces = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+    stdin: Annotated[bool, stdin_of("request")] = False,
+    rate: Annotated[
+        float | None,
+        value(
+            *("--rate", "-r"),
+            metavar="HZ",
+            text="Repeat the call this many times per second.",
+            parser=hertz,
+        ),
+    ] = None,
+) -> int:
     """Call a service and print its response."""
     type_name, values = type_and_text(type_name, values, "request")
     only_one("the request", VALUES=values is not None, stdin=stdin)
+    from turtleact.commands import graph, user_messages
+    from turtleact.commands.message_text import GoalText
 
-    def plan() -> Look:
-        from turtleact.commands import user_messages
-        from turtleact.commands.message_text import GoalText
-
-        text = GoalText.read(values, stdin=stdin, path=None, what="request")
-        return lambda node: user_messages.call(node, name, type_name, text, rate=rate)
-
-    return on_known_graph(reach(connect, domain, config), interfaces, plan)
+    text = GoalText.read(values, stdin=stdin, path=None, what="request")
+    return graph.run(reach, lambda node: user_messages.call(node, name, type_name, text, rate=rate))
 
 
-@service.command(cls=Verb)
-def echo(
-    name: ServiceName,
-    type_name: AskedType = None,
-    *,
-    csv: Csv = False,
-    flow: Flow = False,
-    full_length: FullLength = False,
-    truncate_length: Truncate = 128,
-    no_arr: NoArrays = False,
-    no_str: NoStrings = False,
-    interfaces: Interfaces = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+@verb(service, knows=True)
+async def echo(node: Node, name: ServiceName, type_name: AskedType = None, *, style: Style) -> int:
     """Print the requests and responses of a service, if somebody publishes them."""
     from turtleact.commands import event_echo
 
-    longest = None if full_length else truncate_length
-    shown = style(csv=csv, flow=flow, longest=longest, no_arr=no_arr, no_str=no_str)
-    order = event_echo.Order(name, type_name, shown)
-    return on_known_graph(
-        reach(connect, domain, config),
-        interfaces,
-        lambda: lambda node: event_echo.echo_service(node, order),
-    )
+    return await event_echo.echo_service(node, event_echo.Order(name, type_name, style))

@@ -1,47 +1,51 @@
-"""Declares the Typer options that several verbs share, and parses the values of options."""
+"""Declares the options and arguments that several verbs share, and parses their values.
+
+`flag`, `value` and `argument` declare one option or argument each. The functions in `BUNDLES` each
+stand for several options, from which they make one value.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-import shlex
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
 
 import typer
 
 from turtleact.commands import completion
-from turtleact.commands.settings import Reach, quoted
-from turtleact.commands.verbs import Job, Verb
-from turtleact.errors import UsageError
+from turtleact.commands.settings import (
+    Durability,
+    Policies,
+    Reach,
+    Reliability,
+    WrongOptions,
+    quoted,
+)
 
 if TYPE_CHECKING:
     from turtleact.commands.message_text import Style
     from turtleact.graph import Kind
-    from turtleact.node import Node
 
 __all__ = [
-    "Config",
-    "Connect",
-    "Domain",
+    "BUNDLES",
+    "TYPE_NAME",
+    "Embedded",
     "Interfaces",
-    "Look",
-    "MessageVerb",
+    "Json",
     "Plain",
-    "Plan",
     "ShowTypes",
+    "argument",
     "count_of",
+    "flag",
     "folder",
     "hertz",
+    "host_and_port",
     "in_seconds",
-    "journal_in",
     "message_of",
     "name_of",
-    "on_graph",
-    "on_known_graph",
     "only_one",
-    "reach",
     "ros_domain",
     "seconds",
     "span",
@@ -50,20 +54,15 @@ __all__ = [
     "stdin_of",
     "type_and_text",
     "type_of",
+    "value",
     "whole",
 ]
 
-Look: TypeAlias = Callable[["Node"], Awaitable[int]]
-"""A function that runs a verb with a node on the graph, and returns the exit status."""
-
-Plan: TypeAlias = Callable[[], Look]
-"""A function that prepares the work before the graph is opened, and may read stdin.
-
-The function returns a `Look`.
-"""
-
 GRAPH = "Graph"
 """The heading of the options that select a graph."""
+
+QOS = "Quality of service"
+"""The heading of the options for quality of service."""
 
 MOST_DOMAIN = 232
 """The highest domain; source: the ROS 2 article "The ROS_DOMAIN_ID"."""
@@ -74,57 +73,124 @@ MOST_DIGITS = 18
 _SPAN = re.compile(r"(?P<number>[0-9]{1,9}(?:\.[0-9]{1,9})?) *(?P<unit>s|min|h|d)")
 UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
 
-_IN_DOUBLE_QUOTES = re.compile(r'[^"$`\\!]*')
-"""The pattern of text that needs no escapes between double quotes, in any shell."""
+TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
+"""The pattern of the name of a type, such as ``std_msgs/msg/String``."""
 
-_TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
+ProfileName: TypeAlias = Literal[
+    "action_status_default",
+    "best_available",
+    "default",
+    "parameter_events",
+    "parameters",
+    "sensor_data",
+    "services_default",
+    "system_default",
+]
+
+PROFILES: Final[dict[ProfileName, Policies]] = {
+    "action_status_default": Policies("reliable", "transient_local", 1),
+    "best_available": Policies(),
+    "default": Policies("reliable", "volatile", 10),
+    "parameter_events": Policies("reliable", "volatile", 1000),
+    "parameters": Policies("reliable", "volatile", 1000),
+    "sensor_data": Policies("best_effort", "volatile", 5),
+    "services_default": Policies("reliable", "volatile", 10),
+    "system_default": Policies(),
+}
+"""The profiles of quality of service by name. Source: rmw ``qos_profiles.h``."""
 
 
-class MessageVerb(Verb):
-    """A verb that takes a message as its last argument.
+# The functions of this section return what Typer's own functions return, of which Typer says `Any`.
 
-    A shell splits a message without quotes into several arguments. If the arguments look like a
-    message that was split, the error shows the command line with quotes around the message.
+
+def flag(*names: str, text: str, panel: str | None = None, hidden: bool = False) -> Any:  # noqa: ANN401
+    """Declare an option without a value."""
+    return typer.Option(*names, help=text, rich_help_panel=panel, hidden=hidden)
+
+
+def value(
+    *names: str,
+    metavar: str | None = None,
+    text: str,
+    panel: str | None = None,
+    parser: Callable[..., Any] | None = None,
+    **more: Any,  # noqa: ANN401
+) -> Any:  # noqa: ANN401
+    """Declare an option with a value. ``more`` are other arguments of `typer.Option`."""
+    return typer.Option(
+        *names, metavar=metavar, help=text, rich_help_panel=panel, parser=parser, **more
+    )
+
+
+def argument(
+    metavar: str,
+    text: str,
+    known: Callable[..., Any] | None = None,
+    *,
+    show_default: bool = True,
+) -> Any:  # noqa: ANN401
+    """Declare an argument. For the Tab key, ``known`` returns its possible values."""
+    return typer.Argument(
+        metavar=metavar, help=text, autocompletion=known, show_default=show_default
+    )
+
+
+def in_seconds(*names: str, text: str, panel: str | None = None, is_of_bag: bool = False) -> Any:  # noqa: ANN401
+    """Declare an option that takes a number of seconds, 0 or more.
+
+    Args:
+        *names: The names of the option.
+        text: The help text of the option.
+        panel: The heading under which the help lists the option.
+        is_of_bag: Whether the value is a time in a bag, which has an upper limit; see
+            `bag_seconds`.
     """
-
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as in `Verb`
-        """Parse the arguments as `Verb` does, and fail if there are too many."""
-        ctx.allow_extra_args = True
-        typed = list(args)
-        left = super().parse_args(ctx, args)
-        if ctx.resilient_parsing:
-            return left
-        name = [each for each in self.params if each.param_type_name == "argument"][-1].name or ""
-        first, text = ctx.params["type_name"], ctx.params[name]
-        is_type = first is None or _TYPE_NAME.fullmatch(first)
-        words = [each for each in ((text,) if is_type else (first, text)) if each is not None]
-        words += left
-        if len(words) > 1 and ":" in "".join(words) and not any(map(_is_option, words)):
-            what = "goal" if name == "goal" else "message"
-            meant = _quoted_in(typed, words)
-            ctx.fail(
-                f"the shell splits the {what} at its spaces. Quote it: {ctx.command_path} {meant}"
-            )
-        if left:
-            ctx.fail(f"Got unexpected extra argument(s) ({' '.join(left)})")
-        return left
+    parser = bag_seconds if is_of_bag else seconds
+    return value(*names, metavar="SECONDS", text=text, panel=panel, parser=parser)
 
 
-def _is_option(word: str) -> bool:
-    return word.startswith("--") and len(word) > len("---")
+def count_of(name: str) -> Any:  # noqa: ANN401
+    """Declare the switch that makes a verb print only a count."""
+    return flag(name, "-c", text="Print only how many there are.")
 
 
-def _quoted_in(args: list[str], words: list[str]) -> str:
-    """The arguments as the text of a command line, with ``words`` as one argument in quotes."""
-    text, count = " ".join(words), len(words)
-    starts = [i for i in range(len(args)) if args[i : i + count] == words]
-    if starts:
-        before, after = args[: starts[0]], args[starts[0] + count :]
-    else:  # there are options between the words
-        before, after = [each for each in args if each not in words], []
-    is_plain = _IN_DOUBLE_QUOTES.fullmatch(text)
-    in_quotes = f'"{text}"' if is_plain else shlex.quote(text)
-    return " ".join([*map(shlex.quote, before), in_quotes, *map(shlex.quote, after)])
+def stdin_of(what: str) -> Any:  # noqa: ANN401
+    """Declare the switch that makes a verb read a message from stdin."""
+    return flag("--stdin", text=f"Read the {what} from stdin.")
+
+
+def name_of(what: str, example: str, known: Callable[..., Any], metavar: str = "NAME") -> Any:  # noqa: ANN401
+    """Declare the argument that names something on the graph."""
+    return argument(metavar, f"The {what}, such as {example}.", known)
+
+
+def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401
+    """Declare the argument that takes a message."""
+    text = f"The {what}, as YAML or JSON. If left out, {{}}."
+    return argument(metavar, text, completion.messages, show_default=False)
+
+
+def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401
+    """Declare the argument TYPE. If ``is_asked``, a missing type is looked up on the graph."""
+    text = f"The type, pkg/{completion.SUFFIXES[kind]}/Name."
+    asked = " If left out, the graph is asked." if is_asked else ""
+    known = completion.types(kind, of_name=is_asked)
+    return argument("TYPE", text + asked, known, show_default=False)
+
+
+# options
+
+
+Interfaces: TypeAlias = Annotated[
+    Path | None,
+    value(
+        "--interfaces", metavar="DIR", text="A folder with more interfaces: PACKAGE/KIND/NAME.EXT."
+    ),
+]
+Plain: TypeAlias = Annotated[bool, flag("--plain", text="Print plain lines, even on a terminal.")]
+Json: TypeAlias = Annotated[bool, flag("--json", text="Print one JSON object per line.")]
+ShowTypes: TypeAlias = Annotated[bool, flag("--show-types", "-t", text="Print the types too.")]
+Embedded: TypeAlias = Annotated[bool, flag("--embedded", text="Start a world in this process.")]
 
 
 def ros_domain(given: str | int) -> int:
@@ -142,82 +208,116 @@ def ros_domain(given: str | int) -> int:
     return int(text)
 
 
-Connect: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--connect",
-        metavar="ENDPOINT",
-        help="Where the graph is, such as tcp/127.0.0.1:7447. Separate several with commas.",
-        rich_help_panel=GRAPH,
-    ),
-]
-Domain: TypeAlias = Annotated[
-    int,
-    typer.Option(
-        "--domain",
-        metavar="N",
-        parser=ros_domain,
-        envvar="ROS_DOMAIN_ID",
-        show_envvar=True,
-        help="The ROS domain of the graph, 0 to 232.",
-        rich_help_panel=GRAPH,
-    ),
-]
-Config: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(
-        "--config",
-        metavar="FILE",
-        help="A TOML file with certificates and passwords.",
-        rich_help_panel=GRAPH,
-    ),
-]
-Interfaces: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(
-        "--interfaces",
-        metavar="DIR",
-        help="A folder with more interfaces: PACKAGE/KIND/NAME.EXT.",
-    ),
-]
-Plain: TypeAlias = Annotated[
-    bool, typer.Option("--plain", help="Print plain lines, even on a terminal.")
-]
-
-ShowTypes: TypeAlias = Annotated[
-    bool, typer.Option("--show-types", "-t", help="Print the types too.")
-]
-
-Csv: TypeAlias = Annotated[
-    bool, typer.Option("--csv", help="Print all values on one line, separated by commas.")
-]
-Flow: TypeAlias = Annotated[
-    bool, typer.Option("--flow-style", help="Print each message on one line, in braces.")
-]
-FullLength: TypeAlias = Annotated[
-    bool, typer.Option("--full-length", "-f", help="Print long lists and strings in full.")
-]
-Truncate: TypeAlias = Annotated[
-    int,
-    typer.Option(
-        "--truncate-length",
-        "-l",
-        metavar="N",
-        min=0,
-        help="Cut lists and strings that are longer.",
-    ),
-]
-NoArrays: TypeAlias = Annotated[
-    bool, typer.Option("--no-arr", help="Print the length and type of lists only.")
-]
-NoStrings: TypeAlias = Annotated[
-    bool, typer.Option("--no-str", help="Print the length of strings only.")
-]
-
-
-def reach(connect: str | None = None, domain: int = 0, config: Path | None = None) -> Reach:
+def _reach(
+    connect: Annotated[
+        str | None,
+        value(
+            "--connect",
+            metavar="ENDPOINT",
+            text="Where the graph is, such as tcp/127.0.0.1:7447. Separate several with commas.",
+            panel=GRAPH,
+        ),
+    ] = None,
+    domain: Annotated[
+        int,
+        value(
+            "--domain",
+            metavar="N",
+            text="The ROS domain of the graph, 0 to 232.",
+            panel=GRAPH,
+            parser=ros_domain,
+            envvar="ROS_DOMAIN_ID",
+            show_envvar=True,
+        ),
+    ] = 0,
+    config: Annotated[
+        Path | None,
+        value(
+            "--config",
+            metavar="FILE",
+            text="A TOML file with certificates and passwords.",
+            panel=GRAPH,
+        ),
+    ] = None,
+) -> Reach:
     """Return the graph that these options select. Raises the errors of `Reach.of`."""
     return Reach.of(connect, domain, None if config is None else str(config))
+
+
+def _style(
+    *,
+    csv: Annotated[
+        bool, flag("--csv", text="Print all values on one line, separated by commas.")
+    ] = False,
+    flow: Annotated[
+        bool, flag("--flow-style", text="Print each message on one line, in braces.")
+    ] = False,
+    full_length: Annotated[
+        bool, flag("--full-length", "-f", text="Print long lists and strings in full.")
+    ] = False,
+    truncate_length: Annotated[
+        int,
+        value(
+            *("--truncate-length", "-l"),
+            metavar="N",
+            text="Cut lists and strings that are longer.",
+            min=0,
+        ),
+    ] = 128,
+    no_arr: Annotated[
+        bool, flag("--no-arr", text="Print the length and type of lists only.")
+    ] = False,
+    no_str: Annotated[bool, flag("--no-str", text="Print the length of strings only.")] = False,
+) -> Style:
+    """Return the format in which messages are printed.
+
+    Raises:
+        WrongOptions: if both ``csv`` and ``flow`` are set.
+    """
+    from turtleact.commands.message_text import Style
+
+    only_one("how messages are printed", csv=csv, flow_style=flow)
+    longest = None if full_length else truncate_length
+    return Style(csv=csv, flow=flow, longest=longest, arrays=not no_arr, strings=not no_str)
+
+
+def _policies(
+    profile: Annotated[
+        ProfileName | None,
+        value(
+            "--qos-profile",
+            metavar="NAME",
+            text="A set of policies, such as sensor_data. The options below change single ones.",
+            panel=QOS,
+        ),
+    ] = None,
+    reliability: Annotated[
+        Reliability | None,
+        value("--qos-reliability", metavar="POLICY", text="reliable or best_effort.", panel=QOS),
+    ] = None,
+    durability: Annotated[
+        Durability | None,
+        value("--qos-durability", metavar="POLICY", text="volatile or transient_local.", panel=QOS),
+    ] = None,
+    depth: Annotated[
+        int | None,
+        value("--qos-depth", metavar="N", text="How many messages to keep.", panel=QOS, min=1),
+    ] = None,
+) -> Policies:
+    """Return the requested quality of service. An option for one policy overrides the profile."""
+    known = Policies() if profile is None else PROFILES[profile]
+    return Policies(
+        reliability or known.reliability, durability or known.durability, depth or known.depth
+    )
+
+
+BUNDLES: Final[dict[str, Callable[..., Any]]] = {
+    "style": _style,
+    "policies": _policies,
+    "reach": _reach,
+    "node": _reach,
+}
+"""The parameters of verbs that stand for several options, and what makes their values."""
 
 
 def folder(interfaces: Path | None) -> str | None:
@@ -225,97 +325,18 @@ def folder(interfaces: Path | None) -> str | None:
     return None if interfaces is None else str(interfaces)
 
 
-def journal_in(panel: str | None, text: str) -> Any:  # noqa: ANN401  # as typer.Option
-    """Declare the option ``--journal``, with its help text and its heading in the help."""
-    return typer.Option("--journal", metavar="FILE", help=text, rich_help_panel=panel)
-
-
-def on_graph(where: Reach, look: Look) -> Job:
-    """Make a job that opens a graph and calls ``look`` on it."""
-
-    def job() -> int:
-        from turtleact.commands import graph
-
-        return graph.run(where, look)
-
-    return job
-
-
-def on_known_graph(where: Reach, interfaces: Path | None, plan: Plan) -> Job:
-    """Return a job that finds the interfaces and runs the function from ``plan`` on a graph."""
-
-    def job() -> int:
-        from turtleact.commands import graph
-        from turtleact.commands.interfaces import make_known
-
-        make_known(folder(interfaces))
-        return graph.run(where, plan())
-
-    return job
-
-
-def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401  # as typer.Argument
-    """Declare the argument TYPE. If ``is_asked``, a missing type is looked up on the graph."""
-    name = f"pkg/{completion.SUFFIXES[kind]}/Name"
-    return typer.Argument(
-        metavar="TYPE",
-        help=f"The type, {name}." + (" If left out, the graph is asked." if is_asked else ""),
-        autocompletion=completion.types(kind, of_name=is_asked),
-        show_default=False,
-    )
-
-
-def style(*, csv: bool, flow: bool, longest: int | None, no_arr: bool, no_str: bool) -> Style:
-    """Return the format in which messages are printed.
+def host_and_port(option: str, text: str) -> tuple[str, int]:
+    """Parse ``[HOST:]PORT``. Without a host, the address is that of this machine.
 
     Raises:
-        UsageError: if both ``csv`` and ``flow`` are set.
+        WrongOptions: if the port is not a whole number from 0 to 65535.
     """
-    from turtleact.commands.message_text import Style
-
-    only_one("how messages are printed", csv=csv, flow_style=flow)
-    return Style(csv=csv, flow=flow, longest=longest, arrays=not no_arr, strings=not no_str)
-
-
-def name_of(what: str, example: str, known: Callable[..., Any], metavar: str = "NAME") -> Any:  # noqa: ANN401  # likewise
-    """Declare the argument that names something on the graph."""
-    return typer.Argument(
-        metavar=metavar, help=f"The {what}, such as {example}.", autocompletion=known
-    )
-
-
-def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401  # likewise
-    """Declare the argument that takes a message."""
-    return typer.Argument(
-        metavar=metavar,
-        help=f"The {what}, as YAML or JSON. If left out, {{}}.",
-        autocompletion=completion.messages,
-        show_default=False,
-    )
-
-
-def stdin_of(what: str) -> Any:  # noqa: ANN401  # as typer.Option
-    """Declare the switch that makes a verb read a message from stdin."""
-    return typer.Option("--stdin", help=f"Read the {what} from stdin.")
-
-
-def count_of(name: str) -> Any:  # noqa: ANN401  # likewise
-    """Declare the switch that makes a verb print only a count."""
-    return typer.Option(name, "-c", help="Print only how many there are.")
-
-
-def in_seconds(*names: str, text: str, panel: str | None = None, is_of_bag: bool = False) -> Any:  # noqa: ANN401  # likewise
-    """Declare an option that takes a number of seconds, 0 or more.
-
-    Args:
-        *names: The names of the option.
-        text: The help text of the option.
-        panel: The heading under which the help lists the option.
-        is_of_bag: Whether the value is a time in a bag, which has an upper limit; see
-            `bag_seconds`.
-    """
-    parser = bag_seconds if is_of_bag else seconds
-    return typer.Option(*names, metavar="SECONDS", parser=parser, help=text, rich_help_panel=panel)
+    host, _, port = text.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    if not (port.isascii() and port.isdigit() and len(port) <= 5 and int(port) <= 65535):
+        problem = f"is a whole number, 0 to 65535, not {quoted(port)}"
+        raise WrongOptions(f"the port of {option} {problem}")
+    return host or "127.0.0.1", int(port)
 
 
 def type_and_text(
@@ -331,13 +352,13 @@ def type_and_text(
         what: What the error calls the message, such as "goal".
 
     Raises:
-        UsageError: if both arguments are given, and the first is not a type.
+        WrongOptions: if both arguments are given, and the first is not a type.
     """
-    if type_name is None or _TYPE_NAME.fullmatch(type_name):
+    if type_name is None or TYPE_NAME.fullmatch(type_name):
         return type_name, text
     if text is None:
         return None, type_name
-    raise UsageError(
+    raise WrongOptions(
         f"'{type_name}' is not a type such as pkg/kind/Name; if it belongs to the {what}, write "
         f"the {what} as one argument in quotes"
     )
@@ -351,12 +372,12 @@ def only_one(what: str, **given: bool) -> None:
         **given: Whether each option was given, by its name: ``goal_file`` is ``--goal-file``.
 
     Raises:
-        UsageError: if more than one option was given.
+        WrongOptions: if more than one option was given.
     """
     if sum(given.values()) > 1:
         *names, last = (name if name.isupper() else f"--{name.replace('_', '-')}" for name in given)
         ways = f"{', '.join(names)} and {last}"
-        raise UsageError(f"{what} is given twice: give one of {ways}")
+        raise WrongOptions(f"{what} is given twice: give one of {ways}")
 
 
 def seconds(given: str | float) -> float:
@@ -413,14 +434,14 @@ def speed_or_max(text: str) -> float | str:
     """Parse how fast a clock runs: a factor as for `speed`, or ``max`` for no limit.
 
     Raises:
-        UsageError: if the text is neither a factor nor ``max``.
+        WrongOptions: if the text is neither a factor nor ``max``.
     """
     if text == "max":
         return text
     try:
         return speed(text)
     except typer.BadParameter as error:
-        raise UsageError(f"--speed: {error.message}, or max") from None
+        raise WrongOptions(f"--speed: {error.message}, or max") from None
 
 
 def whole(given: str | int) -> int:

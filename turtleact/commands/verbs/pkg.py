@@ -1,4 +1,4 @@
-"""Declares the group ``pkg`` for Typer."""
+"""The verbs of ``pkg``."""
 
 from __future__ import annotations
 
@@ -8,63 +8,11 @@ from typing import Annotated, TypeAlias
 import typer
 
 from turtleact.commands import completion
-from turtleact.commands.verbs import Job, Verb, new_group
+from turtleact.commands.verbs import Verb, new_group, verb
+from turtleact.commands.verbs.options import argument, value
 from turtleact.errors import TurtleactError
 
 __all__ = ["app", "spread"]
-
-NewName: TypeAlias = Annotated[
-    str, typer.Argument(metavar="NAME", help="The name of the package.", show_default=False)
-]
-Dependencies: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--dependencies", metavar="PACKAGE...", help="Packages that it needs, separated by spaces."
-    ),
-]
-BuildType: TypeAlias = Annotated[
-    str,
-    typer.Option(
-        metavar="TYPE",
-        help="ament_python, or ament_cmake for a package with interfaces only.",
-        autocompletion=completion.words("ament_python", "ament_cmake"),
-    ),
-]
-Destination: TypeAlias = Annotated[
-    Path,
-    typer.Option(
-        "--destination-directory", metavar="DIR", help="Where the folder of the package is made."
-    ),
-]
-Licence: TypeAlias = Annotated[
-    str | None, typer.Option("--license", metavar="NAME", help="Its licence, such as Apache-2.0.")
-]
-Description: TypeAlias = Annotated[
-    str | None, typer.Option("--description", metavar="TEXT", help="What it is for.")
-]
-NodeName: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--node-name", metavar="NAME", help="The name of its program. If left out, server."
-    ),
-]
-Maintainer: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--maintainer-name", metavar="NAME", help="Who maintains it. If left out, you."),
-]
-Email: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--maintainer-email", metavar="ADDRESS", help="The address of the maintainer."),
-]
-Package: TypeAlias = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="PACKAGE",
-        help="The package. If left out, all packages.",
-        autocompletion=completion.runnable_packages,
-        show_default=False,
-    ),
-]
 
 _EXAMPLES = """\
 [bold]Examples[/]
@@ -106,22 +54,58 @@ def spread(args: list[str], option: str) -> list[str]:
     return spread_out
 
 
-@app.command("create", cls=Create, epilog=_EXAMPLES)
+Dependencies: TypeAlias = Annotated[
+    list[str] | None,
+    value(
+        "--dependencies",
+        metavar="PACKAGE...",
+        text="Packages that it needs, separated by spaces.",
+    ),
+]
+
+
+@verb(app, cls=Create, epilog=_EXAMPLES)
 def create(
-    name: NewName,
+    name: Annotated[str, argument("NAME", "The name of the package.", show_default=False)],
     *,
     dependencies: Dependencies = None,
-    build_type: BuildType = "ament_python",
-    destination_directory: Destination = Path(),
-    license_: Licence = None,
-    description: Description = None,
-    node_name: NodeName = None,
-    maintainer_name: Maintainer = None,
-    maintainer_email: Email = None,
-) -> Job:
+    build_type: Annotated[
+        str,
+        value(
+            metavar="TYPE",
+            text="ament_python, or ament_cmake for a package with interfaces only.",
+            autocompletion=completion.words("ament_python", "ament_cmake"),
+        ),
+    ] = "ament_python",
+    destination_directory: Annotated[
+        Path,
+        value(
+            "--destination-directory",
+            metavar="DIR",
+            text="Where the folder of the package is made.",
+        ),
+    ] = Path(),
+    license_: Annotated[
+        str | None, value("--license", metavar="NAME", text="Its licence, such as Apache-2.0.")
+    ] = None,
+    description: Annotated[
+        str | None, value("--description", metavar="TEXT", text="What it is for.")
+    ] = None,
+    node_name: Annotated[
+        str | None,
+        value("--node-name", metavar="NAME", text="The name of its program. If left out, server."),
+    ] = None,
+    maintainer_name: Annotated[
+        str | None,
+        value("--maintainer-name", metavar="NAME", text="Who maintains it. If left out, you."),
+    ] = None,
+    maintainer_email: Annotated[
+        str | None,
+        value("--maintainer-email", metavar="ADDRESS", text="The address of the maintainer."),
+    ] = None,
+) -> None:
     """Create a package with an action, a server and a test. The package needs no build."""
-    from turtleact.commands.new_package import NewPackage, check
-    from turtleact.commands.new_package import create as write
+    from turtleact.commands import new_package
 
     given = {
         "node_name": node_name,
@@ -130,50 +114,45 @@ def create(
         "maintainer": maintainer_name,
         "email": maintainer_email,
     }
-    package = NewPackage(
+    package = new_package.NewPackage(
         name,
         destination_directory,
         build_type,
         dependencies=tuple(dependencies or ()),
-        **{key: value for key, value in given.items() if value is not None},
+        **{key: each for key, each in given.items() if each is not None},
     )
-    check(package, has_node_name=node_name is not None)
-
-    def job() -> int:
-        write(package)
-        return 0
-
-    return job
+    new_package.check(package, has_node_name=node_name is not None)
+    new_package.create(package)
 
 
-@app.command("list", cls=Verb)
-def list_() -> Job:
+@verb(app, "list")
+def list_() -> None:
     """List all packages: in the working directory, in a sourced workspace, and built in."""
+    from turtleact.commands.output import say_names
+    from turtleact.commands.packages import runnable_here
 
-    def job() -> int:
-        from turtleact.commands.output import say_names
-        from turtleact.commands.packages import runnable_here
-
-        say_names("".join(f"{name}\n" for name in sorted(runnable_here())))
-        return 0
-
-    return job
+    say_names("".join(f"{name}\n" for name in sorted(runnable_here())))
 
 
-@app.command("executables", cls=Verb)
-def executables(package: Package = None) -> Job:
+@verb(app)
+def executables(
+    package: Annotated[
+        str | None,
+        argument(
+            "PACKAGE",
+            "The package. If left out, all packages.",
+            completion.runnable_packages,
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
     """List the executables of packages, one package and executable per line."""
+    from turtleact.commands.output import say_names
+    from turtleact.commands.packages import runnable_here
+    from turtleact.interfaces.definition import did_you_mean
 
-    def job() -> int:
-        from turtleact.commands.output import say_names
-        from turtleact.commands.packages import runnable_here
-        from turtleact.interfaces.definition import did_you_mean
-
-        known = runnable_here()
-        if package is not None and package not in known:
-            raise TurtleactError(f"unknown package '{package}'{did_you_mean(package, known)}")
-        names = sorted(known) if package is None else [package]
-        say_names("".join(f"{name} {each}\n" for name in names for each in known[name]))
-        return 0
-
-    return job
+    known = runnable_here()
+    if package is not None and package not in known:
+        raise TurtleactError(f"unknown package '{package}'{did_you_mean(package, known)}")
+    names = sorted(known) if package is None else [package]
+    say_names("".join(f"{name} {each}\n" for name in names for each in known[name]))

@@ -1,4 +1,4 @@
-"""Declares the verb ``run`` for Typer, and finds the program to run.
+"""The verb ``run``, which finds the program to run.
 
 `turtleact.commands.programs` runs the program, unless it is built in.
 """
@@ -8,24 +8,22 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from turtleact.commands import VERBS, completion
 from turtleact.commands.output import printable
-from turtleact.commands.settings import Fleet, Reach, Service, quoted
-from turtleact.commands.verbs import SETTINGS, Job, Verb
+from turtleact.commands.settings import Fleet, Reach, Service, WrongOptions, quoted
+from turtleact.commands.verbs import SETTINGS, Verb, verb
 from turtleact.commands.verbs.options import (
-    Config,
-    Connect,
-    Domain,
     Interfaces,
+    argument,
+    flag,
     folder,
-    reach,
     ros_domain,
+    value,
 )
-from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.programs import Program
@@ -42,42 +40,6 @@ MOST_LISTED = 40
 """The help lists at most this many programs. A sourced ROS installation has hundreds of them."""
 
 _HELP = "'turtleact run --help' lists what can be run"
-
-Package: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        metavar="PACKAGE",
-        help="The package, such as turtlesim, or a Python file such as lab.py.",
-        autocompletion=completion.runnable_packages,
-        show_default=False,
-    ),
-]
-Executable: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        metavar="EXECUTABLE",
-        help="The program in the package, such as turtlesim_node.",
-        autocompletion=completion.executables,
-        show_default=False,
-    ),
-]
-Arguments: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="ARGUMENTS", help="The program's own arguments.", show_default=False),
-]
-
-
-Whose: TypeAlias = Annotated[
-    str,
-    typer.Option(
-        "--face",
-        metavar="auto|turtleact|ros",
-        help="Which rclpy the program imports: turtleact's, or that of a sourced ROS.",
-    ),
-]
-Embedded: TypeAlias = Annotated[
-    bool, typer.Option("--embedded", help="Also start a world of turtles, for a rclpy program.")
-]
 
 
 class How(NamedTuple):
@@ -111,37 +73,63 @@ class Run(Verb):
 app = typer.Typer(**SETTINGS)
 
 
-@app.command(
+@verb(
+    app,
     cls=Run,
     help=VERBS["run"],
     # What follows the package belongs to the program, even if it looks like an option of ours.
     context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
 )
 def run(
-    package: Package = "",
-    executable: Executable = "",
-    arguments: Arguments = None,
+    reach: Reach,
+    package: Annotated[
+        str,
+        argument(
+            "PACKAGE",
+            "The package, such as turtlesim, or a Python file such as lab.py.",
+            completion.runnable_packages,
+            show_default=False,
+        ),
+    ] = "",
+    executable: Annotated[
+        str,
+        argument(
+            "EXECUTABLE",
+            "The program in the package, such as turtlesim_node.",
+            completion.executables,
+            show_default=False,
+        ),
+    ] = "",
+    arguments: Annotated[
+        list[str] | None, argument("ARGUMENTS", "The program's own arguments.", show_default=False)
+    ] = None,
     *,
-    face: Whose = "auto",
-    embedded: Embedded = False,
+    face: Annotated[
+        str,
+        value(
+            "--face",
+            metavar="auto|turtleact|ros",
+            text="Which rclpy the program imports: turtleact's, or that of a sourced ROS.",
+        ),
+    ] = "auto",
+    embedded: Annotated[
+        bool, flag("--embedded", text="Also start a world of turtles, for a rclpy program.")
+    ] = False,
     interfaces: Interfaces = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """``run``."""
     rest = list(arguments or ())
-    how = How(face, embedded, folder(interfaces), reach(connect, domain, config))
+    how = How(face, embedded, folder(interfaces), reach)
     if not package:
-        raise UsageError(f"what to run is missing: {_HELP}")
+        raise WrongOptions(f"what to run is missing: {_HELP}")
     if package.endswith(".py"):
-        return _running(_file(package), [executable, *rest] if executable else rest, how)
+        return _run(_file(package), [executable, *rest] if executable else rest, how)
     from turtleact.commands.packages import runnable_here
 
     program = _chosen(runnable_here(), package, executable)
     if program is not None:
-        return _running(program, rest, how)
-    return _built_in(package, executable, *_own_domain(rest, how.reach))
+        return _run(program, rest, how)
+    return _run_built_in(package, executable, *_own_domain(rest, reach))
 
 
 def _listed(known: Mapping[str, Mapping[str, object]]) -> list[str]:
@@ -159,50 +147,47 @@ def _chosen(
     """Find the executable of a package; None if it is built in.
 
     Raises:
-        UsageError: if there is no such package or executable. The error suggests the nearest name.
+        WrongOptions: if there is no such package or executable. The error suggests the nearest
+            name.
     """
     from turtleact.interfaces.definition import did_you_mean
 
     if package not in known:
         where = "in the working directory, in its src, or in a sourced workspace"
         hint = did_you_mean(package, known)
-        raise UsageError(f"there is no package {quoted(package)} {where}{hint}; {_HELP}")
+        raise WrongOptions(f"there is no package {quoted(package)} {where}{hint}; {_HELP}")
     programs = known[package]
     if executable in programs:
         return programs[executable]
     has = f"it has {', '.join(programs)}" if programs else "it has none in Python"
     if not executable:
-        raise UsageError(f"say which executable of package {quoted(package)} to run: {has}")
+        raise WrongOptions(f"say which executable of package {quoted(package)} to run: {has}")
     hint = did_you_mean(executable, programs) or f": {has}"
-    raise UsageError(f"package {quoted(package)} has no executable {quoted(executable)}{hint}")
+    raise WrongOptions(f"package {quoted(package)} has no executable {quoted(executable)}{hint}")
 
 
 def _file(name: str) -> Program:
     from turtleact.commands.programs import Program
 
     if Path(name).is_dir():
-        raise UsageError(f"{quoted(name)} is a folder, not a Python file")
+        raise WrongOptions(f"{quoted(name)} is a folder, not a Python file")
     if not Path(name).is_file():
-        raise UsageError(f"there is no file {quoted(name)}")
+        raise WrongOptions(f"there is no file {quoted(name)}")
     return Program(name, file=Path(name))
 
 
-def _running(program: Program, arguments: Sequence[str], how: How) -> Job:
-    """Make the job that runs a user's program."""
+def _run(program: Program, arguments: Sequence[str], how: How) -> int:
+    """Run a user's program, and return its exit status."""
+    from turtleact.commands.interfaces import make_found
+    from turtleact.commands.programs import run_program
+    from turtleact.rclpy.impl.settings import Place
+    from turtleact.rclpy.program import Options
 
-    def job() -> int:
-        from turtleact.commands.interfaces import make_found
-        from turtleact.commands.programs import run_program
-        from turtleact.rclpy.impl.settings import Place
-        from turtleact.rclpy.program import Options
-
-        make_found(how.interfaces)
-        os.environ["ROS_DOMAIN_ID"] = str(how.reach.domain)  # the program reads it, as in ROS
-        config = how.reach.locks().settings()
-        place = Place(how.reach.connect, config, is_embedded=how.embedded)
-        return run_program(program, arguments, Options(how.face, place))
-
-    return job
+    make_found(how.interfaces)
+    os.environ["ROS_DOMAIN_ID"] = str(how.reach.domain)  # the program reads it, as in ROS
+    config = how.reach.locks().settings()
+    place = Place(how.reach.connect, config, is_embedded=how.embedded)
+    return run_program(program, arguments, Options(how.face, place))
 
 
 def _own_domain(arguments: Sequence[str], where: Reach) -> tuple[list[str], Reach]:
@@ -215,35 +200,31 @@ def _own_domain(arguments: Sequence[str], where: Reach) -> tuple[list[str], Reac
     return rest, where
 
 
-def _built_in(package: str, executable: str, arguments: Sequence[str], where: Reach) -> Job:
-    """Make the job that runs a built-in program."""
+def _run_built_in(package: str, executable: str, arguments: Sequence[str], where: Reach) -> int:
+    """Run a built-in program, and return its exit status."""
     if executable == "turtle_teleop_key":
         from turtleact.commands.verbs.turtlesim import turtle_teleop_key
 
         return turtle_teleop_key(arguments, where)
     if arguments:
-        raise UsageError(_not_taken(package, executable, arguments))
+        raise WrongOptions(_not_taken(package, executable, arguments))
+    from turtleact.commands.interfaces import make_known
+    from turtleact.commands.serve import run
+
+    make_known(None)
     targets = () if package == "turtlesim" else (FIBONACCI,)
-
-    def job() -> int:
-        from turtleact.commands.interfaces import make_known
-        from turtleact.commands.serve import run
-
-        make_known(None)
-        service = Service(
-            targets,
-            (),
-            where,
-            None if targets else Fleet(),
-            None,
-            where.locks().settings(),
-            True,
-            turtlesim_only=True,
-            node_name=executable if targets else "turtleact",
-        )
-        return run(service)
-
-    return job
+    service = Service(
+        targets,
+        (),
+        where,
+        None if targets else Fleet(),
+        None,
+        where.locks().settings(),
+        True,
+        turtlesim_only=True,
+        node_name=executable if targets else "turtleact",
+    )
+    return run(service)
 
 
 def _not_taken(package: str, executable: str, arguments: Sequence[str]) -> str:

@@ -1,414 +1,224 @@
-"""Declares the group ``topic`` for Typer."""
+"""The verbs of ``topic``."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
-
-import typer
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from turtleact.commands import completion
-from turtleact.commands.settings import Durability, Policies, Reliability, quoted
-from turtleact.commands.verbs import Job, Verb, new_group
+from turtleact.commands.settings import WrongOptions, quoted
+from turtleact.commands.verbs import MessageVerb, new_group, verb
 from turtleact.commands.verbs.options import (
-    Config,
-    Connect,
-    Csv,
-    Domain,
-    Flow,
-    FullLength,
-    Interfaces,
-    MessageVerb,
-    NoArrays,
-    NoStrings,
     ShowTypes,
-    Truncate,
     count_of,
+    flag,
     hertz,
     in_seconds,
     message_of,
     name_of,
-    on_graph,
-    on_known_graph,
     only_one,
-    reach,
     stdin_of,
-    style,
     type_and_text,
     type_of,
+    value,
     whole,
 )
-from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable
     from types import CodeType
 
-    from turtleact.commands.verbs.options import Look
+    from turtleact.commands.message_text import Style
+    from turtleact.commands.settings import Policies, Reach
     from turtleact.node import Node
 
-__all__ = ["app", "policies"]
-
-ProfileName: TypeAlias = Literal[
-    "action_status_default",
-    "best_available",
-    "default",
-    "parameter_events",
-    "parameters",
-    "sensor_data",
-    "services_default",
-    "system_default",
-]
-
-PROFILES: dict[ProfileName, Policies] = {
-    "action_status_default": Policies("reliable", "transient_local", 1),
-    "best_available": Policies(),
-    "default": Policies("reliable", "volatile", 10),
-    "parameter_events": Policies("reliable", "volatile", 1000),
-    "parameters": Policies("reliable", "volatile", 1000),
-    "sensor_data": Policies("best_effort", "volatile", 5),
-    "services_default": Policies("reliable", "volatile", 10),
-    "system_default": Policies(),
-}
-"""The profiles of quality of service by name. Source: rmw ``qos_profiles.h``."""
-
-QOS = "Quality of service"
-"""The heading of the options for quality of service."""
+__all__ = ["app"]
 
 Name: TypeAlias = Annotated[str, name_of("topic", "/turtle1/pose", completion.topics)]
-Type: TypeAlias = Annotated[str, type_of("topic")]
 AskedType: TypeAlias = Annotated[str | None, type_of("topic", is_asked=True)]
-Values: TypeAlias = Annotated[str | None, message_of("message")]
 Count: TypeAlias = Annotated[bool, count_of("--count-topics")]
-Hidden: TypeAlias = Annotated[
-    bool, typer.Option("--include-hidden-topics", help="Include hidden topics.")
-]
-Verbose: TypeAlias = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Print all that is known.")
-]
-Once: TypeAlias = Annotated[bool, typer.Option("--once", help="Exit after the first message.")]
-Field: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--field", metavar="FIELD", help="Print only this field, such as linear.x."),
-]
-Timeout: TypeAlias = Annotated[float | None, in_seconds("--timeout", text="Exit after this time.")]
-Filter: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--filter",
-        metavar="EXPR",
-        help="Print only messages m for which this Python expression is true, such as 'm.x > 5'.",
-    ),
-]
-Raw: TypeAlias = Annotated[bool, typer.Option("--raw", help="Print the bytes, as CDR.")]
+Hidden: TypeAlias = Annotated[bool, flag("--include-hidden-topics", text="Include hidden topics.")]
+Verbose: TypeAlias = Annotated[bool, flag("--verbose", "-v", text="Print all that is known.")]
 Window: TypeAlias = Annotated[
-    int,
-    typer.Option("--window", "-w", metavar="N", min=1, help="How many messages to look at."),
-]
-Rate: TypeAlias = Annotated[
-    float, typer.Option("--rate", "-r", metavar="HZ", parser=hertz, help="Messages per second.")
-]
-PrintEach: TypeAlias = Annotated[
-    int,
-    typer.Option("--print", "-p", metavar="N", parser=whole, help="Print every N-th message only."),
-]
-PubOnce: TypeAlias = Annotated[
-    bool, typer.Option("--once", "-1", help="Publish one message and exit.")
-]
-Times: TypeAlias = Annotated[
-    int | None,
-    typer.Option(
-        "--times", "-t", metavar="N", parser=whole, help="Publish this many messages and exit."
-    ),
-]
-Wait: TypeAlias = Annotated[
-    int | None,
-    typer.Option(
-        "--wait-matching-subscriptions",
-        "-w",
-        metavar="N",
-        parser=whole,
-        help="Wait for this many subscriptions first: 1 with --once or --times, else 0.",
-    ),
-]
-Stdin: TypeAlias = Annotated[bool, stdin_of("message")]
-Profile: TypeAlias = Annotated[
-    ProfileName | None,
-    typer.Option(
-        "--qos-profile",
-        metavar="NAME",
-        help="A set of policies, such as sensor_data. The options below change single ones.",
-        rich_help_panel=QOS,
-    ),
-]
-QosReliability: TypeAlias = Annotated[
-    Reliability | None,
-    typer.Option(
-        "--qos-reliability",
-        metavar="POLICY",
-        help="reliable or best_effort.",
-        rich_help_panel=QOS,
-    ),
-]
-QosDurability: TypeAlias = Annotated[
-    Durability | None,
-    typer.Option(
-        "--qos-durability",
-        metavar="POLICY",
-        help="volatile or transient_local.",
-        rich_help_panel=QOS,
-    ),
-]
-Depth: TypeAlias = Annotated[
-    int | None,
-    typer.Option(
-        "--qos-depth", metavar="N", min=1, help="How many messages to keep.", rich_help_panel=QOS
-    ),
+    int, value("--window", "-w", metavar="N", text="How many messages to look at.", min=1)
 ]
 
 app = new_group("topic")
 
 
-@app.command("list", cls=Verb)
-def list_(
+@verb(app, "list")
+async def list_(
+    node: Node,
     *,
     types: ShowTypes = False,
     count: Count = False,
     hidden: Hidden = False,
     verbose: Verbose = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """List the topics on the graph."""
     from turtleact.commands import listing
 
-    def look(node: Node) -> Awaitable[int]:
-        if verbose and not count:
-            return listing.print_topics_in_full(node, hidden=hidden)
-        return listing.print_list(node, "topic", types=types, count=count, hidden=hidden)
-
-    return on_graph(reach(connect, domain, config), look)
+    if verbose and not count:
+        return await listing.print_topics_in_full(node, hidden=hidden)
+    return await listing.print_list(node, "topic", types=types, count=count, hidden=hidden)
 
 
-@app.command(cls=Verb)
-def info(
-    name: Name,
-    *,
-    verbose: Verbose = False,
-    interfaces: Interfaces = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+@verb(app, knows=True)
+async def info(node: Node, name: Name, *, verbose: Verbose = False) -> int:
     """Print the type of a topic, its publishers and its subscribers."""
     from turtleact.commands import listing
 
-    return on_known_graph(
-        reach(connect, domain, config),
-        interfaces,
-        lambda: lambda node: listing.print_topic_info(node, name, verbose=verbose),
-    )
+    return await listing.print_topic_info(node, name, verbose=verbose)
 
 
-@app.command("type", cls=Verb)
-def type_(name: Name, *, connect: Connect = None, domain: Domain = 0, config: Config = None) -> Job:
+@verb(app, "type")
+async def type_(node: Node, name: Name) -> int:
     """Print the type of a topic."""
     from turtleact.commands import listing
 
-    return on_graph(
-        reach(connect, domain, config), lambda node: listing.print_type(node, "topic", name)
-    )
+    return await listing.print_type(node, "topic", name)
 
 
-@app.command(cls=Verb)
-def find(
-    type_name: Type,
+@verb(app)
+async def find(
+    node: Node,
+    type_name: Annotated[str, type_of("topic")],
     *,
     count: Count = False,
     hidden: Hidden = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """List the topics of a type."""
     from turtleact.commands import listing
 
-    return on_graph(
-        reach(connect, domain, config),
-        lambda node: listing.print_found(node, "topic", type_name, count=count, hidden=hidden),
-    )
+    return await listing.print_found(node, "topic", type_name, count=count, hidden=hidden)
 
 
-@app.command(cls=Verb)
+@verb(app, knows=True)
 def echo(
+    reach: Reach,
     name: Name,
     type_name: AskedType = None,
     *,
-    once: Once = False,
-    field: Field = None,
-    csv: Csv = False,
-    flow: Flow = False,
-    full_length: FullLength = False,
-    truncate_length: Truncate = 128,
-    no_arr: NoArrays = False,
-    no_str: NoStrings = False,
-    timeout: Timeout = None,
-    filter_: Filter = None,
-    raw: Raw = False,
-    interfaces: Interfaces = None,
-    profile: Profile = None,
-    reliability: QosReliability = None,
-    durability: QosDurability = None,
-    depth: Depth = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+    once: Annotated[bool, flag("--once", text="Exit after the first message.")] = False,
+    field: Annotated[
+        str | None,
+        value("--field", metavar="FIELD", text="Print only this field, such as linear.x."),
+    ] = None,
+    style: Style,
+    timeout: Annotated[float | None, in_seconds("--timeout", text="Exit after this time.")] = None,
+    filter_: Annotated[
+        str | None,
+        value(
+            "--filter",
+            metavar="EXPR",
+            text="Print only messages m for which this Python expression is true, such as "
+            "'m.x > 5'.",
+        ),
+    ] = None,
+    raw: Annotated[bool, flag("--raw", text="Print the bytes, as CDR.")] = False,
+    policies: Policies,
+) -> int:
     """Print the messages of a topic."""
-    from turtleact.commands import topic_reading
-
     if field is not None and not all(field.split(".")):
-        raise UsageError(f"--field takes names separated by dots, not {quoted(field)}")
-    only_one("how messages are printed", raw=raw, csv=csv, flow_style=flow)
+        raise WrongOptions(f"--field takes names separated by dots, not {quoted(field)}")
+    only_one("how messages are printed", raw=raw, csv=style.csv, flow_style=style.flow)
     only_one("what is printed", raw=raw, field=field is not None)
-    longest = None if full_length else truncate_length
+    wanted = None if filter_ is None else _compiled(filter_)
+    from turtleact.commands import graph, topic_reading
+
+    path = () if field is None else tuple(field.split("."))
     order = topic_reading.Order(
         name,
         type_name,
-        () if field is None else tuple(field.split(".")),
+        path,
         once=once,
-        style=style(csv=csv, flow=flow, longest=longest, no_arr=no_arr, no_str=no_str),
+        style=style,
         timeout=timeout,
-        wanted=None if filter_ is None else _compiled(filter_),
+        wanted=wanted,
         raw=raw,
-        policies=policies(profile, reliability, durability, depth),
+        policies=policies,
     )
-    return on_known_graph(
-        reach(connect, domain, config),
-        interfaces,
-        lambda: lambda node: topic_reading.echo(node, order),
-    )
+    return graph.run(reach, partial(topic_reading.echo, order=order))
 
 
-@app.command(cls=Verb)
-def hz(
-    name: Name,
-    *,
-    window: Window = 10000,
-    interfaces: Interfaces = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+@verb(app, knows=True)
+async def hz(node: Node, name: Name, *, window: Window = 10000) -> int:
     """Print how many messages arrive per second."""
     from turtleact.commands import topic_reading
 
-    return on_known_graph(
-        reach(connect, domain, config),
-        interfaces,
-        lambda: lambda node: topic_reading.measure(node, name, topic_reading.Rate(window)),
-    )
+    return await topic_reading.measure(node, name, topic_reading.Rate(window))
 
 
-@app.command(cls=Verb)
-def bw(
-    name: Name,
-    *,
-    window: Window = 100,
-    interfaces: Interfaces = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+@verb(app, knows=True)
+async def bw(node: Node, name: Name, *, window: Window = 100) -> int:
     """Print how many bytes arrive per second."""
     from turtleact.commands import topic_reading
 
-    return on_known_graph(
-        reach(connect, domain, config),
-        interfaces,
-        lambda: lambda node: topic_reading.measure(node, name, topic_reading.Bandwidth(window)),
-    )
+    return await topic_reading.measure(node, name, topic_reading.Bandwidth(window))
 
 
-@app.command(cls=Verb)
-def delay(
-    name: Name,
-    *,
-    window: Window = 10000,
-    interfaces: Interfaces = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+@verb(app, knows=True)
+async def delay(node: Node, name: Name, *, window: Window = 10000) -> int:
     """Print the age of messages at their arrival, by the stamp in their header."""
     from turtleact.commands import topic_reading
 
-    return on_known_graph(
-        reach(connect, domain, config),
-        interfaces,
-        lambda: lambda node: topic_reading.measure(node, name, topic_reading.Delay(window)),
-    )
+    return await topic_reading.measure(node, name, topic_reading.Delay(window))
 
 
-@app.command(cls=MessageVerb)
+@verb(app, cls=MessageVerb, knows=True)
 def pub(
+    reach: Reach,
     name: Name,
     type_name: AskedType = None,
-    values: Values = None,
+    values: Annotated[str | None, message_of("message")] = None,
     *,
-    once: PubOnce = False,
-    times: Times = None,
-    rate: Rate = 1.0,
-    print_each: PrintEach = 1,
-    wait: Wait = None,
-    stdin: Stdin = False,
-    interfaces: Interfaces = None,
-    profile: Profile = None,
-    reliability: QosReliability = None,
-    durability: QosDurability = None,
-    depth: Depth = None,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+    once: Annotated[bool, flag("--once", "-1", text="Publish one message and exit.")] = False,
+    times: Annotated[
+        int | None,
+        value(
+            *("--times", "-t"),
+            metavar="N",
+            text="Publish this many messages and exit.",
+            parser=whole,
+        ),
+    ] = None,
+    rate: Annotated[
+        float, value("--rate", "-r", metavar="HZ", text="Messages per second.", parser=hertz)
+    ] = 1.0,
+    print_each: Annotated[
+        int,
+        value(*("--print", "-p"), metavar="N", text="Print every N-th message only.", parser=whole),
+    ] = 1,
+    wait: Annotated[
+        int | None,
+        value(
+            *("--wait-matching-subscriptions", "-w"),
+            metavar="N",
+            text="Wait for this many subscriptions first: 1 with --once or --times, else 0.",
+            parser=whole,
+        ),
+    ] = None,
+    stdin: Annotated[bool, stdin_of("message")] = False,
+    policies: Policies,
+) -> int:
     """Publish messages on a topic."""
     type_name, values = type_and_text(type_name, values, "message")
     only_one("the message", VALUES=values is not None, stdin=stdin)
     only_one("how often", once=once, times=times is not None)
     count = 1 if once else times or 0
-    asked = policies(profile, reliability, durability, depth)
+    from turtleact.commands import graph, user_messages
+    from turtleact.commands.message_text import GoalText
 
-    def plan() -> Look:
-        from turtleact.commands import user_messages
-        from turtleact.commands.message_text import GoalText
-
-        text = GoalText.read(values, stdin=stdin, path=None, what="message")
-        order = user_messages.Order(
-            name,
-            type_name,
-            text,
-            rate=rate,
-            times=count,
-            every=print_each,
-            wait=int(count > 0) if wait is None else wait,
-            policies=asked,
-        )
-        return lambda node: user_messages.publish(node, order)
-
-    return on_known_graph(reach(connect, domain, config), interfaces, plan)
-
-
-def policies(
-    profile: ProfileName | None,
-    reliability: Reliability | None,
-    durability: Durability | None,
-    depth: int | None,
-) -> Policies:
-    """Return the requested quality of service. An option for one policy overrides the profile."""
-    known = Policies() if profile is None else PROFILES[profile]
-    return Policies(
-        reliability or known.reliability, durability or known.durability, depth or known.depth
+    order = user_messages.Order(
+        name,
+        type_name,
+        GoalText.read(values, stdin=stdin, path=None, what="message"),
+        rate=rate,
+        times=count,
+        every=print_each,
+        wait=int(count > 0) if wait is None else wait,
+        policies=policies,
     )
+    return graph.run(reach, partial(user_messages.publish, order=order))
 
 
 def _compiled(expression: str) -> CodeType:
@@ -417,4 +227,4 @@ def _compiled(expression: str) -> CodeType:
         return compile(expression.strip(), "--filter", "eval")
     except (SyntaxError, ValueError) as error:
         problem = f"takes a Python expression such as m.x > 5, not {quoted(expression)}"
-        raise UsageError(f"--filter {problem}: {getattr(error, 'msg', error)}") from None
+        raise WrongOptions(f"--filter {problem}: {getattr(error, 'msg', error)}") from None

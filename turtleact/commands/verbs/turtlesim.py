@@ -1,27 +1,18 @@
-"""Declares the turtlesim verbs ``teleop`` and ``snapshot`` for Typer."""
+"""The turtlesim verbs ``teleop`` and ``snapshot``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated
 
 import typer
 
 from turtleact.commands import VERBS
-from turtleact.commands.settings import Reach, quoted
-from turtleact.commands.verbs import SETTINGS, Job, Verb
-from turtleact.commands.verbs.options import (
-    Config,
-    Connect,
-    Domain,
-    Plain,
-    on_graph,
-    only_one,
-    reach,
-)
-from turtleact.errors import UsageError
+from turtleact.commands.settings import Reach, WrongOptions, quoted
+from turtleact.commands.verbs import SETTINGS, Verb, verb
+from turtleact.commands.verbs.options import Embedded, Plain, argument, only_one, value
 
 __all__ = ["app", "ros_arguments", "teleop", "turtle_teleop_key"]
 
@@ -30,23 +21,6 @@ SCALE = 2.0
 
 REMAPS = ("turtle1/cmd_vel", "turtle1/rotate_absolute")
 SCALES = ("scale_linear", "scale_angular")
-
-Turtle: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--turtle", metavar="NAME", help="Which turtle. If left out, turtle1."),
-]
-Linear: TypeAlias = Annotated[
-    float, typer.Option("--scale-linear", metavar="SPEED", help="How fast it drives (m/s).")
-]
-Angular: TypeAlias = Annotated[
-    float, typer.Option("--scale-angular", metavar="RATE", help="How fast it turns (rad/s).")
-]
-Embedded: TypeAlias = Annotated[
-    bool, typer.Option("--embedded", help="Start a world in this process.")
-]
-File: TypeAlias = Annotated[
-    Path, typer.Argument(metavar="FILE", help="The picture: NAME.png or NAME.svg.")
-]
 
 _SNAPSHOTS = """\
 [bold]Examples[/]
@@ -69,92 +43,97 @@ class TeleopVerb(Verb):
         return left
 
 
-@app.command(cls=TeleopVerb, help=VERBS["teleop"])
+@verb(app, cls=TeleopVerb, help=VERBS["teleop"])
 def teleop(
+    reach: Reach,
     *,
-    turtle: Turtle = None,
-    scale_linear: Linear = SCALE,
-    scale_angular: Angular = SCALE,
+    turtle: Annotated[
+        str | None,
+        value("--turtle", metavar="NAME", text="Which turtle. If left out, turtle1."),
+    ] = None,
+    scale_linear: Annotated[
+        float, value("--scale-linear", metavar="SPEED", text="How fast it drives (m/s).")
+    ] = SCALE,
+    scale_angular: Annotated[
+        float, value("--scale-angular", metavar="RATE", text="How fast it turns (rad/s).")
+    ] = SCALE,
     plain: Plain = False,
     embedded: Embedded = False,
-    connect: Connect = None,
-    domain: Domain = 0,
-    config: Config = None,
-) -> Job:
+) -> int:
     """``teleop``."""
-    only_one("where to drive", embedded=embedded, connect=connect is not None)
-    where = None if embedded else reach(connect, domain, config)
+    only_one("where to drive", embedded=embedded, connect=bool(reach.connect))
     speeds = {"--scale-linear": scale_linear, "--scale-angular": scale_angular}
-    return _driving(turtle, {}, speeds, where, is_plain=plain)
+    return _drive(turtle, {}, speeds, None if embedded else reach, is_plain=plain)
 
 
-def turtle_teleop_key(arguments: Sequence[str], where: Reach) -> Job:
-    """Return the job that ``run turtlesim turtle_teleop_key`` executes.
+def turtle_teleop_key(arguments: Sequence[str], where: Reach) -> int:
+    """Run ``turtlesim turtle_teleop_key``, and return the exit status.
 
     Args:
         arguments: The program's arguments: none, or ``--ros-args`` followed by ROS arguments.
         where: The graph of the turtle.
 
     Raises:
-        UsageError: if the arguments are malformed, or name a topic or parameter that the program
+        WrongOptions: if the arguments are malformed, or name a topic or parameter that the program
             does not have.
     """
     remaps, parameters = ros_arguments(arguments)
     for kind, given, known in (("topic", remaps, REMAPS), ("parameter", parameters, SCALES)):
         for name in given.keys() - set(known):
             hint = " and ".join(known)
-            raise UsageError(f"turtle_teleop_key has no {kind} {quoted(name)}: it has {hint}")
+            raise WrongOptions(f"turtle_teleop_key has no {kind} {quoted(name)}: it has {hint}")
     speeds = {name: _speed(name, parameters.get(name, str(SCALE))) for name in SCALES}
-    return _driving(None, remaps, speeds, where, is_plain=False)
+    return _drive(None, remaps, speeds, where, is_plain=False)
 
 
-@app.command(cls=Verb, help=VERBS["snapshot"], epilog=_SNAPSHOTS)
+@verb(app, help=VERBS["snapshot"], epilog=_SNAPSHOTS)
 def snapshot(
-    file: File, *, connect: Connect = None, domain: Domain = 0, config: Config = None
-) -> Job:
+    reach: Reach, file: Annotated[Path, argument("FILE", "The picture: NAME.png or NAME.svg.")]
+) -> int:
     """``snapshot``."""
     if file.suffix.lower() not in (".png", ".svg"):
-        raise UsageError(f"FILE must end in .png or .svg, unlike {quoted(str(file))}")
-    from turtleact.commands.user_messages import take
+        raise WrongOptions(f"FILE must end in .png or .svg, unlike {quoted(str(file))}")
+    from turtleact.commands import graph, user_messages
 
-    return on_graph(reach(connect, domain, config), lambda node: take(node, file))
+    return graph.run(reach, lambda node: user_messages.take(node, file))
 
 
 def ros_arguments(arguments: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
     """Parse the remappings and the parameters that follow ``--ros-args``.
 
     Raises:
-        UsageError: if there is an argument of another kind.
+        WrongOptions: if there is an argument of another kind.
     """
     remaps: dict[str, str] = {}
     parameters: dict[str, str] = {}
     kinds = {"-r": remaps, "--remap": remaps, "-p": parameters, "--param": parameters}
     if arguments and arguments[0] != "--ros-args":
-        raise UsageError(f"expected --ros-args, not {quoted(arguments[0])}")
+        raise WrongOptions(f"expected --ros-args, not {quoted(arguments[0])}")
     words: Iterator[str] = iter(arguments[1:])
     for option in words:
         if option not in kinds:
-            raise UsageError(f"--ros-args are -r FROM:=TO and -p NAME:=VALUE, not {quoted(option)}")
-        name, separator, value = next(words, "").partition(":=")
-        if not (name and separator and value):
-            raise UsageError(f"{option} takes NAME:=VALUE, such as {REMAPS[0]}:=turtle2/cmd_vel")
-        kinds[option][name.removeprefix("/")] = value
+            problem = "are -r FROM:=TO and -p NAME:=VALUE"
+            raise WrongOptions(f"--ros-args {problem}, not {quoted(option)}")
+        name, separator, given = next(words, "").partition(":=")
+        if not (name and separator and given):
+            raise WrongOptions(f"{option} takes NAME:=VALUE, such as {REMAPS[0]}:=turtle2/cmd_vel")
+        kinds[option][name.removeprefix("/")] = given
     return remaps, parameters
 
 
-def _driving(
+def _drive(
     turtle: str | None,
     remaps: dict[str, str],
     speeds: dict[str, float],
     where: Reach | None,
     *,
     is_plain: bool,
-) -> Job:
-    """Make the job that drives a turtle.
+) -> int:
+    """Drive a turtle, and return the exit status.
 
     Args:
         turtle: The turtle's name. If it is None, the name is taken from ``remaps``. If ``remaps``
-            contains no turtle's name, the job drives turtle1, or the only turtle if there is no
+            contains no turtle's name, it is turtle1, or the only turtle if there is no
             turtle1.
         remaps: Other names for the turtle's topic and action.
         speeds: The linear speed (m/s) and the angular speed (rad/s), in this order. Error messages
@@ -162,24 +141,19 @@ def _driving(
         where: The graph of the turtle; None to start an embedded world.
         is_plain: Whether to leave out the live map.
     """
-    for name, value in speeds.items():
-        if not math.isfinite(value):
-            raise UsageError(f"{name} is a number, not '{value}'")
+    for name, speed in speeds.items():
+        if not math.isfinite(speed):
+            raise WrongOptions(f"{name} is a number, not '{speed}'")
     linear, angular = speeds.values()
+    from turtleact.commands.teleop import Order, run
 
-    def job() -> int:
-        from turtleact.commands.teleop import Order, run
-
-        order = Order(
-            turtle, remaps, linear=linear, angular=angular, is_plain=is_plain, reach=where
-        )
-        return run(order)
-
-    return job
+    return run(
+        Order(turtle, remaps, linear=linear, angular=angular, is_plain=is_plain, reach=where)
+    )
 
 
 def _speed(name: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise UsageError(f"{name} is a number, not {quoted(text)}") from None
+        raise WrongOptions(f"{name} is a number, not {quoted(text)}") from None
