@@ -68,11 +68,11 @@ def test_a_huge_exception_is_logged_with_its_traceback_and_a_short_text(where):
 
 
 class Order(Action, type_name="hint_msgs/action/Order"):
-    class Goal(Message):
+    class Result(Message):
         order: int32 = 0
         name: string = ""
 
-    class Result(Message):
+    class Feedback(Message):
         pass
 
 
@@ -88,21 +88,21 @@ def made_with(call):
 @pytest.mark.parametrize(
     ("call", "hint"),
     [
-        (lambda: Made.Goal(ordr=3), "did you mean 'order'?"),
+        (lambda: Made.Result(ordr=3), "did you mean 'order'?"),
         (
-            lambda: Made.Goal(
+            lambda: Made.Result(
                 order=1,
                 nome="ü",
             ),
             "did you mean 'name'?",
         ),
-        (lambda: Made.Goal(x=3), "Order.Goal has 'order', 'name'"),
-        (lambda: Made.Result(x=3), "Order.Result has no fields"),
-        (lambda: (lambda goal: goal(ordr=3))(Made.Goal), "did you mean 'order'?"),
-        (lambda: [Made.Goal][0](ordr=3), ""),  # an expression that would have to be run
-        (lambda: Made.Goal(1, 2, 3), ""),
+        (lambda: Made.Result(x=3), "Order.Result has 'order', 'name'"),
+        (lambda: Made.Feedback(x=3), "Order.Feedback has no fields"),
+        (lambda: (lambda result: result(ordr=3))(Made.Result), "did you mean 'order'?"),
+        (lambda: [Made.Result][0](ordr=3), ""),  # an expression that would have to be run
+        (lambda: Made.Result(1, 2, 3), ""),
         (lambda: Made(ordr=3), ""),
-        (lambda: eval("Made.Goal(ordr=3)"), ""),  # there is no source
+        (lambda: eval("Made.Result(ordr=3)"), ""),  # there is no source
     ],
 )
 def test_an_unknown_field_of_a_message_is_answered_with_the_nearest(call, hint):
@@ -113,7 +113,7 @@ def test_an_unknown_field_of_a_message_is_answered_with_the_nearest(call, hint):
 
 def test_a_file_that_has_changed_since_gives_no_hint(tmp_path):
     file = tmp_path / "lab.py"
-    code = compile("Made.Goal(ordr=3)", str(file), "exec")
+    code = compile("Made.Result(ordr=3)", str(file), "exec")
     file.write_text("def (")
     assert field_hint(made_with(lambda: exec(code, {"Made": Made}))) == ""
     assert field_hint(TypeError("Unexpected keyword argument 'x'")) == ""

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import gc
 import inspect
+import re
 
 # No `from __future__ import annotations` here: these annotations are objects.
 from typing import Any, ClassVar
@@ -13,7 +14,7 @@ from turtleact.errors import InvalidInterface
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.definition import MessageDefinition
 from turtleact.interfaces.finders import Finders, Workspace
-from turtleact.interfaces.standard import Point, Time
+from turtleact.interfaces.standard import Fibonacci, Point, Time
 from turtleact.interfaces.types import (
     Action,
     Message,
@@ -432,3 +433,20 @@ def test_only_a_part_of_the_expected_kind_gets_the_advice_to_give_the_whole(kind
     with pytest.raises(TypeError) as refused:
         expect_interface(kind, given)
     assert str(refused.value).endswith(end)
+
+
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [
+        ({"ordr": 4}, "Fibonacci.Goal has no field 'ordr', did you mean 'order'?"),
+        ({"order": 4, "speed": 1}, "Fibonacci.Goal has no field 'speed'; it has order"),
+    ],
+)
+def test_a_goal_with_an_unknown_field_suggests_a_known_one(values, problem):
+    with pytest.raises(TypeError, match=f"^{re.escape(problem)}$"):
+        Fibonacci.Goal(**values)
+
+
+def test_a_goal_with_too_many_values_raises_as_before():
+    with pytest.raises(TypeError, match="Extra positional arguments"):
+        Fibonacci.Goal(4, 5)  # type: ignore[call-arg]  # on purpose

@@ -254,6 +254,8 @@ class MessageMeta(msgspec.StructMeta):
             base = super().__new__(mcls, name, bases, namespace, gc=False)
             base._shape = Shape()
             return base
+        if name == "Goal":
+            mcls = GoalMeta
         namespace.setdefault("__qualname__", name)
         if bases != (Message,):
             problem = "derive a message only from Message"
@@ -269,6 +271,25 @@ class MessageMeta(msgspec.StructMeta):
     def type_name(cls) -> str:
         """The full name, ``package/kind/Name``; empty if the class has none."""
         return cls._shape.type_name
+
+
+class GoalMeta(MessageMeta):
+    """The metaclass of the goal messages of actions, which suggests a field for a misspelt one.
+
+    The check takes half a microsecond, so only the messages that programs write by hand have it.
+    """
+
+    def __call__(cls, *args: object, **values: object) -> object:
+        """Create a goal message."""
+        try:
+            return super().__call__(*args, **values)
+        except TypeError:
+            fields = cls.__struct_fields__
+            unknown = next((name for name in values if name not in fields), None)
+            if unknown is None:
+                raise
+            hint = did_you_mean(unknown, fields) or f"; it has {', '.join(fields) or 'none'}"
+            raise TypeError(f"{cls.__qualname__} has no field '{unknown}'{hint}") from None
 
 
 class Message(msgspec.Struct, metaclass=MessageMeta):
