@@ -7,7 +7,7 @@ import pytest
 from turtleact.goals.wire import (
     LARGEST,
     LONGEST_REASON,
-    GoalNote,
+    GoalMetadata,
     pack_state,
     read_states,
     write_states,
@@ -68,26 +68,28 @@ def test_big_endian_bytes_are_left_to_the_general_reader():
     assert read_states(b"\0\0\0\0" + message(1)[4:]) is None
 
 
-@pytest.mark.parametrize("note", [GoalNote(), GoalNote("no such place"), GoalNote("🐢", 3)])
+@pytest.mark.parametrize(
+    "note", [GoalMetadata(), GoalMetadata("no such place"), GoalMetadata("🐢", 3)]
+)
 def test_a_note_is_read_as_it_was_written(note):
-    assert GoalNote.read(note.write()) == note
+    assert GoalMetadata.read(note.write()) == note
 
 
 @pytest.mark.parametrize("text", ["", "no JSON", '{"reason": 3}', "[]"])
 def test_what_is_no_note_is_an_empty_one(text):
-    assert GoalNote.read(text) == GoalNote()
+    assert GoalMetadata.read(text) == GoalMetadata()
 
 
 def test_a_long_reason_is_cut():
-    assert GoalNote.read(GoalNote("a" * 5_000).write()).reason == "a" * LONGEST_REASON
+    assert GoalMetadata.read(GoalMetadata("a" * 5_000).write()).reason == "a" * LONGEST_REASON
 
 
 def test_a_reason_that_utf_8_cannot_encode_is_escaped():
-    assert GoalNote.read(GoalNote("caf\udce9", 3).write()) == GoalNote(r"caf\udce9", 3)
+    assert GoalMetadata.read(GoalMetadata("caf\udce9", 3).write()) == GoalMetadata(r"caf\udce9", 3)
 
 
 @pytest.mark.parametrize("character", ["\0", "\udce9", "🐢"])
 def test_a_note_is_never_longer_than_what_travels(character):
-    text = GoalNote(character * 2_000, 7).write()
+    text = GoalMetadata(character * 2_000, 7).write()
     assert len(text.encode()) <= LARGEST
-    assert GoalNote.read(text).feedback == 7
+    assert GoalMetadata.read(text).feedback == 7

@@ -13,13 +13,13 @@ from hypothesis.stateful import (
 )
 
 from turtleact.errors import InvalidOption
-from turtleact.goals.policies import Admission, Rules, Slot, Slots
+from turtleact.goals.policies import Decision, Rules, Slot, Slots
 from turtleact.goals.state import Goal
 
 from .lab import bare_goal
 from .tables import together
 
-START, WAIT, REFUSE = Admission.START, Admission.WAIT, Admission.REJECT
+START, WAIT, REFUSE = Decision.START, Decision.WAIT, Decision.REJECT
 
 PARALLEL = Rules()
 TWO = Rules(max_active=2)
@@ -179,7 +179,7 @@ TABLE = [
 @pytest.mark.parametrize(("situation", "rules", "admission"), TABLE)
 def test_a_new_goal(situation, rules, admission):
     slot, new = in_situation(situation, rules)
-    assert slot.enter(new).admission is admission
+    assert slot.enter(new).decision is admission
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_a_refusal_says_why(situation, rules, reason):
 def test_a_goal_that_was_refused_leaves_no_trace(rules):
     slot, new = in_situation("child of the same action, one waits", rules)
     before = repr(vars(slot))
-    if slot.enter(new).admission is not REFUSE:
+    if slot.enter(new).decision is not REFUSE:
         pytest.fail("it should have been refused")
     assert repr(vars(slot)) == before
     assert slot.leave(new.goal) is None
@@ -237,7 +237,7 @@ def test_one_that_leaves_a_full_queue_makes_room_in_it():
     first, second, third = Wish("first"), Wish("second"), Wish("third")
     slot = slot_with(ONE_WAITS, first, second)
     end(slot, second)
-    assert slot.enter(third).admission is WAIT
+    assert slot.enter(third).decision is WAIT
 
 
 def test_without_room_to_wait_a_queue_takes_none():
@@ -259,14 +259,14 @@ def test_a_place_is_kept_until_parent_and_child_have_ended():
 def test_a_child_of_another_action_does_not_count_against_the_places():
     parent, other = Wish("parent"), Wish("other")
     slot = slot_with(TWO, parent, Wish("child", "/rotate", parent))
-    assert slot.enter(other).admission is START
+    assert slot.enter(other).decision is START
 
 
 def test_a_child_of_a_goal_elsewhere_is_a_child_of_that_ones_parent():
     parent = Wish("parent")
     elsewhere = Wish("elsewhere", "/plan", parent)
     slot = slot_with(QUEUE, parent)
-    assert slot.enter(Wish("child", "/rotate", elsewhere)).admission is START
+    assert slot.enter(Wish("child", "/rotate", elsewhere)).decision is START
 
 
 def test_a_child_of_the_same_action_waits_for_a_stranger():
@@ -287,7 +287,7 @@ def test_a_family_that_holds_every_place_cannot_have_another():
 def test_parents_whose_children_would_wait_for_each_other_are_not_let_wait_both():
     first, second = Wish("first"), Wish("second")
     slot = slot_with(TWO, first, second)
-    assert slot.enter(Wish("child of first", parent=first)).admission is WAIT
+    assert slot.enter(Wish("child of first", parent=first)).decision is WAIT
     entry = slot.enter(Wish("child of second", parent=second))
     assert entry.reason == "a deadlock: it would wait for its own parent, goal second of /count"
 
@@ -297,7 +297,7 @@ def test_once_the_one_child_has_ended_the_other_may_wait():
     child = Wish("child of first", parent=first)
     slot = slot_with(TWO, first, second, child)
     end(slot, child)
-    assert slot.enter(Wish("child of second", parent=second)).admission is WAIT
+    assert slot.enter(Wish("child of second", parent=second)).decision is WAIT
 
 
 # --- preempting -----------------------------------------------------------------------------
@@ -388,7 +388,7 @@ class Comparison(RuleBasedStateMachine):
         parents = [each for each in self.active if each.goal is wish.goal.parent]
         return parents + [far for near in parents for far in self.ancestors(near)]
 
-    def expect(self, wish: Wish) -> Admission:
+    def expect(self, wish: Wish) -> Decision:
         ancestors = self.ancestors(wish)
         if ancestors and all(each.action != wish.action for each in ancestors):
             return START
@@ -410,7 +410,7 @@ class Comparison(RuleBasedStateMachine):
         wish = Wish(str(self.count), action, parent)
         expected, ancestors = self.expect(wish), self.ancestors(wish)
         entry = self.slot.enter(wish)
-        assert entry.admission is expected
+        assert entry.decision is expected
         if expected is START:
             if all(each.action != action for each in ancestors) and ancestors:
                 self.family_of(ancestors[0]).append(wish)

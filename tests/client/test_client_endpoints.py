@@ -11,7 +11,7 @@ import pytest
 
 from turtleact.errors import PauseRefused, ServerUnavailable
 from turtleact.goals.client_endpoints import AT_ONCE, ClientEndpoints, RequestLimiter
-from turtleact.goals.wire import GoalNote
+from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import WireFormat, implied
 from turtleact.names import action_names
 from turtleact.transports import MemoryTransport, QoS
@@ -21,7 +21,7 @@ from ..lab import ON_ASYNCIO, Count, bare_goal, running, settle
 
 NAMES = action_names("/count")
 SEND_GOAL = implied(Count).send_goal
-OURS, STRANGER = Reply(None, GoalNote().write()), Reply(None)
+OURS, STRANGER = Reply(None, GoalMetadata().write()), Reply(None)
 
 
 class Service:

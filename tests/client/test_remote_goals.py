@@ -12,7 +12,7 @@ from turtleact.errors import GoalRejected, ServerUnavailable, ServiceTimeout, Un
 from turtleact.goals.observers import Observers
 from turtleact.goals.remote_goals import RemoteGoals
 from turtleact.goals.state import Goal
-from turtleact.goals.wire import GoalNote
+from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import implied
 from turtleact.tasks import current_tasks
 from turtleact.transports.base import Reply
@@ -24,7 +24,7 @@ ACCEPTED = Reply(IMPLIED.send_goal.Response(accepted=True), "{}")
 SUCCEEDED = Reply(
     IMPLIED.get_result.Response(status=int(GoalStatus.SUCCEEDED), result=result(7)), "{}"
 )
-REJECTED = Reply(IMPLIED.send_goal.Response(accepted=False), GoalNote("no").write())
+REJECTED = Reply(IMPLIED.send_goal.Response(accepted=False), GoalMetadata("no").write())
 UNKNOWN = Reply(IMPLIED.get_result.Response(status=int(GoalStatus.UNKNOWN)), "{}")
 FOREIGN = Reply(SUCCEEDED.message)
 NO_ANSWER = ServerUnavailable("/count", "no answer")
@@ -171,7 +171,7 @@ async def test_a_result_waits_for_the_feedback_before_it():
     server = Server()
     goals, sent = follow(server)
     server.sent.come(ACCEPTED)
-    server.asked.come(Reply(SUCCEEDED.message, GoalNote(feedback=1).write()))
+    server.asked.come(Reply(SUCCEEDED.message, GoalMetadata(feedback=1).write()))
     await settle()
     assert not sent.ended
     goals.by_id[bytes(16)].received = 1

@@ -31,7 +31,7 @@ from turtleact.goals.client_endpoints import ClientEndpoints
 from turtleact.goals.client_handle import Outcome
 from turtleact.goals.remote_goals import RemoteGoal
 from turtleact.goals.state import CancelCode
-from turtleact.goals.wire import GoalNote
+from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import Action, Message, implied, int32
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.tasks import current_tasks
@@ -128,7 +128,7 @@ def is_prompt(request, monkeypatch) -> None:
         def knows_ours(endpoints: Any) -> bool:
             if endpoints.transport.is_known and not hasattr(endpoints, "was_told"):
                 endpoints.was_told = True
-                endpoints.learn(Reply(None, GoalNote().write()))
+                endpoints.learn(Reply(None, GoalMetadata().write()))
             return genuine(endpoints)
 
         genuine = ClientEndpoints.knows_ours
@@ -585,7 +585,7 @@ async def test_what_goes_wrong_with_a_reply_is_logged_and_ends_the_goal(send, mo
         raise RuntimeError("mine")
 
     async with apart(count) as served:
-        monkeypatch.setattr(GoalNote, "read", read)
+        monkeypatch.setattr(GoalMetadata, "read", read)
         with pytest.raises(TurtleactError, match="cannot be followed: RuntimeError: mine"):
             await send(served, goal())
     assert "of /count cannot be followed" in caplog.text

@@ -10,7 +10,7 @@ import contextlib
 from typing import TYPE_CHECKING, Any
 
 from turtleact.errors import InvalidInterface, InvalidMessage, InvalidName, TurtleactError
-from turtleact.goals.wire import GoalNote
+from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import cdr, from_text, get_interface, known_interfaces, to_json, to_yaml
 from turtleact.interfaces.classes import make_message
 from turtleact.interfaces.conversion import snapshot
@@ -126,8 +126,8 @@ def an_attachment_is_read_or_refused(data: bytes) -> None:
         is_told(error)
         return
     assert read_attachment(write_attachment(read.sequence, read.stamp, read.gid, read.note)) == read
-    note = GoalNote.read(read.note)
-    assert GoalNote.read(note.write()).feedback == note.feedback
+    note = GoalMetadata.read(read.note)
+    assert GoalMetadata.read(note.write()).feedback == note.feedback
 
 
 def a_token_is_read_or_passed_over(data: bytes) -> None:

@@ -9,13 +9,13 @@ import anyio.to_thread
 import pytest
 
 from turtleact.errors import TurtleactError
-from turtleact.tasks import Home
+from turtleact.tasks import LoopGuard
 
 SAID = "node '/lab' belongs to another event loop: use it there, or call it from another thread"
 
 
 async def test_at_home_nothing_is_said():
-    home = Home("node '/lab'")
+    home = LoopGuard("node '/lab'")
     home.check()
     async with anyio.create_task_group() as group:
         group.start_soon(anyio.sleep, 0)
@@ -23,19 +23,19 @@ async def test_at_home_nothing_is_said():
 
 
 async def test_a_thread_without_an_event_loop_is_not_home():
-    home = Home("node '/lab'")
+    home = LoopGuard("node '/lab'")
     with pytest.raises(TurtleactError, match=SAID):
         await anyio.to_thread.run_sync(home.check)
 
 
 async def test_the_thread_that_is_sent_home_is_heard():
-    home = Home("node '/lab'")
+    home = LoopGuard("node '/lab'")
     await anyio.to_thread.run_sync(anyio.from_thread.run_sync, home.check)
 
 
 @pytest.mark.parametrize("backend", ["asyncio", "trio"])
 async def test_another_event_loop_is_not_home(backend):
-    home = Home("node '/lab'")
+    home = LoopGuard("node '/lab'")
 
     async def check() -> None:
         home.check()
@@ -45,10 +45,10 @@ async def test_another_event_loop_is_not_home(backend):
 
 
 def test_the_next_event_loop_of_a_thread_is_not_home():
-    async def make() -> Home:
-        return Home("node '/lab'")
+    async def make() -> LoopGuard:
+        return LoopGuard("node '/lab'")
 
-    async def check(home: Home) -> None:
+    async def check(home: LoopGuard) -> None:
         home.check()
 
     home = asyncio.run(make())
@@ -57,8 +57,8 @@ def test_the_next_event_loop_of_a_thread_is_not_home():
 
 
 def test_between_two_runs_the_event_loop_is_home():
-    async def make() -> Home:
-        return Home("node '/lab'")
+    async def make() -> LoopGuard:
+        return LoopGuard("node '/lab'")
 
     with asyncio.Runner() as runner:
         home = runner.run(make())

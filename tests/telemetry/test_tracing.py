@@ -24,7 +24,7 @@ from opentelemetry.trace import StatusCode
 import turtleact
 from turtleact import Abort, GoalAborted, GoalCanceled, GoalRejected, Reject, ServerUnavailable
 from turtleact.goals.observers import FeedbackLost
-from turtleact.goals.wire import GoalNote
+from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.node import local_server_of
 from turtleact.telemetry import instrument, new_traces, tracing
@@ -355,7 +355,7 @@ PARENT = "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-01"
 async def test_a_client_takes_its_parent_from_the_request_being_handled(collector):
     with exporting_to(collector) as provider:
         async with lab(provider, count) as made:
-            REQUEST_NOTE.set(GoalNote(traceparent=PARENT, tracestate="lab=1").write())
+            REQUEST_NOTE.set(GoalMetadata(traceparent=PARENT, tracestate="lab=1").write())
             await made.client.send_goal(goal(1))
     sent, executed = collector.the("send_goal /count"), collector.the("execute /count")
     assert sent.trace_id.hex() == executed.trace_id.hex() == PARENT[3:35]
@@ -367,7 +367,7 @@ async def test_a_client_takes_its_parent_from_the_request_being_handled(collecto
 async def test_a_broken_note_begins_a_trace(collector, parent):
     with exporting_to(collector) as provider:
         async with lab(provider, count) as made:
-            REQUEST_NOTE.set(GoalNote(traceparent=parent).write())
+            REQUEST_NOTE.set(GoalMetadata(traceparent=parent).write())
             await made.client.send_goal(goal(1))
     assert collector.the("send_goal /count").parent_span_id == b""
 

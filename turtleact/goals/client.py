@@ -47,7 +47,7 @@ from turtleact.graph import graph_of
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.definition import nearest
 from turtleact.interfaces.standard import CancelGoal, Time
-from turtleact.tasks import GRACE, Background, Home, Tasks
+from turtleact.tasks import GRACE, Background, LoopGuard, Tasks
 from turtleact.tasks.clock import check_timeout
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Owner, find_server, wait_until_served
@@ -100,7 +100,7 @@ class ActionClient(Generic[G, R, F]):
         self,
         endpoints: ClientEndpoints,
         tasks: Tasks,
-        home: Home,
+        home: LoopGuard,
         owner: Owner,
         cancel_timeout: float,
     ) -> None:

@@ -19,7 +19,7 @@ from turtleact.goals.goal_server import GoalServer
 from turtleact.goals.state import Goal, GoalStatus, failure
 from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import CancelGoal, Time
-from turtleact.tasks import Home, Tasks
+from turtleact.tasks import LoopGuard, Tasks
 
 __all__ = [
     "Accepted",
@@ -298,7 +298,7 @@ class GoalReader:
         self,
         server: GoalServer,
         goal: Goal,
-        home: Home,
+        home: LoopGuard,
         tasks: Tasks,
         cancel_soon: Callable[[GoalServer, Goal], None],
         *,

@@ -213,7 +213,7 @@ class Pauses(GoalObserver):
         request.body = body
         body.on_child = partial(self._hold_child, goal, request)
         if self._stands or request.is_before_start:
-            body.gate = partial(self._stand, goal, request)
+            body.gate = partial(self.wait_while_paused, goal, request)
 
     def _start_held(self, goal: Goal, context: Context | None) -> None:
         """Start a goal, whose body waits if the goal was paused before."""
@@ -222,7 +222,7 @@ class Pauses(GoalObserver):
         if request is not None and request.is_open and isinstance(goal.body, BodyTask):
             self._close_gate(goal, request, goal.body)
 
-    async def _stand(self, goal: Goal, request: PauseRequest) -> None:
+    async def wait_while_paused(self, goal: Goal, request: PauseRequest) -> None:
         """Wait until a goal is resumed or is ending. Cancelling: safe."""
         request.is_standing = True
         goal.changed.fire()

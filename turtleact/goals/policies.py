@@ -37,7 +37,7 @@ import msgspec
 from turtleact.errors import InvalidOption
 from turtleact.goals.state import Goal
 
-__all__ = ["Admission", "Claim", "Entry", "Policy", "Rules", "Slot", "Slots"]
+__all__ = ["Decision", "Policy", "Request", "Rules", "Slot", "Slots", "Verdict"]
 
 Policy: TypeAlias = Literal["parallel", "reject", "queue", "preempt"]
 
@@ -86,7 +86,7 @@ class Rules(msgspec.Struct, frozen=True):
         return self.policy == "queue" or self.max_active is not None
 
 
-class Claim(Protocol):
+class Request(Protocol):
     """A goal that asks to run in a slot.
 
     Attributes:
@@ -102,12 +102,12 @@ class Claim(Protocol):
         """The goal's name in error messages and reasons."""
 
 
-C = TypeVar("C", bound=Claim)
+C = TypeVar("C", bound=Request)
 
 _Place: TypeAlias = dict[Goal, C]  # the goals that run in one place: a goal and its children
 
 
-class Admission(Enum):
+class Decision(Enum):
     """A slot's answer to a new goal."""
 
     START = 1
@@ -115,18 +115,18 @@ class Admission(Enum):
     REJECT = 3
 
 
-class Entry(msgspec.Struct, Generic[C], frozen=True):
+class Verdict(msgspec.Struct, Generic[C], frozen=True):
     """The answer to a new goal: what the server must do with the goal and with other goals.
 
     Attributes:
-        admission: Whether the goal starts, waits or is rejected.
+        decision: Whether the goal starts, waits or is rejected.
         reason: Why the new goal is rejected, or why other goals must end.
         displaced: The waiting goal that the new goal replaces. The server must end the replaced
             goal now.
         evicted: The running goals that the server must cancel now.
     """
 
-    admission: Admission
+    decision: Decision
     reason: str = ""
     displaced: C | None = None
     evicted: tuple[C, ...] = ()
@@ -157,29 +157,29 @@ class Slot(Generic[C]):
         """Whether this goal runs in the slot, or is about to start in it."""
         return goal in self._places
 
-    def enter(self, claim: C) -> Entry[C]:
+    def enter(self, request: C) -> Verdict[C]:
         """Decide whether a new goal starts, waits or is rejected."""
-        kin = self._kin(claim.goal)
-        rival = next((each for each in kin if each.action == claim.action), None)
+        kin = self._kin(request.goal)
+        rival = next((each for each in kin if each.action == request.action), None)
         if kin and rival is None:
-            self._settle(claim, self._places[kin[0].goal])
-            return Entry(Admission.START)
+            self._settle(request, self._places[kin[0].goal])
+            return Verdict(Decision.START)
         if self._has_room:
             self._taken += 1
-            self._settle(claim, {})
-            return Entry(Admission.START)
-        if rival is not None and self._is_deadlock(claim):
+            self._settle(request, {})
+            return Verdict(Decision.START)
+        if rival is not None and self._is_deadlock(request):
             reason = f"a deadlock: it would wait for its own parent, {rival.label}"
-            return Entry(Admission.REJECT, reason)
+            return Verdict(Decision.REJECT, reason)
         if self.rules.policy == "preempt":
-            return self._preempt(claim)
+            return self._preempt(request)
         if not self.rules.has_queue:
             holder = next(iter(next(iter(self._places.values())).values()))
-            return Entry(Admission.REJECT, f"busy with {holder.label}")
+            return Verdict(Decision.REJECT, f"busy with {holder.label}")
         if self.rules.queue_limit is not None and len(self._waiting) >= self.rules.queue_limit:
-            return Entry(Admission.REJECT, f"the queue is full ({len(self._waiting)} waiting)")
-        self._waiting[claim.goal] = claim
-        return Entry(Admission.WAIT)
+            return Verdict(Decision.REJECT, f"the queue is full ({len(self._waiting)} waiting)")
+        self._waiting[request.goal] = request
+        return Verdict(Decision.WAIT)
 
     def leave(self, goal: Goal) -> C | None:
         """Remove a goal that has ended; return the waiting goal that must start now, if any."""
@@ -193,11 +193,11 @@ class Slot(Generic[C]):
         if not self._waiting:
             self._taken -= 1
             return None
-        claim = self._waiting.pop(next(iter(self._waiting)))
-        self._settle(claim, place)
-        return claim
+        request = self._waiting.pop(next(iter(self._waiting)))
+        self._settle(request, place)
+        return request
 
-    def overdue(self) -> Entry[C] | None:
+    def overdue(self) -> Verdict[C] | None:
         """Return the running goals to cancel so that the waiting goal can start.
 
         Return None if no goal waits, or if the policy is not ``preempt``. Call this method after
@@ -214,18 +214,18 @@ class Slot(Generic[C]):
             return self.rules.max_active is None or self._taken < self.rules.max_active
         return not self._taken
 
-    def _settle(self, claim: C, place: _Place[C]) -> None:
-        place[claim.goal] = claim
-        self._places[claim.goal] = place
+    def _settle(self, request: C, place: _Place[C]) -> None:
+        place[request.goal] = request
+        self._places[request.goal] = place
 
-    def _preempt(self, claim: C) -> Entry[C]:
+    def _preempt(self, request: C) -> Verdict[C]:
         displaced = next(iter(self._waiting.values()), None)
-        self._waiting = {claim.goal: claim}
-        return self._make_way(claim, displaced)
+        self._waiting = {request.goal: request}
+        return self._make_way(request, displaced)
 
-    def _make_way(self, claim: C, displaced: C | None = None) -> Entry[C]:
-        reason = f"preempted by {claim.label}"
-        return Entry(Admission.WAIT, reason, displaced, self._families())
+    def _make_way(self, request: C, displaced: C | None = None) -> Verdict[C]:
+        reason = f"preempted by {request.label}"
+        return Verdict(Decision.WAIT, reason, displaced, self._families())
 
     def _families(self) -> tuple[C, ...]:
         """Return the running goals that have no parent in this slot.
@@ -233,16 +233,16 @@ class Slot(Generic[C]):
         Canceling these goals also cancels their children.
         """
         running = (place[goal] for goal, place in self._places.items())
-        return tuple(claim for claim in running if not self._kin(claim.goal))
+        return tuple(request for request in running if not self._kin(request.goal))
 
-    def _is_deadlock(self, claim: C) -> bool:
+    def _is_deadlock(self, request: C) -> bool:
         """Whether the slot would be blocked if this goal waited.
 
         In a blocked slot, each place is taken by a parent (or grandparent, and so on) of a waiting
         goal. No place can become free, because the waiting goals and their parents wait for each
         other.
         """
-        waiting = (claim, *self._waiting.values())
+        waiting = (request, *self._waiting.values())
         parents = (parent.goal for each in waiting for parent in self._kin(each.goal))
         return len({id(self._places[parent]) for parent in parents}) == self._taken
 

@@ -6,7 +6,7 @@ on topics.
 
 - The client subscribes to feedback before it sends the first request, so no early feedback is lost.
 - If a result arrives before all of the goal's feedback, the client waits for the missing feedback.
-  The server says how many feedback messages there are (`GoalNote`).
+  The server says how many feedback messages there are (`GoalMetadata`).
 - If a server goes away, the client stops following the server's goals, and every caller that waits
   for one of these goals gets `ServerUnavailable`.
 

@@ -36,7 +36,7 @@ from turtleact.errors import (
 from turtleact.goals.client_endpoints import ClientEndpoints
 from turtleact.goals.observers import FeedbackLost, Observers
 from turtleact.goals.state import Cancelable, Goal, GoalEvent, GoalStatus, status_of
-from turtleact.goals.wire import GoalNote, State
+from turtleact.goals.wire import GoalMetadata, State
 from turtleact.interfaces import SECOND, Message, nanoseconds, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.summaries import STOPS, loggable, summary
@@ -266,7 +266,7 @@ class RemoteGoals:
             if remote.is_abandoned:
                 await self.cancel(goal.id, 0)
             reply = await self._wait_for_result(remote)
-            note = GoalNote.read(reply.note)
+            note = GoalMetadata.read(reply.note)
             if remote.is_sender:
                 await self._wait_for_feedback(remote, note.feedback)
                 if remote.gaps and not reply.note:
@@ -387,7 +387,7 @@ class RemoteGoals:
             self._endpoints.learn(reply)
         response: Any = reply.message
         if not response.accepted:
-            note = GoalNote.read(reply.note)
+            note = GoalMetadata.read(reply.note)
             if note.is_closing and remote.reattach:
                 raise ServerUnavailable(self._endpoints.name, note.reason)
             raise GoalRejected(note.reason)
@@ -479,7 +479,7 @@ class RemoteGoals:
             remote.is_observed = True
             self._observers.goal_changed(remote.goal, GoalStatus.UNKNOWN, GoalStatus.ACCEPTED)
 
-    def _conclude(self, remote: RemoteGoal, reply: Reply, note: GoalNote) -> None:
+    def _conclude(self, remote: RemoteGoal, reply: Reply, note: GoalMetadata) -> None:
         """Record the end of a goal as its server reported it."""
         response: Any = reply.message
         goal = remote.goal

@@ -44,7 +44,7 @@ from turtleact.goals.state import (
 from turtleact.interfaces import Message, snapshotter, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.summaries import STOPS, loggable
-from turtleact.tasks import GRACE, Home, Signal, Tasks, wait_while
+from turtleact.tasks import GRACE, LoopGuard, Signal, Tasks, wait_while
 
 if TYPE_CHECKING:
     from turtleact.goals.body import ActionType, Body
@@ -82,7 +82,7 @@ class ServerSpec(NamedTuple):
     action_type: ActionType[Message, Message, Message]
     body: Body
     make_handle: Callable[[LocalActionServer, Goal], object]
-    home: Home
+    home: LoopGuard
     node: str
 
 

@@ -30,7 +30,7 @@ from turtleact.goals.pause_endpoints import PauseEndpoints
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.server_topics import FeedbackTopic, ReasonTopic, StatusTopic
 from turtleact.goals.state import CancelCode, Goal, GoalRequest, GoalStatus
-from turtleact.goals.wire import GoalNote
+from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import (
     Action,
     Implied,
@@ -66,7 +66,7 @@ __all__ = ["ActionEndpoints"]
 NAMELESS = "a goal id must not be all zeros"
 """The reason for rejecting a goal with the id zero."""
 
-OURS = GoalNote().write()
+OURS = GoalMetadata().write()
 """An empty note to attach to a response.
 
 A response with a note shows that a turtleact server has sent the response.
@@ -323,7 +323,7 @@ class _SendGoal(_ActionService):
     def _rejected(self, request: Any, rejected: GoalRejected) -> Reply:  # noqa: ANN401
         if self.on_rejection is not None:
             self.on_rejection(bytes(request.goal_id.uuid), rejected.reason)
-        note = GoalNote(rejected.reason, is_closing=not self.server.is_open)
+        note = GoalMetadata(rejected.reason, is_closing=not self.server.is_open)
         return Reply(self._implied.send_goal.Response(accepted=False), note.write())
 
 
@@ -454,7 +454,7 @@ class _GetResult(_ActionService, GoalObserver):
         result: Any = goal.result
         message = response(status=int(goal.status), result=result)
         if goal.reason or goal.log.count:
-            return Reply(message, GoalNote(goal.reason, goal.log.count).write())
+            return Reply(message, GoalMetadata(goal.reason, goal.log.count).write())
         return Reply(message, OURS)
 
 

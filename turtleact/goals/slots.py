@@ -9,7 +9,7 @@ from __future__ import annotations
 from contextvars import Context, copy_context
 
 from turtleact.errors import GoalRejected
-from turtleact.goals.policies import Admission, Slot
+from turtleact.goals.policies import Decision, Slot
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.state import Goal, GoalEvent, GoalStatus
 
@@ -73,20 +73,20 @@ class SlotUser:
     def begin(self, goal: Goal) -> None:
         """Request a place for a goal: the goal starts, waits or is rejected."""
         request = PlaceRequest(self, goal)
-        entry = self._slot.enter(request)
-        if entry.admission is Admission.REJECT:
+        verdict = self._slot.enter(request)
+        if verdict.decision is Decision.REJECT:
             self.server.table.forget(goal)
-            raise GoalRejected(entry.reason)
-        if entry.admission is Admission.START:
+            raise GoalRejected(verdict.reason)
+        if verdict.decision is Decision.START:
             self._begin(goal)
             return
         goal.body = request
         self.server.show(goal)
         if goal.is_ending:  # an observer has cancelled it
             return
-        for each in (entry.displaced, *entry.evicted):
+        for each in (verdict.displaced, *verdict.evicted):
             if each is not None:
-                each.evict(entry.reason)
+                each.evict(verdict.reason)
 
     def start(self, request: PlaceRequest) -> None:
         """Start a goal that has waited for its place."""

@@ -35,7 +35,7 @@ from turtleact.interfaces.standard import UUID
 from turtleact.summaries import encodable
 
 __all__ = [
-    "GoalNote",
+    "GoalMetadata",
     "GoalReason",
     "PausedGoals",
     "SetPaused",
@@ -49,7 +49,7 @@ __all__ = [
 ]
 
 
-class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
+class GoalMetadata(msgspec.Struct, frozen=True, omit_defaults=True):
     """The note on a ``SendGoal`` request, or on a response of ``SendGoal`` or ``GetResult``.
 
     Attributes:
@@ -63,9 +63,9 @@ class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Source: W3C Trace Context, for ``traceparent`` and ``tracestate``.
 
-    >>> GoalNote("no such place", 3).write()
+    >>> GoalMetadata("no such place", 3).write()
     '{"reason":"no such place","feedback":3}'
-    >>> GoalNote.read("") == GoalNote()
+    >>> GoalMetadata.read("") == GoalMetadata()
     True
     """
 
@@ -91,7 +91,7 @@ class GoalNote(msgspec.Struct, frozen=True, omit_defaults=True):
         return data.decode()
 
     @classmethod
-    def read(cls, text: str) -> GoalNote:
+    def read(cls, text: str) -> GoalMetadata:
         """Read a note from text. If the text is not a note, the result is an empty note."""
         try:
             return msgspec.json.decode(text, type=cls)
@@ -105,7 +105,8 @@ LONGEST_REASON = 1000
 LARGEST = 4096
 """The maximum size of a note, in bytes.
 
-To meet the limit, `GoalNote.write` shortens the reason, because a truncated note cannot be decoded.
+To meet the limit, `GoalMetadata.write` shortens the reason, because a truncated note cannot be
+decoded.
 """
 
 State: TypeAlias = tuple[int, int, int]

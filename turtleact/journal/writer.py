@@ -36,7 +36,7 @@ from turtleact.journal.database import (
     explain,
 )
 from turtleact.opening import opening
-from turtleact.tasks import Home, Tasks, current_tasks, thread_work
+from turtleact.tasks import LoopGuard, Tasks, current_tasks, thread_work
 
 __all__ = ["Journal", "open_journal"]
 
@@ -93,7 +93,7 @@ class Journal:
         self.aborts_at_close = aborts_at_close
         self._tasks = tasks
         self._thread_work = thread_work()
-        self._home = Home(f"journal '{path}'")
+        self._home = LoopGuard(f"journal '{path}'")
         self._held: dict[bytes, GoalRecord] = {}
         self._expiring: deque[GoalRecord] = deque()
         self._jobs: deque[_Job] = deque()

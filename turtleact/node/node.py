@@ -52,8 +52,7 @@ from turtleact.services import (
     ServiceType,
     service_events,
 )
-from turtleact.summaries import field_hint
-from turtleact.tasks import Home, current_tasks
+from turtleact.tasks import LoopGuard, current_tasks
 from turtleact.tasks.clock import Clock, check_timeout
 from turtleact.transports import MemoryTransport, QoS, Transport
 from turtleact.transports.base import CallObserver, Closeable, Endpoint, EndpointKind
@@ -127,7 +126,7 @@ class Node:
         self.clock: Clock = transport.clock
         self.transport = transport
         self._tasks = current_tasks()
-        self._home = Home(f"node '{self.fully_qualified_name}'")
+        self._home = LoopGuard(f"node '{self.fully_qualified_name}'")
         self._resources = Resources(self._home)
         self._slots = Slots[PlaceRequest]()
         self._hooks: list[Transition] = []
@@ -713,12 +712,6 @@ async def open_node(
     with node._tasks.stoppable():  # a body may raise SystemExit; only trio needs this
         try:
             yield node
-        except TypeError as error:
-            # Messages are made in C, which says which field is unknown, but suggests none.
-            hint = field_hint(error)
-            if hint and hint not in getattr(error, "__notes__", ()):  # an outer node adds none
-                error.add_note(hint)
-            raise
         finally:
             await node.aclose()
 

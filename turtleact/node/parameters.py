@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from turtleact.node.resources import Resources
     from turtleact.node.topics import Publisher
     from turtleact.services import ServiceType
-    from turtleact.tasks import Home, Signal, Tasks
+    from turtleact.tasks import LoopGuard, Signal, Tasks
     from turtleact.tasks.clock import Clock
 
 __all__ = ["Changes", "NodeParameters", "Parameter"]
@@ -89,7 +89,7 @@ class NodeParameters:
         tasks: The functions for tasks on the node's event loop.
     """
 
-    def __init__(self, node: Host, resources: Resources, home: Home, tasks: Tasks) -> None:
+    def __init__(self, node: Host, resources: Resources, home: LoopGuard, tasks: Tasks) -> None:
         self.resources = resources
         self._node = node
         self._home = home

@@ -12,7 +12,7 @@ from weakref import WeakValueDictionary
 
 import anyio
 
-from turtleact.tasks import Home
+from turtleact.tasks import LoopGuard
 from turtleact.transports.base import AsyncCloseable, Closeable, Owner, ServerKind, Serving
 
 __all__ = ["Resources"]
@@ -28,7 +28,7 @@ class Resources(Owner):
         is_open: Whether resources can still be opened on the node.
     """
 
-    def __init__(self, home: Home) -> None:
+    def __init__(self, home: LoopGuard) -> None:
         self.home = home
         self.is_open = True
         self._watchers: list[Callable[[object], object]] = []

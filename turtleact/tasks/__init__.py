@@ -14,7 +14,7 @@ nothing about goals.
 from __future__ import annotations
 
 from turtleact.tasks.background import Background, current_tasks, run_in_daemon, wait_while
-from turtleact.tasks.base import GRACE, Cancelable, Home, Signal, Tasks, is_cancellation
+from turtleact.tasks.base import GRACE, Cancelable, LoopGuard, Signal, Tasks, is_cancellation
 from turtleact.tasks.idle import (
     idleness,
     new_event_loop,
@@ -26,7 +26,7 @@ __all__ = [
     "GRACE",
     "Background",
     "Cancelable",
-    "Home",
+    "LoopGuard",
     "Signal",
     "Tasks",
     "current_tasks",

@@ -14,7 +14,7 @@ import anyio
 
 from turtleact.errors import TurtleactError
 
-__all__ = ["GRACE", "Cancelable", "Home", "Signal", "Tasks", "is_cancellation"]
+__all__ = ["GRACE", "Cancelable", "LoopGuard", "Signal", "Tasks", "is_cancellation"]
 
 GRACE = 5.0
 """How long to wait by default for a cancelled task (s), before the task is left running."""
@@ -106,15 +106,15 @@ def is_cancellation(error: BaseException, tasks: Tasks) -> bool:
     return isinstance(error, tasks.cancelled)
 
 
-class Home:
+class LoopGuard:
     """Remembers an object's event loop and thread, and checks that the object is used only there.
 
     Without this check, using an object in another thread or event loop fails much later, with an
     unhelpful message such as "aclose(): asynchronous generator is already running". Nodes, servers
-    and clients create a `Home`, and call `check` first in every public method::
+    and clients create a `LoopGuard`, and call `check` first in every public method::
 
         def __init__(self, name: str) -> None:
-            self._home = Home(f"node '{name}'")
+            self._home = LoopGuard(f"node '{name}'")
 
         def publisher(self, ...) -> Publisher:
             self._home.check()
@@ -134,8 +134,8 @@ class Home:
         self._loop = self._current()
         self._thread = get_ident()
 
-    def of(self, owner: str) -> Home:
-        """Return a `Home` for another object, with the same event loop and thread.
+    def of(self, owner: str) -> LoopGuard:
+        """Return a `LoopGuard` for another object, with the same event loop and thread.
 
         This method works even while no event loop runs.
         """

@@ -14,8 +14,8 @@ kind INTERNAL instead of CLIENT.
 
 The server's span is current in the body, so the spans of goals that the body sends are its
 children. A request to another process carries the ids of the client's span in a
-`turtleact.goals.wire.GoalNote`. If a request from another process carries no ids, the server's span
-begins a new trace.
+`turtleact.goals.wire.GoalMetadata`. If a request from another process carries no ids, the server's
+span begins a new trace.
 
 If the client is in the server's process and the client's span is not sampled, the server makes no
 span.
@@ -50,7 +50,7 @@ from turtleact.goals.observers import (
     Observers,
 )
 from turtleact.goals.state import Goal, GoalRequest, GoalStatus
-from turtleact.goals.wire import GoalNote
+from turtleact.goals.wire import GoalMetadata
 from turtleact.names import action_names
 from turtleact.node import Node, local_server_of
 from turtleact.telemetry.linking import NEW_TRACES
@@ -279,7 +279,7 @@ class _ServerSpans(_Spans):
 
     def _begin(self, goal: Goal) -> None:
         if isinstance(goal.sender, bytes):  # the gid of a client in another process
-            note = GoalNote.read(REQUEST_NOTE.get())
+            note = GoalMetadata.read(REQUEST_NOTE.get())
             context, is_detached = _context_in(note), note.is_detached
         else:
             context, is_detached = _current(), NEW_TRACES.get()
@@ -380,10 +380,10 @@ def _current() -> Context:
     context, note = contexts.get_current(), REQUEST_NOTE.get()
     if not note or trace.get_current_span(context).get_span_context().is_valid:
         return context
-    return _context_in(GoalNote.read(note))
+    return _context_in(GoalMetadata.read(note))
 
 
-def _context_in(note: GoalNote) -> Context:
+def _context_in(note: GoalMetadata) -> Context:
     """Return the context that a note carries.
 
     If the note carries no span, return an empty context.
@@ -403,4 +403,4 @@ def _note(span: Span, *, is_detached: bool) -> str:
     state = here.trace_state.to_header() if here.trace_state else ""
     if len(state) > LONGEST_STATE:
         state = ""
-    return GoalNote(traceparent=parent, tracestate=state, is_detached=is_detached).write()
+    return GoalMetadata(traceparent=parent, tracestate=state, is_detached=is_detached).write()

@@ -32,7 +32,7 @@ import msgspec
 from turtleact.errors import InvalidMessage, TurtleactError
 
 if TYPE_CHECKING:
-    from turtleact.tasks import Home
+    from turtleact.tasks import LoopGuard
     from turtleact.tasks.clock import Clock
 
 __all__ = [
@@ -244,7 +244,7 @@ class Owner(Protocol):
         home: The event loop of the owner and of everything that is opened on the owner.
     """
 
-    home: Home
+    home: LoopGuard
 
     def add(self, thing: AsyncCloseable, opened: Closeable) -> Closeable:
         """Track an open object, so that the owner can close it when the owner is closed.

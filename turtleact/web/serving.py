@@ -17,7 +17,7 @@ import anyio
 from turtleact.errors import Abort, Cancel, ServiceError, TurtleactError
 from turtleact.goals.body import ActionType
 from turtleact.goals.state import GoalStatus
-from turtleact.goals.wire import GoalNote
+from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import Message
 from turtleact.node import Node, ServerGoalHandle
 from turtleact.services import ServiceType
@@ -205,7 +205,7 @@ class Serving:
 
 def _trace() -> dict[str, str]:
     """Return the frame members for the running goal's tracing span, if it has one."""
-    note = GoalNote.read(REQUEST_NOTE.get())
+    note = GoalMetadata.read(REQUEST_NOTE.get())
     members = {"traceparent": note.traceparent, "tracestate": note.tracestate}
     return {name: value for name, value in members.items() if value}
 

@@ -29,7 +29,7 @@ from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError
 from turtleact.goals.body import ActionType
 from turtleact.goals.client import ActionClient, ClientGoalHandle
 from turtleact.goals.ids import new_goal_id
-from turtleact.goals.wire import GoalNote
+from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import Message
 from turtleact.node import Node
 from turtleact.node.topics import Subscription
@@ -441,7 +441,7 @@ class Goals:
         said = sent.said
         if isinstance(said.traceparent, str):  # only in the context of this task
             state = said.tracestate if isinstance(said.tracestate, str) else ""
-            note = GoalNote(traceparent=said.traceparent[:TRACE], tracestate=state[:TRACE])
+            note = GoalMetadata(traceparent=said.traceparent[:TRACE], tracestate=state[:TRACE])
             REQUEST_NOTE.set(note.write())
         name, action_type = absolute(said.action), action_class(said.action_type)
         goal = await read_message(action_type.Goal, said.args, root="goal")

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from turtleact.errors import InvalidMessage, InvalidTransition
 from turtleact.goals.state import Goal, GoalEvent, GoalStatus, cancel_code, select
-from turtleact.goals.wire import GoalNote
+from turtleact.goals.wire import GoalMetadata
 from turtleact.rclpy.action.names import ActionKind, goal_key
 from turtleact.rclpy.action.status import StatusTopic
 from turtleact.rclpy.exceptions import InvalidHandle, RCLError
@@ -572,7 +572,7 @@ class ActionServer(Introspected, Waitable):
         def answer(ended: Future) -> None:
             if not ended.cancelled():
                 response, published = ended.result()
-                note = GoalNote(feedback=published).write()
+                note = GoalMetadata(feedback=published).write()
                 respond(encode(response, type(response)), note)
 
         future.add_done_callback(answer)
@@ -610,7 +610,7 @@ class ActionServer(Introspected, Waitable):
         return [each.goal for each in list(self._goal_handles.values())]
 
 
-NOTE = GoalNote().write()
+NOTE = GoalMetadata().write()
 """The note that tells clients of turtleact that this server drops no requests."""
 
 NEVER = 2**63
