@@ -25,10 +25,10 @@ BANDS: Final = (
     ("What acts", "fill", "sim"),
     ("A participant", "main", "node"),
     ("Goals", "main", "goals"),
-    ("Parts of a node", "fill", "topics"),
+    ("Parts of a node", "fill", "services"),
     ("Between nodes", "main", "transports"),
     ("Time and tasks", "fill", "tasks"),
-    ("Data", "pure", "parameters"),
+    ("Data", "pure", "interfaces"),
 )
 """The layers from top to bottom: a title, a colour, and a module of the first row that it holds."""
 

@@ -17,6 +17,7 @@ from turtleact.errors import InvalidName
 
 __all__ = [
     "EVENT_SUFFIX",
+    "PARAMETER_SERVICES",
     "ActionNames",
     "action_names",
     "event_topic",
@@ -24,6 +25,16 @@ __all__ = [
     "validate_name",
     "validate_node_name",
 ]
+
+PARAMETER_SERVICES = (
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+)
+"""The services for the parameters of a node, after the node's name."""
 
 EVENT_SUFFIX = "/_service_event"
 """The suffix that turns a service's name into the name of the service's event topic."""

@@ -16,7 +16,8 @@ Source: rclpy ``service.py`` and ``client.py`` for names and behaviour.
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from inspect import isasyncgenfunction, isawaitable, isgeneratorfunction, isroutine
 from typing import (
@@ -59,7 +60,14 @@ from turtleact.transports.base import (
 if TYPE_CHECKING:
     from turtleact.introspection import Introspection
 
-__all__ = ["LocalServiceServer", "ServiceClient", "ServiceServer", "ServiceType", "service_events"]
+__all__ = [
+    "LocalServiceServer",
+    "ServiceClient",
+    "ServiceServer",
+    "ServiceType",
+    "closed_on_error",
+    "service_events",
+]
 
 logger = logging.getLogger("turtleact.services")
 
@@ -420,6 +428,17 @@ def service_events(
     from turtleact.introspection import ServiceEvents  # few programs need it
 
     return ServiceEvents(transport, endpoint, service, find_type, mode)
+
+
+@contextmanager
+def closed_on_error(events: CallObserver | None) -> Iterator[CallObserver | None]:
+    """Close a service's event publisher if the block raises, or its topic would stay."""
+    try:
+        yield events
+    except BaseException:
+        if events is not None:
+            events.close()
+        raise
 
 
 class _Call:

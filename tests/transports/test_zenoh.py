@@ -47,7 +47,7 @@ from turtleact.interfaces.standard import (
     ListParameters,
 )
 from turtleact.interfaces.types import REGISTRY
-from turtleact.node.node import PARAMETER_SERVICES
+from turtleact.names import PARAMETER_SERVICES
 from turtleact.tasks import current_tasks
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import QoS, ZenohTransport, open_zenoh

@@ -8,8 +8,8 @@ Source: rclpy ``node.py`` for names and behaviour.
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AbstractContextManager, ExitStack
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast, overload
 
@@ -37,7 +37,13 @@ from turtleact.goals.state import Goal, GoalStatus
 from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.interfaces.types import expect_interface
-from turtleact.names import ActionNames, action_names, resolve_name, validate_node_name
+from turtleact.names import (
+    PARAMETER_SERVICES,
+    ActionNames,
+    action_names,
+    resolve_name,
+    validate_node_name,
+)
 from turtleact.node.conflicts import OnConflict, Rivals, ServedName, check_on_conflict
 from turtleact.node.resources import Resources
 from turtleact.node.timers import Timer
@@ -50,6 +56,7 @@ from turtleact.services import (
     ServiceClient,
     ServiceServer,
     ServiceType,
+    closed_on_error,
     service_events,
 )
 from turtleact.tasks import LoopGuard, current_tasks
@@ -80,16 +87,6 @@ M = TypeVar("M", bound=Message)
 V = TypeVar("V", bound="Value")
 Req = TypeVar("Req", bound=Message)
 Res = TypeVar("Res", bound=Message)
-
-PARAMETER_SERVICES = (
-    "describe_parameters",
-    "get_parameter_types",
-    "get_parameters",
-    "list_parameters",
-    "set_parameters",
-    "set_parameters_atomically",
-)
-"""The services for the parameters of a node, after the node's name."""
 
 
 class Node:
@@ -557,19 +554,13 @@ class Node:
     def _action_names(self, name: str) -> ActionNames:
         return action_names(resolve_name(name, self.namespace, self.name))
 
-    @contextmanager
     def _events(
         self, service: Endpoint, service_type: object, introspection: Introspection | None
-    ) -> Iterator[CallObserver | None]:
+    ) -> AbstractContextManager[CallObserver | None]:
         """Open a service's event publisher, and close the publisher if the block raises."""
         find_type, shown = (lambda: service_type), introspection or self.introspection
         events = service_events(self.transport, self._endpoint, service, find_type, shown)
-        try:
-            yield events
-        except BaseException:  # else the topic would stay on the graph
-            if events is not None:
-                events.close()
-            raise
+        return closed_on_error(events)
 
     def _endpoint(
         self,
