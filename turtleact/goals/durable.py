@@ -30,8 +30,9 @@ from turtleact.goals.state import Goal, GoalEvent, GoalRequest, GoalStatus
 from turtleact.interfaces import Action, Message, WireFormat, type_hash
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.summaries import encodable
+from turtleact.tasks import Tasks
 
-__all__ = ["DurableGoals", "restore_all"]
+__all__ = ["DurableGoals", "Restoring"]
 
 _CANCELING = GoalStatus.CANCELING
 
@@ -410,7 +411,33 @@ class DurableGoals(GoalObserver):
             return None
 
 
-def restore_all(servers: list[DurableGoals]) -> None:
+class Restoring:
+    """Restores the goals of servers that open in the same turn of the event loop together.
+
+    Servers that share a slot must be restored together. A program opens them without an await in
+    between, so on the next turn of the loop all of them are there.
+
+    Args:
+        tasks: The functions for tasks in the servers' event loop.
+    """
+
+    def __init__(self, tasks: Tasks) -> None:
+        self._tasks = tasks
+        self._servers: list[DurableGoals] = []
+
+    def add(self, server: DurableGoals | None) -> None:
+        """Restore a server's goals on the loop's next turn. Without a journal, do nothing."""
+        if server is not None:
+            if not self._servers:
+                self._tasks.from_anywhere(self._restore)
+            self._servers.append(server)
+
+    def _restore(self) -> None:
+        servers, self._servers = self._servers, []
+        _restore_all(servers)
+
+
+def _restore_all(servers: list[DurableGoals]) -> None:
     """Restore the goals in the journals of these servers.
 
     Servers may share a slot. Therefore the goals of all servers are restored in one order: first

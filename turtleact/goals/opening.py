@@ -12,7 +12,7 @@ from turtleact.goals.body import ServerOptions, check_options
 from turtleact.goals.callbacks import Callbacks, cancel_goals_of_lost_clients
 from turtleact.goals.durable import DurableGoals
 from turtleact.goals.pausing import Pauses
-from turtleact.goals.policies import Slot
+from turtleact.goals.policies import Rules, Slots
 from turtleact.goals.running import BodyRunner
 from turtleact.goals.server import LocalActionServer, ServerSpec
 from turtleact.goals.slots import PlaceRequest, SlotUser
@@ -26,7 +26,7 @@ def open_server(
     options: ServerOptions,
     tasks: Tasks,
     now: Callable[[], int],
-    slot: Slot[PlaceRequest] | None,
+    slots: Slots[PlaceRequest],
 ) -> tuple[LocalActionServer, DurableGoals | None]:
     """Make a server that runs its bodies in tasks of the event loop.
 
@@ -37,7 +37,7 @@ def open_server(
         options: The user's options.
         tasks: The functions that start and manage tasks on asyncio or trio.
         now: Returns the current time (ns since the epoch).
-        slot: The slot in which goals run; None if goals never wait for one another.
+        slots: The slots of the node, of which the options may name one.
 
     Raises:
         InvalidOption: if the value of an option is not allowed.
@@ -47,6 +47,9 @@ def open_server(
     server = LocalActionServer(spec, tasks, now, kept, grace)
     BodyRunner(server)
     server.slot_name = options.get("slot") or ""
+    policy = options.get("policy", "parallel")
+    rules = Rules(policy, options.get("max_active"), options.get("queue_limit"))
+    slot = slots.find(rules, options.get("slot"))
     if slot is not None:
         SlotUser(server, slot)
     if options.get("on_client_lost") == "cancel":

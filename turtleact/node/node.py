@@ -8,6 +8,7 @@ Source: rclpy ``node.py`` for names and behaviour.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AbstractContextManager, ExitStack
 from functools import partial
@@ -25,10 +26,10 @@ from turtleact.goals.body import (
 )
 from turtleact.goals.client import ActionClient
 from turtleact.goals.client_endpoints import ClientEndpoints
-from turtleact.goals.durable import DurableGoals, restore_all
+from turtleact.goals.durable import Restoring
 from turtleact.goals.observers import Hook
 from turtleact.goals.opening import open_server
-from turtleact.goals.policies import Rules, Slot, Slots
+from turtleact.goals.policies import Slots
 from turtleact.goals.server import LocalActionServer, ServerSpec
 from turtleact.goals.server_endpoints import ActionEndpoints
 from turtleact.goals.server_handle import GoalHandle
@@ -96,8 +97,7 @@ class Node:
     if you pass a wrong class, for example a message class as ``action_type``.
 
     With ``on_demand=True``, an endpoint stays hidden from other processes until one of those
-    processes opens an endpoint of the same name. This saves work if you have thousands of endpoints
-    and most of them are never used.
+    processes opens an endpoint of the same name, which saves work if most endpoints are never used.
 
     With ``introspection="contents"``, requests and responses are published on the topics
     ``SERVICE/_service_event``, as in ROS 2. "metadata" leaves out the contents of requests and
@@ -127,8 +127,8 @@ class Node:
         self._resources = Resources(self._home)
         self._slots = Slots[PlaceRequest]()
         self._hooks: list[Transition] = []
-        self._to_restore: list[DurableGoals] = []
-        self._servers_of: dict[str, dict[ActionServer[Any, Any, Any], None]] = {}  # by action
+        self._restoring = Restoring(self._tasks)
+        self._servers_of = defaultdict[str, dict[ActionServer[Any, Any, Any], None]](dict)
         self._parameters: NodeParameters | None = None
         self.initial_values: dict[str, object] = {}
         self._presence = ExitStack()
@@ -240,15 +240,14 @@ class Node:
             self._home.of(f"the goal handle of action '{names.name}'"),
             self.fully_qualified_name,
         )
-        place = self._place(options)
-        local, durable = open_server(spec, options, self._tasks, self.clock.now, place)
+        local, durable = open_server(spec, options, self._tasks, self.clock.now, self._slots)
         if durable is not None:
             durable.is_built_in = on_conflict == "withdraw"
         endpoint = partial(self._endpoint, on_demand=on_demand)
         shown = options.get("introspection") or self.introspection
         endpoints = ActionEndpoints(local, names, self.transport, endpoint, self._tasks, shown)
         server: ActionServer[G, R, F] = ActionServer(
-            self, action_type, local, endpoints, rivals, partial(self._restore_soon, durable)
+            self, action_type, local, endpoints, rivals, partial(self._restoring.add, durable)
         )
         # Before the server takes its name: from then on goals may come, and hooks hear of all.
         for hook in self._hooks:
@@ -261,23 +260,10 @@ class Node:
             **options,
         )
         server._take_name(on_conflict, again)
-        self._servers_of.setdefault(names.name, {})[server] = None
+        self._servers_of[names.name][server] = None
         close = partial(self._stop_serving, server)
         server._membership = self._resources.add_server("action server", server, close)
         return server
-
-    def _restore_soon(self, durable: DurableGoals | None) -> None:
-        """Restore a server's goals on the loop's next turn, with those of all new servers."""
-        if durable is not None:
-            # Servers that share a slot must be restored together. A program opens them without an
-            # await in between, so on the next turn of the loop all of them are there.
-            if not self._to_restore:
-                self._tasks.from_anywhere(self._restore)  # on the next turn, even on trio
-            self._to_restore.append(durable)
-
-    def _restore(self) -> None:
-        servers, self._to_restore = self._to_restore, []
-        restore_all(servers)
 
     def on_transition(self, hook: Transition) -> None:
         """Call ``hook(goal, old, new)`` when a goal that this node serves changes its state.
@@ -493,9 +479,9 @@ class Node:
     async def aclose(self) -> None:
         """Close everything opened on the node. Running goals end ABORTED with reason "shutdown".
 
-        All action servers close first, at the same time. Their bodies can still use everything else
-        while they clean up. Then the services close, and then the rest, beginning with the newest.
-        A body or handler must not await this method.
+        All action servers close first, at the same time, and their bodies can use everything else
+        while they clean up. Then the services close, then the rest, beginning with the newest. A
+        body or handler must not await this method.
         """
         self._home.check()
         try:
@@ -508,28 +494,17 @@ class Node:
         if not self.is_open:
             raise TurtleactError(f"node '{self.fully_qualified_name}' is closed: open another")
 
-    def _place(self, options: ServerOptions) -> Slot[PlaceRequest] | None:
-        """Return the slot that limits a server's goals; None if every goal may start at once."""
-        policy = options.get("policy", "parallel")
-        rules = Rules(policy, options.get("max_active"), options.get("queue_limit"))
-        return self._slots.find(rules, options.get("slot"))
-
     def _servers(self) -> list[ActionServer[Any, Any, Any]]:
-        """The action servers of this node, including those that are closing."""
         return cast("list[ActionServer[Any, Any, Any]]", self._resources.action_servers())
 
     def _types_served(self, action: str) -> set[str]:
         """The types of the actions that this node's open servers serve under one name."""
-        servers = self._servers_of.get(action, ())
-        return {server.action_type.type_name for server in servers if server.is_open}
+        return {each.action_type.type_name for each in self._servers_of[action] if each.is_open}
 
     def _stop_serving(self, server: ActionServer[Any, Any, Any]) -> None:
         """Remove a server from the graph. A second call does nothing."""
         server._endpoints.stop_taking_goals()
-        servers = self._servers_of.get(server.name, {})
-        servers.pop(server, None)
-        if not servers:
-            self._servers_of.pop(server.name, None)
+        self._servers_of[server.name].pop(server, None)
 
     def _offer(self, service: str, act: Callable[[], object]) -> None:
         """Call ``act`` as soon as another process looks for a service of this node."""
@@ -537,15 +512,14 @@ class Node:
         self._presence.callback(self.transport.call_when_sought(name, act).close)
 
     def _offer_descriptions(self) -> None:
-        offered = offer_descriptions(self.transport, self.fully_qualified_name)
-        self._presence.callback(offered.close)
+        self._presence.callback(offer_descriptions(self.transport, self.fully_qualified_name).close)
 
     def _offer_parameters(self) -> None:
         if self.is_open:
             self._node_parameters().open()
 
     def _node_parameters(self) -> NodeParameters:
-        from turtleact.node.parameters import NodeParameters
+        from turtleact.node.parameters import NodeParameters  # slow to import, and rarely needed
 
         if self._parameters is None:
             self._parameters = NodeParameters(self, self._resources, self._home, self._tasks)
@@ -669,10 +643,7 @@ class ActionServer(Generic[G, R, F]):
         self._local.observers.add(Hook(hook, self._local.make_handle))
 
     def _take_name(self, on_conflict: OnConflict, again: Callable[[], object]) -> None:
-        """Serve the action as soon as the server's name is free.
-
-        If this server withdraws, ``again`` is called later to open a new server.
-        """
+        """Serve the action as soon as its name is free. ``again`` replaces a withdrawn server."""
 
         def replace() -> None:
             if self._membership is not None:
