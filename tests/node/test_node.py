@@ -146,13 +146,6 @@ async def test_a_name_is_put_below_the_namespace(open_it, name, full_name):
         assert names - {f"{full_name}/pause", f"{full_name}/resume"} == {full_name}
 
 
-async def test_an_unknown_field_of_a_goal_is_told_with_the_nearest():
-    with pytest.raises(TypeError, match="Unexpected keyword argument 'ordr'") as raised:
-        async with turtleact.open_node("lab"), turtleact.open_node("user"):
-            Fibonacci.Goal(ordr=4)  # type: ignore[call-arg]  # a checker says so, too
-    assert raised.value.__notes__ == ["did you mean 'order'?"]
-
-
 @EACH_OPENING
 async def test_an_endpoint_names_its_node(open_it):
     async with turtleact.open_node("lab", namespace="/sim") as node:
