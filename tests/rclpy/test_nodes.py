@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from logging import LogRecord
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from turtleact.rclpy.exceptions import (
 from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.implementation_singleton import rclpy_implementation
 from turtleact.rclpy.impl.logging_severity import LoggingSeverity
-from turtleact.rclpy.impl.rcutils_logger import LOG, Record
+from turtleact.rclpy.impl.rcutils_logger import Console
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.qos import (
@@ -233,6 +234,17 @@ def test_a_line_is_published_too(node, executor):
     executor.spin_once(timeout_sec=1)
     assert (heard[0].msg, heard[0].name, heard[0].level) == ("hello", "lab", 20)
     assert heard[0].function == "test_a_line_is_published_too"
+
+
+def test_a_line_is_published_by_the_nearest_node_only(context, node, executor):
+    heard: list[Any] = []
+    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    node.create_subscription(Log, "/rosout", heard.append, latched)
+    rclpy.create_node("arm", namespace="lab", context=context).get_logger().info("hello")
+    node.get_logger().info("bye")
+    for _ in range(3):
+        executor.spin_once(timeout_sec=0.1)
+    assert [(each.name, each.msg) for each in heard] == [("lab.arm", "hello"), ("lab", "bye")]
 
 
 def test_levels_are_inherited():
@@ -468,6 +480,7 @@ def test_a_log_line_may_have_another_format(monkeypatch, capsys):
         "RCUTILS_CONSOLE_OUTPUT_FORMAT", "{severity} {name} {line_number} {message} {x}"
     )
     monkeypatch.setenv("RCUTILS_COLORIZED_OUTPUT", "1")
-    log = type(LOG)()
-    log.write(Record(LoggingSeverity.WARN, "arm", "hot", 1_000_000_000, "f.py", "f", 7))
+    record = LogRecord("arm", LoggingSeverity.WARN, "f.py", 7, "hot", (), None)
+    record.levelname = "WARN"
+    Console().handle(record)
     assert capsys.readouterr().err == "\033[33mWARN arm 7 hot {x}\033[0m\n"

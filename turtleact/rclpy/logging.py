@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from turtleact.rclpy.impl.logging_severity import LoggingSeverity
-from turtleact.rclpy.impl.rcutils_logger import LOG, RcutilsLogger
+from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger, logger_named, reset_levels
 
 __all__ = [
     "LoggingSeverity",
@@ -47,22 +47,22 @@ def shutdown() -> None:
 
 def clear_config() -> None:
     """Reset all loggers to their initial levels."""
-    LOG.reset()
+    reset_levels()
 
 
 def set_logger_level(name: str, level: LoggingSeverity | int, detailed_error: bool = False) -> None:  # noqa: ARG001  # rclpy's signature
     """Set the level of a logger by its name."""
-    LOG.set_level(name, LoggingSeverity(level))
+    logger_named(name).setLevel(LoggingSeverity(level))
 
 
 def get_logger_level(name: str) -> LoggingSeverity:
     """Return the level of the logger itself; UNSET if it inherits its level."""
-    return LoggingSeverity(LOG.level(name))
+    return LoggingSeverity(logger_named(name).level)
 
 
 def get_logger_effective_level(name: str) -> LoggingSeverity:
     """Return the level that a logger has or inherits."""
-    return LoggingSeverity(LOG.effective_level(name))
+    return LoggingSeverity(logger_named(name).getEffectiveLevel())
 
 
 def get_logging_severity_from_string(log_severity: str) -> LoggingSeverity:
@@ -89,4 +89,4 @@ def get_logging_directory() -> Path:
 def apply_levels(levels: Iterable[tuple[str, int]]) -> None:
     """Set the levels of loggers by their names."""
     for name, level in levels:
-        LOG.set_level(name, level)
+        logger_named(name).setLevel(level)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from turtleact.rclpy.impl.logging_severity import LoggingSeverity
-from turtleact.rclpy.impl.rcutils_logger import LOG
+from turtleact.rclpy.impl.rcutils_logger import logger_named
 from turtleact.rclpy.impl.typing import Anything, ServiceHost
 from turtleact.rclpy.messages.classes import interface_class
 
@@ -29,14 +29,14 @@ class LoggingService:
     def _get(self, request: Anything, response: Anything) -> Anything:
         made: Anything = interface_class("rcl_interfaces/msg/LoggerLevel")
         for name in request.names:
-            response.levels.append(made(name=name, level=LOG.level(name)))
+            response.levels.append(made(name=name, level=logger_named(name).level))
         return response
 
     def _set(self, request: Anything, response: Anything) -> Anything:
         made: Anything = interface_class("rcl_interfaces/msg/SetLoggerLevelsResult")
         for wanted in request.levels:
             try:
-                LOG.set_level(wanted.name, LoggingSeverity(wanted.level))
+                logger_named(wanted.name).setLevel(LoggingSeverity(wanted.level))
             except ValueError:
                 result = made(successful=False, reason="Failed reason: Invalid logger level.")
             else:

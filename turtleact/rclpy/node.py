@@ -25,7 +25,7 @@ from turtleact.rclpy.impl.connection import Connection, Sender
 from turtleact.rclpy.impl.entity import Block, Handle
 from turtleact.rclpy.impl.node_graph import NodeGraph
 from turtleact.rclpy.impl.node_parameters import NodeParameters
-from turtleact.rclpy.impl.rcutils_logger import LOG, RcutilsLogger, rosout_of
+from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger, Rosout, logger_named
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.logging import get_logger
 from turtleact.rclpy.messages.classes import interface_class, type_name_of
@@ -159,7 +159,8 @@ class Node(NodeParameters, NodeGraph, Block):
         """Publish the node's log on ``/rosout``."""
         end = self.endpoint("publisher", "/rosout", "rcl_interfaces/msg/Log", qos)
         self._rosout = self._connection.advertise(end, hash_of(end.type_name))
-        LOG.rosouts[self._logger.name] = rosout_of(self._rosout)
+        self._log_handler = Rosout(self._rosout)
+        logger_named(self._logger.name).addHandler(self._log_handler)
 
     def _start_parameters(
         self, given: list[Parameter], *, allow_undeclared: bool, declares_all: bool
@@ -666,7 +667,7 @@ class Node(NodeParameters, NodeGraph, Block):
         self._context.untrack_node(self)
         self._time_source.destroy()
         if self._rosout is not None:
-            LOG.rosouts.pop(self._logger.name, None)
+            logger_named(self._logger.name).removeHandler(self._log_handler)
             self._rosout.close()
         for waitable in self._waitables:
             waitable.destroy()

@@ -1,4 +1,8 @@
-"""Loggers: their severities, their filters, and their output.
+"""Loggers: Python's `logging`, with rclpy's names, format and filters.
+
+rclpy's loggers have a hierarchy of their own, apart from that of `logging.getLogger`. So the
+node ``asyncio`` does not log as Python's ``asyncio``, and a program that configures Python's root
+logger gets no line twice.
 
 A call site is a place in the source code that logs a message. Filters make a call site log only
 once, skip its first message, or stay silent for some seconds after a message. A call site must use
@@ -7,17 +11,13 @@ the same options in each call.
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
 from contextlib import suppress
 from types import FrameType
-from typing import TypeAlias
-
-import msgspec
 
 from turtleact.rclpy.impl.connection import Sender
 from turtleact.rclpy.impl.logging_severity import LoggingSeverity
@@ -25,9 +25,20 @@ from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.messages.codec import encode
 
-__all__ = ["LOG", "RcutilsLogger", "Record", "Rosout", "rosout_of"]
+__all__ = ["Console", "RcutilsLogger", "Rosout", "logger_named", "reset_levels"]
 
-UNNAMED = ""
+FIELDS = {
+    "severity": "{levelname}",
+    "name": "{name}",
+    "message": "{message}",
+    "function_name": "{funcName}",
+    "file_name": "{pathname}",
+    "line_number": "{lineno}",
+    "time": "{created:.9f}",
+    "date_time_with_ms": "{asctime}.{msecs:03.0f}",
+}
+"""Fields of ``RCUTILS_CONSOLE_OUTPUT_FORMAT``, each with the field of a Python format."""
+
 DEFAULT_FORMAT = "[{severity}] [{time}] [{name}]: {message}"
 COLOURS = {
     LoggingSeverity.DEBUG: "\033[32m",
@@ -40,139 +51,84 @@ PLAIN = "\033[0m"
 FILTERS = ("once", "skip_first", "throttle_duration_sec")
 
 
-class Record(msgspec.Struct, frozen=True):
-    """One message of a log.
-
-    Attributes:
-        severity: The severity of the message.
-        name: The name of the logger.
-        text: The message.
-        stamp: When the message was logged (ns since 1970).
-        file: The file of the call site.
-        function: The function of the call site.
-        line: The line of the call site.
-    """
-
-    severity: LoggingSeverity
-    name: str
-    text: str
-    stamp: int
-    file: str
-    function: str
-    line: int
-
-
-Rosout: TypeAlias = Callable[[Record], object]
-"""A function that publishes a record on ``/rosout``."""
-
-
-def rosout_of(sender: Sender) -> Rosout:
-    """Return a function that publishes records on ``/rosout``."""
-    log: Anything = interface_class("rcl_interfaces/msg/Log")
-    stamp: Anything = interface_class("builtin_interfaces/msg/Time")
-
-    def publish(record: Record) -> None:
-        seconds, rest = divmod(record.stamp, 1_000_000_000)
-        message = log(
-            stamp=stamp(sec=seconds, nanosec=rest),
-            level=int(record.severity),
-            name=record.name,
-            msg=record.text,
-            file=record.file,
-            function=record.function,
-            line=record.line,
-        )
-        sender.publish(encode(message, log))
-
-    return publish
-
-
-class _Log:
-    """Holds the levels of all loggers, and writes their messages.
-
-    Attributes:
-        rosouts: Functions that publish records, by the names of the nodes' loggers.
-    """
+class Console(logging.Handler):
+    """Prints messages on stderr, in the format and colours that the environment asks for."""
 
     def __init__(self) -> None:
-        self.rosouts: dict[str, Rosout] = {}
-        self._levels: dict[str, int] = {UNNAMED: LoggingSeverity.INFO}
-        self._effective: dict[str, int] = {}
-        self._lock = threading.Lock()
-        self._format = os.environ.get("RCUTILS_CONSOLE_OUTPUT_FORMAT") or DEFAULT_FORMAT
+        super().__init__()
+        wanted = os.environ.get("RCUTILS_CONSOLE_OUTPUT_FORMAT") or DEFAULT_FORMAT
+        plain = wanted.replace("{", "{{").replace("}", "}}")
+        text = re.sub(r"\{\{(\w+)\}\}", lambda field: FIELDS.get(field[1], field[0]), plain)
+        self.setFormatter(logging.Formatter(text, "%Y-%m-%d %H:%M:%S", "{", validate=False))
         self._to_stdout = os.environ.get("RCUTILS_LOGGING_USE_STDOUT") == "1"
         self._colours = os.environ.get("RCUTILS_COLORIZED_OUTPUT", "")
 
-    def set_level(self, name: str, level: int) -> None:
-        """Set the level of a logger.
-
-        Loggers below it inherit the level, unless they have a level of their own. With UNSET, the
-        logger inherits its level again.
-        """
-        with self._lock:
-            self._levels[name] = level
-            self._effective = {}
-
-    def level(self, name: str) -> int:
-        """Return the level that was set for a logger, or UNSET if the logger inherits its level."""
-        return self._levels.get(name, 0)
-
-    def effective_level(self, name: str) -> int:
-        """Return the level that was set for the logger, or else for the nearest logger above it."""
-        level = self._effective.get(name)
-        if level is None:
-            level = next((each for each in map(self.level, _above(name)) if each), 0)
-            self._effective[name] = level
-        return level
-
-    def reset(self) -> None:
-        """Reset all loggers to their initial levels."""
-        with self._lock:
-            self._levels = {UNNAMED: LoggingSeverity.INFO}
-            self._effective = {}
-
-    def write(self, record: Record) -> None:
-        """Print a record, and publish it if its logger belongs to a node."""
-        text = self._formatted(record)
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a message."""
         stream = sys.stdout if self._to_stdout else sys.stderr
-        if stream is not None:
-            with self._lock, suppress(ValueError, OSError):  # the stream may be closed at the end
-                stream.write(f"{self._coloured(record.severity, text, stream)}\n")
-                stream.flush()
-        for name in _above(record.name):
-            if name in self.rosouts:
-                self.rosouts[name](record)
-                return
+        if stream is None:
+            return
+        with suppress(ValueError, OSError):  # the stream may be closed at the end
+            text = self.format(record)
+            colour = COLOURS.get(LoggingSeverity(record.levelno))
+            if colour and self._is_coloured(stream):
+                text = f"{colour}{text}{PLAIN}"
+            stream.write(f"{text}\n")
+            stream.flush()
 
-    def _formatted(self, record: Record) -> str:
-        seconds, rest = divmod(record.stamp, 1_000_000_000)
-        if self._format == DEFAULT_FORMAT:
-            stamp = f"{seconds}.{rest:09d}"
-            return f"[{record.severity.name}] [{stamp}] [{record.name}]: {record.text}"
-        values = {
-            "severity": record.severity.name,
-            "name": record.name,
-            "message": record.text,
-            "function_name": record.function,
-            "file_name": record.file,
-            "line_number": str(record.line),
-            "time": f"{seconds}.{rest:09d}",
-            "time_as_nanoseconds": str(record.stamp),
-            "date_time_with_ms": time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(seconds))
-            + f".{rest // 1_000_000:03d}",
-        }
-        return re.sub(r"\{(\w+)\}", lambda match: values.get(match[1], match[0]), self._format)
-
-    def _coloured(self, severity: LoggingSeverity, text: str, stream: Anything) -> str:
-        if self._colours == "0" or severity not in COLOURS:
-            return text
-        if self._colours != "1" and not stream.isatty():
-            return text
-        return f"{COLOURS[severity]}{text}{PLAIN}"
+    def _is_coloured(self, stream: Anything) -> bool:
+        if self._colours in ("0", "1"):
+            return self._colours == "1"
+        return bool(stream.isatty())
 
 
-#: The log of the process; rclpy's loggers are global too.
-LOG = _Log()
+class Rosout(logging.Handler):
+    """Publishes the messages of a node's logger, and of the loggers below it, on ``/rosout``.
+
+    Args:
+        sender: Sends the encoded messages.
+    """
+
+    def __init__(self, sender: Sender) -> None:
+        super().__init__()
+        self._sender = sender
+        self._log: Anything = interface_class("rcl_interfaces/msg/Log")
+        self._time: Anything = interface_class("builtin_interfaces/msg/Time")
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Publish a message, unless the node of a lower logger has published it."""
+        if record.__dict__.setdefault("publisher", self) is not self:
+            return
+        nanoseconds = int(record.created * 1e9)
+        message = self._log(
+            stamp=self._time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000),
+            level=record.levelno,
+            name=record.name,
+            msg=record.getMessage(),
+            file=record.pathname,
+            function=record.funcName,
+            line=record.lineno,
+        )
+        self._sender.publish(encode(message, self._log))
+
+
+ROOT = logging.RootLogger(LoggingSeverity.INFO)
+MANAGER = logging.Manager(ROOT)
+ROOT.manager = MANAGER
+ROOT.name = ""
+ROOT.addHandler(Console())
+
+
+def logger_named(name: str) -> logging.Logger:
+    """Return the Python logger behind a logger of rclpy; the root logger for an empty name."""
+    return MANAGER.getLogger(name) if name else ROOT
+
+
+def reset_levels() -> None:
+    """Reset all loggers to their initial levels."""
+    for name in list(MANAGER.loggerDict):
+        logger_named(name).setLevel(LoggingSeverity.UNSET)
+    ROOT.setLevel(LoggingSeverity.INFO)
 
 
 class _Site:
@@ -196,10 +152,7 @@ class _Site:
             raise ValueError("Logger name cannot be changed between calls.")
         if filters.keys() != self.filters.keys():
             raise ValueError("Requested logging filters cannot be changed between calls.")
-        if any(
-            filters[name] is not self.filters[name] and filters[name] != self.filters[name]
-            for name in filters
-        ):
+        if filters != self.filters:
             raise ValueError("Logging filter parameters cannot be changed between calls.")
 
     def lets_pass(self) -> bool:
@@ -230,6 +183,7 @@ class RcutilsLogger:
 
     def __init__(self, name: str = "") -> None:
         self.name = name
+        self._logger = logger_named(name)
         self._sites: dict[tuple[Anything, int], _Site] = {}
 
     def get_child(self, name: str) -> RcutilsLogger:
@@ -245,15 +199,15 @@ class RcutilsLogger:
 
     def set_level(self, level: LoggingSeverity | int) -> None:
         """Log only messages that are at least this severe."""
-        LOG.set_level(self.name, LoggingSeverity(level))
+        self._logger.setLevel(LoggingSeverity(level))
 
     def get_effective_level(self) -> LoggingSeverity:
         """Return the level that was set for this logger, or for the nearest logger above it."""
-        return LoggingSeverity(LOG.effective_level(self.name))
+        return LoggingSeverity(self._logger.getEffectiveLevel())
 
     def is_enabled_for(self, severity: LoggingSeverity | int) -> bool:
         """Whether messages of this severity are logged."""
-        return LOG.effective_level(self.name) <= severity
+        return self._logger.isEnabledFor(severity)
 
     def log(
         self,
@@ -286,27 +240,14 @@ class RcutilsLogger:
         except ValueError as error:
             raise RuntimeError(f"{severity!r} is no severity") from error
         frame = _caller()
-        full = self.name if name is None else name
-        filters = _filters(kwargs) if kwargs else kwargs
+        logger = self._logger if name is None else logger_named(name)
+        _check_filters(kwargs)
         key = (frame.f_code, frame.f_lasti)
-        site = self._sites.get(key)
-        if site is None:
-            site = self._sites[key] = _Site(severity, full, filters)
-        else:
-            site.check(severity, full, filters)
-        if LOG.effective_level(full) > severity or not site.lets_pass():
+        site = self._sites.setdefault(key, _Site(severity, logger.name, kwargs))
+        site.check(severity, logger.name, kwargs)
+        if not logger.isEnabledFor(severity) or not site.lets_pass():
             return False
-        code = frame.f_code
-        record = Record(
-            severity,
-            full,
-            str(message),
-            time.time_ns(),
-            code.co_filename,
-            code.co_name,
-            frame.f_lineno,
-        )
-        LOG.write(record)
+        _write(logger, severity, str(message), frame)
         return True
 
     def debug(self, message: object, **kwargs: Anything) -> bool:
@@ -321,9 +262,7 @@ class RcutilsLogger:
         """Log a message with severity WARN."""
         return self.log(message, LoggingSeverity.WARN, **kwargs)
 
-    def warn(self, message: object, **kwargs: Anything) -> bool:
-        """Log a message with severity WARN. This method does the same as `warning`."""
-        return self.log(message, LoggingSeverity.WARN, **kwargs)
+    warn = warning
 
     def error(self, message: object, **kwargs: Anything) -> bool:
         """Log a message with severity ERROR."""
@@ -334,7 +273,23 @@ class RcutilsLogger:
         return self.log(message, LoggingSeverity.FATAL, **kwargs)
 
 
-def _filters(given: dict[str, Anything]) -> dict[str, Anything]:
+def _write(logger: logging.Logger, severity: LoggingSeverity, text: str, frame: FrameType) -> None:
+    code = frame.f_code
+    record = logger.makeRecord(
+        logger.name,
+        severity,
+        code.co_filename,
+        frame.f_lineno,
+        text,
+        (),
+        None,
+        code.co_name,
+    )
+    record.levelname = severity.name  # rclpy says WARN and FATAL
+    logger.handle(record)
+
+
+def _check_filters(given: dict[str, Anything]) -> None:
     for name in given:
         if name not in (*FILTERS, "throttle_time_source_type"):
             raise TypeError(
@@ -345,15 +300,6 @@ def _filters(given: dict[str, Anything]) -> dict[str, Anything]:
         raise TypeError(
             'required parameter "throttle_duration_sec" not specified for logging filter "throttle"'
         )
-    return given
-
-
-def _above(name: str) -> Iterator[str]:
-    """Yield the name of a logger, then the names of the loggers above it, up to the root."""
-    while name:
-        yield name
-        name = name.rpartition(".")[0]
-    yield UNNAMED
 
 
 def _caller() -> FrameType:
