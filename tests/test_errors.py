@@ -30,10 +30,6 @@ SAID = [
         errors.UnknownInterface("pkg/msg/A", "pkg/msg/B"),
         "unknown interface 'pkg/msg/A', did you mean 'pkg/msg/B'?",
     ),
-    (
-        errors.UnknownInterface("pkg/msg/A", "other/msg/A", is_elsewhere=True),
-        "unknown interface 'pkg/msg/A', did you mean 'other/msg/A' of another package?",
-    ),
     (errors.InvalidMessage("pose.x", "expected a float"), "pose.x: expected a float"),
     (errors.InvalidGoal("goal.order", "expected an int"), "goal.order: expected an int"),
     (

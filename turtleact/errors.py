@@ -137,19 +137,15 @@ class UnknownInterface(TurtleactError):
     Attributes:
         type_name: The name that was looked up.
         suggestion: The nearest known name, or an empty string.
-        is_elsewhere: Whether the suggestion is from another package than the one in ``type_name``.
-            False if the package name in ``type_name`` is only misspelled.
     """
 
-    def __init__(self, type_name: str, suggestion: str = "", *, is_elsewhere: bool = False) -> None:
+    def __init__(self, type_name: str, suggestion: str = "") -> None:
         super().__init__(type_name, suggestion)
         self.type_name = type_name
         self.suggestion = suggestion
-        self.is_elsewhere = is_elsewhere
 
     def __str__(self) -> str:
-        whose = " of another package" if self.is_elsewhere else ""
-        hint = f", did you mean '{self.suggestion}'{whose}?" if self.suggestion else ""
+        hint = f", did you mean '{self.suggestion}'?" if self.suggestion else ""
         return f"unknown interface '{self.type_name}'{hint}"
 
 

@@ -308,7 +308,7 @@ ADVICE = (
     [
         ("labs/action/Gone", f"unknown interface 'labs/action/Gone': {ADVICE} its package"),
         ("std_msgs/msg/Strin", f"did you mean 'std_msgs/msg/String'? If not, {ADVICE} its"),
-        ("lab/msg/go", "did you mean 'lab/msg/Out'? Names of interfaces begin with a capital"),
+        ("std_msgs/msg/string", "did you mean 'std_msgs/msg/String'? Names of interfaces begin"),
         (
             "labs/msg/gone",
             "'labs/msg/gone': names of interfaces begin with a capital letter, as in",

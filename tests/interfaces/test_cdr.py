@@ -25,7 +25,6 @@ from turtleact.interfaces import (
     get_interface,
     known_interfaces,
     load_interfaces,
-    snapshot,
 )
 from turtleact.interfaces.cdr import decoding, encoding
 from turtleact.interfaces.definition import INTEGER_RANGES, ArrayForm
@@ -711,46 +710,6 @@ def test_a_message_of_another_class_of_the_same_name_and_fields_is_converted():
     twin: Any = MessageMeta("Point", (Message,), body, type_name="geometry_msgs/msg/Point")
     message = Messages(points=[twin(x=1.0)])
     assert encode(message) == encode(Messages(points=[Point(x=1.0)]))
-
-
-ODD: list[Any] = [
-    *(True, False, 1, -1, 300, 1 << 40, 1 << 70, 1.0, 1e39, float("inf"), np.int32(1), None),
-    *("ab", "abcdefgh", "\u00fc", "\ud800", b"ab", b"abc", bytearray(3), (1, 2, 3)),
-    *([True], [1], [1, 2, 3], [1, True, 3], [300] * 3, [1.0] * 3, [1.0, 1, 1.0], ["a"], ["a", 1]),
-    *([], np.ones(3), numbers("i", [1, 2, 3]), [None], Time(), [Time()], [Twin()], [Nothing()]),
-]
-
-
-@pytest.mark.parametrize("cls", OWN)
-def test_what_is_strict_takes_nothing_that_a_snapshot_would_not_copy_as_it_is(cls):
-    write = encoding.encoder(cls, is_strict=True)
-    for field, value in itertools.product(fields(cls), ODD):
-        message: Any = cls()
-        setattr(message, field.attribute, value)
-        try:
-            written = write(message)
-        except cdr.UNFIT:
-            continue
-        copied = snapshot(message)
-        assert written == encode(copied)
-        assert repr(copied) == repr(message)
-
-
-@pytest.mark.parametrize("cls", OWN)
-def test_what_is_strict_takes_plain_values(cls):
-    assert encoding.encoder(cls, is_strict=True)(cls()) == encode(cls())
-
-
-def test_what_is_strict_takes_lists_bytes_and_text():
-    message = decode(Numbers, encode(ALL))
-    assert encoding.encoder(Numbers, is_strict=True)(message) == encode(ALL)
-    texts = Texts(names=["a", ""], few=["b"])
-    assert encoding.encoder(Texts, is_strict=True)(texts) == encode(texts)
-
-
-def test_what_is_strict_takes_no_other_class_of_the_same_fields():
-    with pytest.raises(cdr.UNFIT):
-        encoding.encoder(Pair, is_strict=True)(Twin())
 
 
 ALL = from_dict(

@@ -488,66 +488,26 @@ def full_names(type_name: str, kinds: tuple[str, ...]) -> list[str]:
 def needed(found: Interface | None, type_name: str) -> Interface:
     """Return the interface if it was found; otherwise raise an error that suggests a name."""
     if found is None:
-        near = suggestion(type_name)
-        raise UnknownInterface(type_name, near, is_elsewhere=is_elsewhere(type_name, near))
+        raise UnknownInterface(type_name, suggestion(type_name))
     return found
 
 
 def suggestion(type_name: str) -> str:
     """Return the name of the known interface that was most likely meant, or an empty string.
 
-    The result is the first of these interfaces that exists:
-
-    1. The interface with the most similar name in the package of ``type_name``. If the package has
-       interfaces of several kinds with this name, the kind in ``type_name`` decides.
-    2. An interface from `load_interfaces` or `offer_interfaces`, if it is the only interface from
-       these functions that has the package and kind of ``type_name``. For a message, rule 3 comes
-       before rule 2, because messages are often used from other packages.
-    3. The interface with the same name in another package. If several packages have an interface
-       with this name, the interface with the full name most similar to ``type_name`` is chosen.
-    4. The interface with the most similar full name. The name without package and kind must
-       also be similar, because names of packages are often similar, such as ``arm_interfaces`` and
-       ``leg_interfaces``.
+    An interface with a similar name in the same package goes first, then one with the same name in
+    another package, then the one with the most similar full name. Its name must be similar even
+    without the package, because names of packages are often similar.
     """
-    import difflib  # only errors need it
-
     known = known_interfaces()
-    *package, name = type_name.split("/")
-    own = [each for each in known if package and each.startswith(f"{package[0]}/")]
-    of_kind = [each for each in own if each.startswith("/".join([*package, ""]))]
-    by_name = {_last(each): each for each in [*own, *of_kind]}  # a later entry replaces an earlier
-    if near := nearest(name, by_name):
-        return by_name[near]
+    package, _, name = type_name.rpartition("/")
+    package = package.partition("/")[0]
+    own = {_last(each): each for each in known if each.startswith(f"{package}/")}
+    if near := nearest(name, own):
+        return own[near]
     same = [each for each in known if _last(each) == name]
-    own_files = {*REGISTRY.finders.loaded.files, *REGISTRY.finders.nearby.files}
-    declared = [each for each in of_kind if each in own_files]
-    if len(declared) == 1 and not (same and package[1:] == ["msg"]):
-        return declared[0]
-    if same:
-        return max(same, key=lambda each: difflib.SequenceMatcher(None, each, type_name).ratio())
-    found = nearest(type_name, known)
+    found = nearest(type_name, same or known)
     return found if nearest(name, [_last(found)]) else ""
-
-
-TYPO = 0.85
-"""If two package names are more similar than this (0 to 1), one of them seems to have a typo."""
-
-
-def is_elsewhere(type_name: str, suggested: str) -> bool:
-    """Return whether a suggestion is from another package than the one in ``type_name``.
-
-    The result is false if the names of the two packages seem to differ only by a typo. The result
-    is also false if ``type_name`` contains no package.
-
-    >>> is_elsewhere("geometry_msg/msg/Point", "geometry_msgs/msg/Point")
-    False
-    """
-    import difflib  # only errors need it
-
-    wanted, has_package, _ = type_name.partition("/")
-    package = suggested.partition("/")[0]
-    is_typo = difflib.SequenceMatcher(None, wanted, package).ratio() > TYPO
-    return bool(suggested and has_package) and not is_typo
 
 
 def _last(type_name: str) -> str:

@@ -189,15 +189,8 @@ class FeedbackFormat(WireFormat):
 
     @cached_property
     def _write(self) -> Callable[[object, bytes], bytes]:
-        return self._writer(is_strict=False)
-
-    @cached_property
-    def _write_strictly(self) -> Callable[[object, bytes], bytes]:
-        return self._writer(is_strict=True)
-
-    def _writer(self, *, is_strict: bool) -> Callable[[object, bytes], bytes]:
         found: Callable[[object, bytes], bytes] = self._cdr.writer_behind(
-            self._feedback, GOAL_ID.stop, is_strict=is_strict
+            self._feedback, GOAL_ID.stop
         )
         return found
 

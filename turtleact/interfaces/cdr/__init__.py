@@ -104,9 +104,7 @@ def decode(
         raise
 
 
-def writer_behind(
-    cls: type[M], place: int, *, is_strict: bool = False
-) -> Callable[[object, bytes], bytes]:
+def writer_behind(cls: type[M], place: int) -> Callable[[object, bytes], bytes]:
     """Return a function that encodes a message of this class and appends it to other bytes.
 
     The function takes the message and the bytes to append the message to. These bytes begin with
@@ -116,9 +114,8 @@ def writer_behind(
     Args:
         cls: The class of the message.
         place: Where the message begins, in bytes from the start of the header.
-        is_strict: Whether to accept only values that ``snapshot`` would copy unchanged.
     """
-    return encoder(cls, place, is_strict=is_strict)
+    return encoder(cls, place)
 
 
 def reader_behind(cls: type[M], place: int) -> Callable[[bytes], M]:

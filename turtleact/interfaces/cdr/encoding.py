@@ -54,9 +54,7 @@ __all__ = ["encoder"]
 
 
 @functools.cache
-def encoder(
-    cls: type[Message], size: int = HEADER_SIZE, *, is_strict: bool = False
-) -> Callable[..., bytes]:
+def encoder(cls: type[Message], size: int = HEADER_SIZE) -> Callable[..., bytes]:
     """Return a function that encodes messages of this class.
 
     If more than the header comes before the message, the function has a second argument: all the
@@ -65,24 +63,19 @@ def encoder(
     Args:
         cls: The class of the messages.
         size: How many bytes come before the message, header included.
-        is_strict: Whether to accept only values that ``snapshot`` would copy unchanged.
     """
-    writer = Writer("m, front=header", frozenset({0}), is_strict=is_strict)
+    writer = Writer("m, front=header", frozenset({0}))
     writer.source.names["header"] = HEADER
     writer.pending.append(Item(f"{size}s", "front"))
-    if is_strict:
-        writer.guard(f"type(m) is not {writer.source.hold(cls)}")
     writer.message(cls, "m")
     writer.finish()
     return writer.source.function()  # type: ignore[return-value]  # the text is made to be so
 
 
 @functools.cache
-def part_encoder(
-    cls: type[Message], *, is_strict: bool = False
-) -> Callable[[Message, bytearray], None]:
+def part_encoder(cls: type[Message]) -> Callable[[Message, bytearray], None]:
     """Return a function that encodes a nested message and appends it to a bytearray."""
-    writer = Writer("m, out", ANYWHERE, is_strict=is_strict)
+    writer = Writer("m, out", ANYWHERE)
     writer.guard(f"type(m) is not {writer.source.hold(cls)}")
     writer.message(cls, "m")
     writer.flush()
@@ -99,17 +92,15 @@ class Writer:
         pieces: The expressions for the data before the pending run. Not used after the generated
             code creates ``out``, because the code then appends data directly to ``out``.
         is_begun: Whether the code has created the bytearray ``out`` for the data.
-        is_strict: Whether to refuse values whose Python type is not exactly the expected type.
     """
 
-    def __init__(self, signature: str, places: Places, *, is_strict: bool) -> None:
+    def __init__(self, signature: str, places: Places) -> None:
         self.source = Source(signature)
         self.source.names |= {"unfit": struct.error, "join": b"".join}
         self.pending: list[Item] = []
         self.places = places
         self.pieces: list[str] = []
         self.is_begun = places is ANYWHERE
-        self.is_strict = is_strict
 
     def guard(self, condition: str) -> None:
         """Add code that refuses the message if this condition is true."""
@@ -132,8 +123,6 @@ class Writer:
         if nested is None and is_in_run(field_type):
             if field_type.name == "bool":
                 self.guard(f"{value} is not True and {value} is not False")
-            elif self.is_strict:
-                self.guard(is_other(field_type, value))
             self.pending.append(Item(code_in_run(field_type), value))
         elif nested is None:
             self.text(field_type, value)
@@ -142,14 +131,12 @@ class Writer:
             self.message(nested, value)
         else:
             self.begin()
-            part = part_encoder(nested, is_strict=self.is_strict)
-            self.source.add(f"{self.source.hold(part)}({value}, out)")
+            part = self.source.hold(part_encoder(nested))
+            self.source.add(f"{part}({value}, out)")
             self.places = ANYWHERE
 
     def text(self, field_type: FieldType, value: str) -> None:
         """Add code that writes a text: its length, then its characters."""
-        if self.is_strict:
-            self.guard(is_other(field_type, value))
         self.bound(field_type.string_bound, value)
         content = self.source.fresh()
         if field_type.name == "string":
@@ -180,10 +167,10 @@ class Writer:
         counted = field_type.form is not ArrayForm.FIXED
         size = 0 if nested is None else common_alignment(nested, counted=counted)
         if nested is None:
-            text = text_encoder(field_type, is_strict=self.is_strict)
+            text = text_encoder(field_type)
             self.source.add(f"for x in {value}: {self.source.hold(text)}(x, out)")
         elif not size:
-            part = part_encoder(nested, is_strict=self.is_strict)
+            part = part_encoder(nested)
             self.source.add(f"for x in {value}: {self.source.hold(part)}(x, out)")
         else:
             self.rows(nested, value, size)
@@ -192,8 +179,6 @@ class Writer:
     def numbers(self, field_type: FieldType, value: str) -> None:
         """Add code that writes the numbers of a sequence."""
         code = FORMATS[field_type.name]
-        if self.is_strict:
-            self.elements(field_type, value)
         is_plain = field_type.name != "bool" and field_type.name not in BYTE_TYPES
         if is_plain and self.is_common([*self.pending, Item(code)]):
             self.numbers_behind(field_type, value, code)
@@ -214,22 +199,6 @@ class Writer:
             return
         self.align(size_of(code), content)
         self.content(content, size_of(code))
-
-    def elements(self, field_type: FieldType, value: str) -> None:
-        """Add code that raises an error if a value is not a list of elements of the field's type.
-
-        For the types in `BYTE_TYPES`, the code also accepts ``bytes``. This code does not check the
-        elements of a list of bools, because the code that writes bools checks them.
-        """
-        if field_type.name in BYTE_TYPES:
-            self.source.add(f"if type({value}) is not bytes:")
-            self.source.depth += 1
-        self.guard(f"type({value}) is not list")
-        if field_type.name != "bool":  # bools are checked wherever they are written
-            self.source.add(f"for x in {value}:")
-            self.source.add(f" if {is_other(field_type.element, 'x')}: raise unfit")
-        if field_type.name in BYTE_TYPES:
-            self.source.depth -= 1
 
     def numbers_behind(self, field_type: FieldType, value: str, code: str) -> None:
         """Add code that writes the pending values and a sequence of numbers in one call."""
@@ -334,26 +303,12 @@ class Writer:
 
 
 @functools.cache
-def text_encoder(
-    field_type: FieldType, *, is_strict: bool = False
-) -> Callable[[str, bytearray], None]:
+def text_encoder(field_type: FieldType) -> Callable[[str, bytearray], None]:
     """Return a function that encodes one string of a sequence and appends it to a bytearray."""
-    writer = Writer("m, out", ANYWHERE, is_strict=is_strict)
+    writer = Writer("m, out", ANYWHERE)
     writer.text(field_type.element, "m")
     writer.flush()
     return writer.source.function()  # type: ignore[return-value]  # the text is made to be so
-
-
-def is_other(field_type: FieldType, value: str) -> str:
-    """Return an expression that is true if a value is not of the expected Python type.
-
-    The expression does not check ranges, because ``struct`` does. The expression is also true for
-    text that is not ASCII, because the text may contain an unpaired surrogate.
-    """
-    if field_type.is_string:
-        return f"type({value}) is not str or not {value}.isascii()"
-    name = "float" if field_type.name in ("float32", "float64") else "int"
-    return f"type({value}) is not {name}"
 
 
 def wide(text: str) -> bytes:
