@@ -203,7 +203,7 @@ async def test_a_server_reports_feedback_that_it_had_to_drop(monkeypatch, tmp_pa
     gate = threading.Event()
 
     async def flood(goal: Count.Goal, handle: Any) -> Count.Result:
-        there.context.outbox.post(gate.wait)  # nothing is sent meanwhile
+        there.context.send_queue.post(gate.wait)  # nothing is sent meanwhile
         for number in range(goal.upto):
             handle.publish_feedback(feedback(number))
         gate.set()

@@ -268,7 +268,7 @@ def plant(transport: ZenohTransport, node: str, type_name: str, type_hash: str) 
     endpoint = Endpoint("publisher", "/planted", type_name, node, type_hash=type_hash)
     token = endpoint_token(context.domain, context.session.zid, 99, 99, endpoint)
     # Without a reference to it, the token would be undeclared at once.
-    context.outbox.post(lambda: kept.append(context.session.declare_token(token)))
+    context.send_queue.post(lambda: kept.append(context.session.declare_token(token)))
     return kept
 
 

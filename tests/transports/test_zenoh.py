@@ -127,19 +127,19 @@ class Greeting:
 
     async def open(self) -> None:
         key = f"greetings/{self._sender.session.zid}"
-        self._receiver.outbox.post(
+        self._receiver.send_queue.post(
             lambda: self._receiver.session.declare_subscriber(key, self._take)
         )
-        self._sender.outbox.post(lambda: self._declare(key))
+        self._sender.send_queue.post(lambda: self._declare(key))
         await self._ready.wait()
 
     async def __call__(self) -> None:
         self._arrived = anyio.Event()
-        self._sender.outbox.post(lambda: self.publisher.put(b"", b""))
+        self._sender.send_queue.post(lambda: self.publisher.put(b"", b""))
         await self._arrived.wait()
 
     def close(self) -> None:
-        self._sender.outbox.post(lambda: self.publisher.undeclare())
+        self._sender.send_queue.post(lambda: self.publisher.undeclare())
 
     def _declare(self, key: str) -> None:
         self.publisher = self._sender.session.declare_publisher(
@@ -147,10 +147,10 @@ class Greeting:
         )
 
     def _match(self, is_matching: bool) -> None:
-        self._sender.inbox.push(self._ready.set)
+        self._sender.receive_queue.push(self._ready.set)
 
     def _take(self, payload: bytes) -> None:
-        self._receiver.inbox.push(lambda: self._arrived.set())
+        self._receiver.receive_queue.push(lambda: self._arrived.set())
 
 
 def has_news(transport: ZenohTransport) -> bool:
@@ -163,7 +163,7 @@ def is_up_to_date(transport: ZenohTransport) -> bool:
     """Whether its endpoints have heard what Zenoh knows of their peers."""
     for each in transport.context.opened:
         endpoint: Any = each
-        if endpoint.presence.is_asleep:
+        if endpoint.declaration.is_pending:
             continue
         if isinstance(each, WirePublication) and not each.is_latched:
             zenohs, ours = endpoint.publisher, each.is_read
@@ -927,7 +927,7 @@ async def test_nothing_is_asked_of_zenoh_for_what_is_on_demand_and_not_wanted(ad
     async with two(address) as peers:
         with monkeypatch.context() as patched:
             posted: list[object] = []
-            patched.setattr(peers.here.context.outbox, "post", posted.append)
+            patched.setattr(peers.here.context.send_queue, "post", posted.append)
             peers.here.advertise(shy(publisher()), SPEECH).close()
             peers.here.subscribe(shy(subscription()), SPEECH, Inbox().deliver).close()
             peers.here.serve(shy(service()), SERVING, Adder()).close()
@@ -990,7 +990,7 @@ async def test_who_publishes_more_than_goes_out_can_wait(address):
         peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
         publication = peers.here.advertise(publisher(), SPEECH)
         await peers.settle()
-        peers.here.context.outbox.post(gate.wait)  # as a reader that takes nothing does
+        peers.here.context.send_queue.post(gate.wait)  # as a reader that takes nothing does
         while not publication.is_congested:
             publication.publish(feedback(*range(1000)))
         async with running(publication.drained) as waiting:
@@ -1016,7 +1016,7 @@ async def test_what_waits_behind_a_message_that_cannot_be_sent_is_sent(
         publication = peers.here.advertise(publisher(), SPEECH)
         await peers.settle()
         monkeypatch.setattr(Publisher, "put", fail_once)
-        peers.here.context.outbox.post(gate.wait)
+        peers.here.context.send_queue.post(gate.wait)
         for number in range(4):
             publication.publish(feedback(number))
         gate.set()
@@ -1055,7 +1055,7 @@ async def test_what_is_sent_between_two_messages_keeps_its_place(address, monkey
         publication = peers.here.advertise(publisher(), SPEECH)
         await peers.settle()
         monkeypatch.setattr(Publisher, "put", note)
-        outbox = peers.here.context.outbox
+        outbox = peers.here.context.send_queue
         outbox.post(gate.wait)
         publication.publish(feedback(1))
         outbox.post(lambda: seen.append("a reply"))
@@ -1292,7 +1292,7 @@ async def test_closing_a_publisher_ends_the_waiting_for_it(address):
         peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
         publication = peers.here.advertise(publisher(), SPEECH)
         await peers.settle()
-        peers.here.context.outbox.post(gate.wait)
+        peers.here.context.send_queue.post(gate.wait)
         while not publication.is_congested:
             publication.publish(feedback(*range(1000)))
         async with running(publication.drained) as waiting:
@@ -1312,7 +1312,7 @@ async def test_who_publishes_without_end_loses_the_oldest(
         peers.there.subscribe(subscription(qos=qos), SPEECH, inbox.deliver)
         publication = peers.here.advertise(publisher(qos=qos), SPEECH)
         await peers.settle()
-        peers.here.context.outbox.post(gate.wait)
+        peers.here.context.send_queue.post(gate.wait)
         for number in range(1_000):
             publication.publish(feedback(number))
         gate.set()
@@ -1386,7 +1386,7 @@ async def test_waiting_for_a_graph_ends_when_its_transport_is_closed(address, mo
     monkeypatch.setattr("turtleact.transports.rmw_zenoh.context.GRACE", 0.05)
     gate = threading.Event()
     async with open_zenoh([], listen=[address]) as transport:
-        transport.context.outbox.post(lambda: gate.wait())  # as a peer does that takes nothing
+        transport.context.send_queue.post(lambda: gate.wait())  # as a peer does that takes nothing
         async with running(transport.flush) as flushing, running(transport.explore) as exploring:
             await settle()
             await transport.aclose()
@@ -1998,7 +1998,7 @@ async def test_a_token_that_dies_while_it_is_told_of_is_not_in_the_graph(address
         (ghost,) = here.graph.tokens
 
         def tell_late(key):
-            here.context.inbox.push(lambda: here.token_gone(ghost))
+            here.context.receive_queue.push(lambda: here.token_gone(ghost))
             return [ghost]
 
         monkeypatch.setattr(here.context.session, "tokens", tell_late)

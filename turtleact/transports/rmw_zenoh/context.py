@@ -1,7 +1,7 @@
 """What the endpoints of a transport share: session, event loop, threads and local transport.
 
-An `Inbox` and an `Outbox` connect the event loop to other threads. One wake-up of the event loop
-may handle many messages, and no message blocks the event loop.
+A `ReceiveQueue` and a `SendQueue` connect the event loop to other threads. One wake-up of the event
+loop may handle many messages, and no message blocks the event loop.
 """
 
 from __future__ import annotations
@@ -9,8 +9,7 @@ from __future__ import annotations
 import logging
 import queue
 import threading
-from collections import Counter as Tally
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Coroutine
 from time import time_ns
 from typing import TYPE_CHECKING, TypeAlias
@@ -28,16 +27,16 @@ if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Session
 
 __all__ = [
-    "Complaints",
+    "Attachments",
     "Context",
-    "Counter",
     "Crew",
+    "Declaration",
     "Demand",
-    "Inbox",
     "Named",
     "Opened",
-    "Outbox",
-    "Presence",
+    "RateLimitedLog",
+    "ReceiveQueue",
+    "SendQueue",
 ]
 
 logger = logging.getLogger("turtleact.transport")
@@ -47,7 +46,7 @@ Job: TypeAlias = Callable[[], object]
 #: How many jobs run in a row before the event loop gets a turn.
 IN_A_ROW = 100
 
-#: How many complaints about one peer are logged within the period below (s).
+#: How many warnings about one peer are logged within the period below (s).
 LOGGED = 3
 PERIOD = 10.0
 
@@ -78,13 +77,13 @@ class Context:
     """Everything that the endpoints of one transport share.
 
     Attributes:
-        session: The Zenoh session. Only jobs in the outbox call it.
+        session: The Zenoh session. Only jobs in the send queue call it.
         near: The local transport, which connects the endpoints in this process.
         tasks: The task functions of the event loop, either asyncio or trio.
-        inbox: Runs jobs from other threads in the event loop.
-        outbox: Runs jobs that call Zenoh.
+        receive_queue: Runs jobs from other threads in the event loop.
+        send_queue: Runs jobs that call Zenoh.
         crew: Runs the tasks of the transport.
-        complaints: Logs warnings about peers.
+        log: Logs warnings about peers.
         domain: The ROS domain.
         opened: The nodes and endpoints that are open.
         latched: The gids of this session's latched publishers. A new latched subscription of this
@@ -99,10 +98,10 @@ class Context:
         self.session = session
         self.near = near
         self.tasks = tasks
-        self.inbox = Inbox(tasks)
-        self.outbox = Outbox(f"turtleact-zenoh-{session.zid[:8]}")
+        self.receive_queue = ReceiveQueue(tasks)
+        self.send_queue = SendQueue(f"turtleact-zenoh-{session.zid[:8]}")
         self.crew = Crew(tasks)
-        self.complaints = Complaints(self.crew)
+        self.log = RateLimitedLog(self.crew)
         self.domain = domain
         self.opened: set[Closeable] = set()
         self.latched: set[bytes] = set()
@@ -114,7 +113,7 @@ class Demand:
     """The names of the endpoints that other processes have, and what waits for such a name."""
 
     def __init__(self) -> None:
-        self._counts: Tally[str] = Tally()
+        self._counts: Counter[str] = Counter()
         self._waiting: dict[str, dict[_Waiting, None]] = {}
 
     @property
@@ -201,7 +200,7 @@ class Crew:
             self.running.pop(number, None)
 
 
-class Counter:
+class Attachments:
     """Makes the attachments of one endpoint's messages, with sequence numbers and times.
 
     Args:
@@ -219,7 +218,7 @@ class Counter:
         return LAYOUT.pack(self._sequence, time_ns(), GID_SIZE, self._gid)
 
 
-class Presence:
+class Declaration:
     """Declares an endpoint or node to other processes, together with its liveliness token.
 
     The token is declared last and undeclared first, so that no process sees an endpoint that cannot
@@ -228,9 +227,9 @@ class Presence:
     Args:
         context: The transport's context.
         token: The liveliness token.
-        declare: Declares everything except the liveliness token. The outbox calls this function.
-        undeclare: Undeclares everything except the liveliness token. The outbox calls this
-            function.
+        declare: Declares everything except the liveliness token. It is called in the thread of the
+            send queue.
+        undeclare: Undeclares everything except the liveliness token, in the same thread.
         on_demand: The name of an endpoint. The endpoint of this object is declared only when
             another process has an endpoint with the name ``on_demand``. If ``on_demand`` is empty,
             the endpoint is declared at once.
@@ -238,7 +237,7 @@ class Presence:
             holds, and this endpoint is therefore declared.
 
     Attributes:
-        is_asleep: Whether the endpoint is not declared yet because of ``on_demand``.
+        is_pending: Whether the endpoint is not declared yet because of ``on_demand``.
     """
 
     def __init__(
@@ -251,7 +250,7 @@ class Presence:
         on_demand: str = "",
         on_wake: Callable[[], None] | None = None,
     ) -> None:
-        self.is_asleep = True
+        self.is_pending = True
         self._context = context
         self._token = token
         self._declare = declare
@@ -270,17 +269,17 @@ class Presence:
             self._on_wake()
 
     def _appear(self) -> None:
-        self.is_asleep = False
+        self.is_pending = False
         if self._declare is not None:
-            self._context.outbox.post(self._declare)
-        self._context.outbox.post(self._declare_token)
+            self._context.send_queue.post(self._declare)
+        self._context.send_queue.post(self._declare_token)
 
     def close(self) -> None:
         """Undeclare the endpoint or node, so that it leaves the graph."""
-        if not self.is_asleep:
-            self._context.outbox.post(self._undeclare_token)
+        if not self.is_pending:
+            self._context.send_queue.post(self._undeclare_token)
             if self._undeclare is not None:
-                self._context.outbox.post(self._undeclare)
+                self._context.send_queue.post(self._undeclare)
         elif self._waiting is not None:
             self._waiting.close()
 
@@ -299,18 +298,18 @@ class Opened:
     Args:
         context: The transport's context.
         near: The node or endpoint in the local transport.
-        presence: Declares the node or endpoint to other processes.
+        declaration: Declares the node or endpoint to other processes.
 
     Attributes:
         is_open: Whether the node or endpoint is open.
-        presence: Declares the node or endpoint to other processes.
+        declaration: Declares the node or endpoint to other processes.
     """
 
-    def __init__(self, context: Context, near: Closeable, presence: Presence) -> None:
+    def __init__(self, context: Context, near: Closeable, declaration: Declaration) -> None:
         self.is_open = True
         self._context = context
         self._near = near
-        self.presence = presence
+        self.declaration = declaration
         context.opened.add(self)
 
     def close(self) -> None:
@@ -318,11 +317,11 @@ class Opened:
         if self.is_open:
             self.is_open = False
             self._near.close()
-            self.presence.close()
+            self.declaration.close()
             self._context.opened.discard(self)
 
 
-class Inbox:
+class ReceiveQueue:
     """Runs jobs from other threads in the event loop, in order.
 
     Args:
@@ -362,7 +361,7 @@ class Inbox:
             self._tasks.from_anywhere(self._work)
 
 
-class Outbox:
+class SendQueue:
     """A thread that runs blocking jobs one after another, and logs their exceptions.
 
     Args:
@@ -397,7 +396,7 @@ class Outbox:
                     logger.exception("the Zenoh transport failed to send")
 
 
-class Complaints:
+class RateLimitedLog:
     """Logs warnings about peers, but only a few for each peer, so that no peer can fill the log.
 
     The first `LOGGED` warnings of one kind about a peer are logged at once. Further such warnings
@@ -409,7 +408,7 @@ class Complaints:
 
     def __init__(self, crew: Crew) -> None:
         self._crew = crew
-        self._counts: Tally[tuple[str, str]] = Tally()
+        self._counts: Counter[tuple[str, str]] = Counter()
 
     def warn(self, about: str, peer: bytes, error: Exception) -> None:
         """Count a warning. Log it, unless `LOGGED` such warnings were logged in this period.
@@ -420,7 +419,7 @@ class Complaints:
             error: The exception to report.
         """
         if not self._counts:
-            self._crew.run(self._log_counts(), "the counts of complaints")
+            self._crew.run(self._log_counts(), "the counts of warnings")
         key = about, peer.hex() if len(self._counts) < MOST_PEERS else ""
         self._counts[key] += 1
         if self._counts[key] <= LOGGED:
@@ -430,7 +429,7 @@ class Complaints:
         try:
             await anyio.sleep(PERIOD)
         finally:  # also when the transport closes
-            counts, self._counts = self._counts, Tally()
+            counts, self._counts = self._counts, Counter()
             for (about, peer), count in counts.items():
                 if count > LOGGED:
                     who = f" from the peer of gid {peer}" if peer else ""

@@ -29,7 +29,7 @@ from turtleact.transports.base import (
     why_not_served,
 )
 from turtleact.transports.rmw_zenoh.attachment import note_in, note_tail, read_attachment
-from turtleact.transports.rmw_zenoh.context import Context, Counter, Named, Presence
+from turtleact.transports.rmw_zenoh.context import Attachments, Context, Declaration, Named
 from turtleact.transports.rmw_zenoh.service_errors import decode_error
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class WireCaller:
     Attributes:
         is_matching: Whether Zenoh knows of a server in another process.
         querier: The declared querier; None before it is declared and after it is undeclared.
-        presence: Declares the client to other processes.
+        declaration: Declares the client to other processes.
     """
 
     _observer: CallObserver | None = None
@@ -75,14 +75,14 @@ class WireCaller:
         self._target = target
         self.counts = target.counts
         self._find = find
-        self._counter = Counter(endpoint.gid)
+        self._attachments = Attachments(endpoint.gid)
         self._is_open = True
         self._has_left = False
         self.is_matching = False
         self.querier: Querier | None = None
         self._calls: set[WireCall] = set()
         self._near: Caller = context.near.join(endpoint, format)
-        self.presence = Presence(context, named.token, self._declare, self._undeclare)
+        self.declaration = Declaration(context, named.token, self._declare, self._undeclare)
         context.opened.add(self)
 
     @property
@@ -169,14 +169,14 @@ class WireCaller:
         is_cancelable: bool,
         on_end: list[Callable[[PendingCall], object]] | None = None,
     ) -> WireCall:
-        attachment = self._counter.next()
+        attachment = self._attachments.next()
         if note:
             attachment += note_tail(note)
         call = WireCall(self._context, payload, attachment, self, is_cancelable, on_end)
         self._calls.add(call)
         if self._observer is not None:  # before sending: another thread may tell of the response
             self._observer.requested(payload, self._endpoint.gid, call.sequence)
-        self._context.outbox.post(call.send)
+        self._context.send_queue.post(call.send)
         return call
 
     def forget(self, call: WireCall) -> None:
@@ -188,7 +188,7 @@ class WireCaller:
         if not self._is_open and not self._calls and not self._has_left:
             self._has_left = True
             self._context.opened.discard(self)  # until now, its calls must hear of lost servers
-            self.presence.close()
+            self.declaration.close()
 
     def finish(self, call: WireCall) -> Reply:
         """Return the reply of a call that is over, or raise the error with which the call ended."""
@@ -254,7 +254,7 @@ class WireCaller:
 
         A thread of the session calls this.
         """
-        self._context.inbox.push(lambda: self._servers_changed(is_matching))
+        self._context.receive_queue.push(lambda: self._servers_changed(is_matching))
 
     def _servers_changed(self, is_matching: bool) -> None:
         self.is_matching = is_matching
@@ -262,7 +262,7 @@ class WireCaller:
             self.doubt(self._endpoint.name)
         self._context.near.tell_change()
 
-    # called in the outbox
+    # called in the thread of the send queue
 
     def _declare(self) -> None:
         is_for_all = self._target.servers == "all"
@@ -339,7 +339,7 @@ class WireCall(msgspec.Struct, eq=False):
         if self._is_wanted:
             self._is_wanted = False
             if self.is_cancelable and not self.is_over:
-                self.context.outbox.post(self._cancel)
+                self.context.send_queue.post(self._cancel)
             self.caller.forget(self)
 
     async def end_soon(self) -> None:
@@ -380,7 +380,7 @@ class WireCall(msgspec.Struct, eq=False):
                 self._changed = self.context.tasks.signal()
             await self._changed.wait()
 
-    # called in the outbox
+    # called in the thread of the send queue
 
     def send(self) -> None:
         """Send the request."""
@@ -416,15 +416,15 @@ class WireCall(msgspec.Struct, eq=False):
                 return  # another server may send a better reply; otherwise `_ended` comes next
             self.is_over = True
             if self.on_end is None or not self._end_here(self.on_end):
-                self.context.inbox.push(self._tell)
+                self.context.receive_queue.push(self._tell)
 
     def _failed(self, text: str, kind: str) -> None:
         if not self.is_over:
             self.error = text, kind
             self.is_over = True
             if self.on_end is None or not self._end_here(self.on_end):
-                self.context.inbox.push(self._tell)
+                self.context.receive_queue.push(self._tell)
 
     def _ended(self) -> None:
         if not self.is_over:  # otherwise the loop already knows
-            self.context.inbox.push(self.end)
+            self.context.receive_queue.push(self.end)

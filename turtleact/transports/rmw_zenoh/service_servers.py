@@ -33,7 +33,7 @@ from turtleact.transports.rmw_zenoh.attachment import (
     note_tail,
     read_attachment,
 )
-from turtleact.transports.rmw_zenoh.context import Context, Named, Presence
+from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named
 from turtleact.transports.rmw_zenoh.service_errors import encode_error
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class WireService:
         self._is_threaded = False  # whether the first of them is
         self._declared: Declared | None = None
         self.is_open = True
-        self.presence = Presence(
+        self.declaration = Declaration(
             context, named.token, self._declare, self._undeclare, on_demand=named.on_demand
         )
         context.opened.add(self)
@@ -106,7 +106,7 @@ class WireService:
         self.is_open = False
         for offer in self._offers:
             offer.close()
-        self.presence.close()
+        self.declaration.close()
         self.leave_if_idle()
 
     def leave_if_idle(self) -> None:
@@ -126,14 +126,14 @@ class WireService:
     def fail(self, query: Query, error: TurtleactError) -> None:
         """Answer a query with an error."""
         text, kind = encode_error(error)
-        self.context.outbox.post(lambda: query.fail(text, kind))
+        self.context.send_queue.post(lambda: query.fail(text, kind))
 
     def _take(self, query: Query) -> None:
         """Handle a query. A thread of the session calls this."""
         if self._is_threaded and self.context.is_open:
             self._begin(query)
         else:
-            self.context.inbox.push(partial(self._begin, query))
+            self.context.receive_queue.push(partial(self._begin, query))
 
     def _begin(self, query: Query) -> None:
         try:
@@ -144,8 +144,8 @@ class WireService:
             message = self.format.decode(query.payload)
         except InvalidMessage as error:
             about = f"service {self.name}: a request cannot be read"
-            complain = partial(self.context.complaints.warn, about, gid_in(query.attachment), error)
-            self.context.inbox.push(complain)  # this may be another thread
+            complain = partial(self.context.log.warn, about, gid_in(query.attachment), error)
+            self.context.receive_queue.push(complain)  # this may be another thread
             self.fail(query, error)
             return
         offers = self._offers
@@ -163,7 +163,7 @@ class WireService:
         else:
             request.handle(message)
 
-    # called in the outbox
+    # called in the thread of the send queue
 
     def _declare(self) -> None:
         self._declared = self.context.session.declare_queryable(self._named.key, self._take)
@@ -209,7 +209,7 @@ class _Request(msgspec.Struct, eq=False):
         gid, sequence = self.key
         # The same as `write_attachment`, inlined because this runs for each reply.
         attachment = LAYOUT.pack(sequence, time_ns(), GID_SIZE, gid) + note_tail(reply.note)
-        service.context.outbox.post(partial(self.query.reply, payload, attachment))
+        service.context.send_queue.post(partial(self.query.reply, payload, attachment))
         observer = self.offer.handler.observer
         if observer is not None:
             observer.responded(payload, gid, sequence)

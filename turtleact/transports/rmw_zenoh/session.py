@@ -1,7 +1,7 @@
 """A Zenoh session whose methods take bytes and callbacks. Only this module calls Zenoh.
 
-Every method may block, so call it in an `Outbox` or another thread, never in the event loop. Zenoh
-runs callbacks in its own threads. Undeclare every declared object explicitly. Otherwise, the
+Every method may block, so call it in a `SendQueue` or another thread, never in the event loop.
+Zenoh runs callbacks in its own threads. Undeclare every declared object explicitly. Otherwise, the
 garbage collector would undeclare it in an arbitrary thread. Objects that one session declares
 exchange no data with each other, because messages inside a process travel as Python objects and not
 through Zenoh. Only this module turns Zenoh's exceptions into `TurtleactError`.

@@ -1,10 +1,10 @@
 """Both ends of a topic. They exchange objects inside a process, and bytes between processes.
 
 A publication encodes a message only if another process reads the topic or the topic is latched.
-Outgoing messages wait in a queue, a `Lane`, until the sending thread takes them. Received messages
-wait in a second `Lane` until the event loop takes them. Every `Lane` limits the number of bytes in
-the queue. If the topic is best-effort and not latched, the `Lane` also limits the number of
-messages to the topic's depth. A publisher that must not lose messages waits while
+Outgoing messages wait in a `BoundedQueue` until the sending thread takes them. Received messages
+wait in a second one until the event loop takes them. Each limits the number of bytes. If the topic
+is best-effort and not latched, the queue also limits the number of messages to the topic's depth.
+A publisher that must not lose messages waits while
 `WirePublication.is_congested` is true.
 """
 
@@ -21,19 +21,19 @@ import anyio
 from turtleact.errors import InvalidMessage
 from turtleact.transports.base import Deliver, Format, Publication, QoS, Source
 from turtleact.transports.rmw_zenoh.attachment import count_in, gid_in
-from turtleact.transports.rmw_zenoh.context import Context, Counter, Named, Opened, Presence
+from turtleact.transports.rmw_zenoh.context import Attachments, Context, Declaration, Named, Opened
 
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Publisher
 
-__all__ = ["DirectSubscription", "Lane", "WirePublication", "WireSubscription"]
+__all__ = ["BoundedQueue", "DirectSubscription", "WirePublication", "WireSubscription"]
 
 logger = logging.getLogger("turtleact.transport")
 
 T = TypeVar("T")
 
 
-#: How many bytes a lane holds before it drops the oldest message.
+#: How many bytes a queue holds before it drops the oldest message.
 CAPACITY = 32 * 1024 * 1024
 
 #: The overhead of an entry, added to its bytes.
@@ -50,14 +50,14 @@ RELIEVED = CONGESTED // 2
 STATE_RATE = 1e6
 
 
-class Lane(Generic[T]):
+class BoundedQueue(Generic[T]):
     """A queue that one thread fills and another empties.
 
     Args:
         longest: The maximum number of entries; None for no limit.
 
     Attributes:
-        dropped: How many entries were dropped because the lane was full.
+        dropped: How many entries were dropped because the queue was full.
     """
 
     def __init__(self, longest: int | None = None) -> None:
@@ -70,11 +70,11 @@ class Lane(Generic[T]):
 
     @property
     def weight(self) -> int:
-        """How many bytes wait in the lane, including `ENTRY` bytes of overhead for each entry."""
+        """How many bytes wait in the queue, including `ENTRY` bytes of overhead for each entry."""
         return self._put - self._taken - self._lost
 
     def put(self, entry: T, size: int) -> bool:
-        """Add an entry of ``size`` bytes. Return False if the full lane dropped an entry."""
+        """Add an entry of ``size`` bytes. Return False if the full queue dropped an entry."""
         weight = size + ENTRY
         put = self._put = self._put + weight
         entries = self._entries
@@ -83,7 +83,7 @@ class Lane(Generic[T]):
         return not (is_full and self._drop())
 
     def take(self) -> T | None:
-        """Remove and return the oldest entry; None if the lane is empty."""
+        """Remove and return the oldest entry; None if the queue is empty."""
         try:
             entry, weight = self._entries.popleft()
         except IndexError:
@@ -116,7 +116,7 @@ class WirePublication:
             the topic, if another process is expected to read it, or if the topic is latched.
         is_latched: Whether the topic's last messages are kept for later readers.
         is_stale: Whether the source has a new state that has not been sent yet.
-        presence: Declares the publisher to other processes.
+        declaration: Declares the publisher to other processes.
         publisher: The publisher on Zenoh; None before it is declared.
     """
 
@@ -131,7 +131,7 @@ class WirePublication:
         self._format = format
         self._source = source
         self._gid = endpoint.gid
-        self._counter = Counter(endpoint.gid)
+        self._attachments = Attachments(endpoint.gid)
         self._is_open = True
         self.is_read = self.is_latched = endpoint.qos.durability == "transient_local"
         self._is_expected = False  # whether a reader is expected
@@ -139,13 +139,13 @@ class WirePublication:
         self._is_watched = False  # whether the task below watches for changes
         self._is_awaited = False  # whether somebody waits in `drained`
         self.publisher: Publisher | None = None
-        self._unsent: Lane[tuple[bytes, bytes]] = _lane(endpoint.qos)
+        self._unsent: BoundedQueue[tuple[bytes, bytes]] = _queue_for(endpoint.qos)
         self._sent = context.tasks.signal()
         self._told_readers = False
         self._has_near_readers = False
         # Zenoh keeps the messages of a latched topic once it is declared, so declare it at once.
         wakes = "" if self.is_latched and source is None else named.on_demand
-        self.presence = Presence(
+        self.declaration = Declaration(
             context,
             named.token,
             self._declare,
@@ -230,7 +230,7 @@ class WirePublication:
         self._is_open = False
         self._near.close()
         self._sent.fire()
-        self.presence.close()
+        self.declaration.close()
         self._context.opened.discard(self)
 
     # readers
@@ -240,7 +240,7 @@ class WirePublication:
 
         A thread of the session calls this.
         """
-        self._context.inbox.push(lambda: self._far_readers_changed(is_matching))
+        self._context.receive_queue.push(lambda: self._far_readers_changed(is_matching))
 
     def _far_readers_changed(self, has_readers: bool) -> None:
         self.is_read = has_readers or self._is_expected
@@ -267,10 +267,11 @@ class WirePublication:
 
     def _send_far(self, data: bytes) -> None:
         context = self._context
-        if not self._is_open or not context.is_open or self.presence.is_asleep:
+        if not self._is_open or not context.is_open or self.declaration.is_pending:
             return
-        if self._unsent.put((data, self._counter.next()), len(data)):
-            context.outbox.post(self._put)  # one job per message keeps the order among publishers
+        if self._unsent.put((data, self._attachments.next()), len(data)):
+            # One job per message keeps the order among publishers.
+            context.send_queue.post(self._put)
         else:
             _note_loss(self._topic, self._qos, self._unsent, "published than can be sent")
             if self._source is not None:
@@ -289,7 +290,7 @@ class WirePublication:
 
         Several calls in a row send only the latest messages of the source.
         """
-        if self.presence.is_asleep:  # it is refreshed when it wakes
+        if self.declaration.is_pending:  # it is refreshed when it wakes
             return
         self.is_stale = True
         if not self._is_watched:
@@ -307,7 +308,7 @@ class WirePublication:
         finally:
             self._is_watched = False
 
-    # called in the outbox
+    # called in the thread of the send queue
 
     def _declare(self) -> None:
         session, is_reliable = self._context.session, self._qos.reliability == "reliable"
@@ -363,15 +364,15 @@ class WireSubscription:
         self._qos = endpoint.qos
         self._format = format
         self._deliver = deliver
-        self._unread: Lane[bytes] = _lane(endpoint.qos)
+        self._unread: BoundedQueue[bytes] = _queue_for(endpoint.qos)
         self._on_gap = on_gap
         self._counts: dict[bytes, int] = {}  # the newest sequence number of each publisher
         self._declared: Declared | None = None
         near = context.near.subscribe(endpoint, format, deliver)
-        presence = Presence(
+        declaration = Declaration(
             context, named.token, self._declare, self._undeclare, on_demand=named.on_demand
         )
-        self._opened = Opened(context, near, presence)
+        self._opened = Opened(context, near, declaration)
 
     def close(self) -> None:
         """Close the subscription. A second call does nothing."""
@@ -388,13 +389,13 @@ class WireSubscription:
         missing = count - self._counts.get(gid, count - 1) - 1
         self._counts[gid] = count
         if missing > 0 and self._on_gap is not None:
-            self._context.inbox.push(partial(self._on_gap, missing))
+            self._context.receive_queue.push(partial(self._on_gap, missing))
         self._take(payload)
 
     def _take(self, payload: bytes) -> None:
         """Receive a message. A thread of the session calls this."""
         if self._unread.put(payload, len(payload)):
-            self._context.inbox.push(self._read)
+            self._context.receive_queue.push(self._read)
         else:
             _note_loss(self._topic, self._qos, self._unread, "sent than is read")
 
@@ -416,9 +417,9 @@ class WireSubscription:
 
     def _complain(self, error: InvalidMessage) -> None:
         about = f"topic {self._topic}: a message cannot be read"
-        self._context.complaints.warn(about, b"", error)
+        self._context.log.warn(about, b"", error)
 
-    # called in the outbox
+    # called in the thread of the send queue
 
     def _declare(self) -> None:
         session = self._context.session
@@ -446,8 +447,8 @@ class DirectSubscription(WireSubscription):
         self._hand_over(payload)
 
     def _complain(self, error: InvalidMessage) -> None:
-        # Complaints are counted in the event loop.
-        self._context.inbox.push(lambda: super(DirectSubscription, self)._complain(error))
+        # Warnings are counted in the event loop.
+        self._context.receive_queue.push(lambda: super(DirectSubscription, self)._complain(error))
 
 
 class _Relay(Source):
@@ -472,12 +473,12 @@ class _Relay(Source):
         self._readers_changed(has_readers)
 
 
-def _note_loss(topic: str, qos: QoS, lane: Lane[Any], what: str) -> None:
+def _note_loss(topic: str, qos: QoS, queue: BoundedQueue[Any], what: str) -> None:
     """Warn once that a reliable topic loses messages."""
-    if qos.reliability == "reliable" and lane.dropped == 1:
+    if qos.reliability == "reliable" and queue.dropped == 1:
         logger.warning("topic %s: more is %s; the oldest messages are dropped", topic, what)
 
 
-def _lane(qos: QoS) -> Lane[Any]:
+def _queue_for(qos: QoS) -> BoundedQueue[Any]:
     is_sensor = qos.reliability == "best_effort" and qos.durability == "volatile"
-    return Lane(qos.depth if is_sensor else None)
+    return BoundedQueue(qos.depth if is_sensor else None)

@@ -42,7 +42,7 @@ from turtleact.transports.base import (
 )
 from turtleact.transports.memory import MemoryTransport
 from turtleact.transports.rmw_zenoh.config import Mode, domain_of, session_config
-from turtleact.transports.rmw_zenoh.context import Context, Named, Opened, Presence
+from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named, Opened
 from turtleact.transports.rmw_zenoh.keys import (
     Graph,
     all_nodes,
@@ -93,8 +93,8 @@ class ZenohTransport:
         )
         self._count = 0
         self._gone_since: dict[anyio.Event, set[str]] = {}
-        self._awaited: set[anyio.Event] = set()  # set by the outbox, or when the transport closes
-        self.context.outbox.post(partial(self._watch, session))
+        self._awaited: set[anyio.Event] = set()  # set when they end, or at the close
+        self.context.send_queue.post(partial(self._watch, session))
 
     def advertise(
         self, endpoint: Endpoint, format: Format, source: Source | None = None
@@ -168,7 +168,7 @@ class ZenohTransport:
         self._check_open()
         number = self._numbers[node] = self._next_number()
         token = node_token(self.context.domain, self.context.session.zid, number, node)
-        return Opened(self.context, self._near.enter(node), Presence(self.context, token))
+        return Opened(self.context, self._near.enter(node), Declaration(self.context, token))
 
     def call_when_sought(self, name: str, act: Callable[[], object]) -> Closeable:
         """Call ``act`` once, as soon as another process has an endpoint with this name."""
@@ -206,7 +206,7 @@ class ZenohTransport:
         """
         self._check_open()
         passed = anyio.Event()
-        self.context.outbox.post(lambda: self.context.tasks.from_anywhere(passed.set))
+        self.context.send_queue.post(lambda: self.context.tasks.from_anywhere(passed.set))
         await self._wait_unless_closed(passed)
 
     async def explore(self) -> None:
@@ -227,7 +227,7 @@ class ZenohTransport:
             try:
                 tokens = context.session.tokens(all_tokens(context.domain))
             finally:
-                context.inbox.push(partial(add, tokens))
+                context.receive_queue.push(partial(add, tokens))
 
         def add(tokens: list[str]) -> None:
             for token in tokens:
@@ -235,7 +235,7 @@ class ZenohTransport:
                     self.token_appeared(token)
             found.set()
 
-        context.outbox.post(ask)
+        context.send_queue.post(ask)
         try:
             await self._wait_unless_closed(found)
             self.round_trip = perf_counter() - began
@@ -263,7 +263,7 @@ class ZenohTransport:
             finally:
                 context.tasks.from_anywhere(answered.set)
 
-        context.outbox.post(ask)
+        context.send_queue.post(ask)
         await self._wait_unless_closed(answered)
         return tuple(sorted(found))
 
@@ -285,7 +285,7 @@ class ZenohTransport:
             finally:
                 context.tasks.from_anywhere(answered.set)
 
-        context.outbox.post(ask)
+        context.send_queue.post(ask)
         await self._wait_unless_closed(answered)
         return found
 
@@ -308,11 +308,11 @@ class ZenohTransport:
                 if isinstance(each, WireService):
                     each.give_up()
                 each.close()
-            await context.outbox.aclose()
+            await context.send_queue.aclose()
             await anyio.to_thread.run_sync(context.session.close)
-        context.inbox.close()
+        context.receive_queue.close()
         self._near.tell_change()
-        for event in self._awaited:  # the outbox may have ended without setting them
+        for event in self._awaited:  # the send_queue may have ended without setting them
             event.set()
 
     async def _wait_unless_closed(self, event: anyio.Event) -> None:
@@ -351,12 +351,12 @@ class ZenohTransport:
         return [each for each in self.graph.endpoints(name) if each.kind == "service"]
 
     def _watch(self, session: Session) -> None:
-        """Watch the tokens of other sessions. The outbox calls this method."""
-        inbox = self.context.inbox
+        """Watch the tokens of other sessions. The thread of the send queue calls this method."""
+        receive_queue = self.context.receive_queue
         session.watch_tokens(
             all_tokens(self.context.domain),
-            lambda key: inbox.push(partial(self.token_appeared, key)),
-            lambda key: inbox.push(partial(self.token_gone, key)),
+            lambda key: receive_queue.push(partial(self.token_appeared, key)),
+            lambda key: receive_queue.push(partial(self.token_gone, key)),
         )
 
     def token_appeared(self, key: str) -> None:
