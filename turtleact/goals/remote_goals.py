@@ -290,7 +290,7 @@ class RemoteGoals:
             GoalRejected: if the server rejects the goal.
             ServerUnavailable: if nobody serves the action, or the server goes away.
         """
-        patience = _Patience(self._endpoints, remote)
+        patience: _Patience | None = None  # few goals need it
         while True:
             sent, remote.sent = remote.sent, None
             try:
@@ -304,6 +304,7 @@ class RemoteGoals:
             except ServerUnavailable as error:
                 if not remote.reattach:  # the goal may have been accepted: it must not run twice
                     raise
+                patience = patience or _Patience(self._endpoints, remote)
                 await patience.wait_for_return(error)
             else:
                 return
@@ -315,7 +316,7 @@ class RemoteGoals:
             UnknownGoal: if the server does not hold the goal.
             ServerUnavailable: if the server goes away and does not return in time.
         """
-        patience = _Patience(self._endpoints, remote)
+        patience: _Patience | None = None  # few goals need it
         while True:
             asked, remote.asked = remote.asked, None
             try:
@@ -327,6 +328,7 @@ class RemoteGoals:
             except ServiceTimeout:  # the goal takes longer than the transport's timeout
                 continue
             except ServerUnavailable as error:
+                patience = patience or _Patience(self._endpoints, remote)
                 await patience.wait_for_return(error)
                 if remote.is_abandoned:
                     await self.cancel(remote.goal.id, 0)
@@ -335,7 +337,7 @@ class RemoteGoals:
                 return reply
             if asked is None:
                 name, goal = self._endpoints.name, remote.goal
-                if patience.has_lost:
+                if patience is not None:
                     what = f"its server went away, and the new server of '{name}' does not have it"
                     raise UnknownGoal(f"{goal.hex}: {what}")
                 raise UnknownGoal(f"'{name}' holds no goal {goal.hex}, or no longer holds it")
@@ -567,13 +569,9 @@ class _Patience:
     Args:
         endpoints: The client's endpoints.
         remote: The goal.
-
-    Attributes:
-        has_lost: Whether the server has gone away since this object was made.
     """
 
     def __init__(self, endpoints: ClientEndpoints, remote: RemoteGoal) -> None:
-        self.has_lost = False
         self._endpoints = endpoints
         self._remote = remote
         self._received = 0
@@ -595,7 +593,6 @@ class _Patience:
         if not lost:
             self._until = now + (reattach or BACK_WITHIN)
         lost.append(error)
-        self.has_lost = True
         is_last = now >= self._until if reattach else len(lost) == ATTEMPTS
         with anyio.move_on_after(self._until - now):
             if reattach and len(lost) > 1:

@@ -24,8 +24,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 
-from turtleact.errors import GoalRejected, TurtleactError
-from turtleact.goals.observers import GoalObserver, News
+from turtleact.errors import GoalRejected
 from turtleact.goals.pause_endpoints import PauseEndpoints
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.server_topics import FeedbackTopic, ReasonTopic, StatusTopic
@@ -356,7 +355,7 @@ class _CancelGoal(_ActionService):
         ]
 
 
-class _GetResult(_ActionService, GoalObserver):
+class _GetResult(_ActionService):
     """Answers with the results of goals, once the goals have ended.
 
     A client of turtleact sends a goal and the request for its result at the same time. The request
@@ -370,7 +369,7 @@ class _GetResult(_ActionService, GoalObserver):
         self._decided = tasks.signal()
         self._asked: dict[Goal, list[Respond]] = {}  # for goals that have not ended
         self._told: set[bytes] = set()  # the goals whose results were given after the closing began
-        self._is_observing = False
+        self._retire, server.retire = server.retire, self.retire
 
     @contextmanager
     def expecting(self, goal_id: bytes | None) -> Iterator[None]:
@@ -405,22 +404,17 @@ class _GetResult(_ActionService, GoalObserver):
         if goal.ended:
             respond(self._end(goal))
             return True
-        if not self._is_observing:
-            self._is_observing = True
-            self.server.observers.add(self)
         self.waiting += 1
         self._asked.setdefault(goal, []).append(respond)
         return True
 
-    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
-        """Answer the requests for a goal that has ended."""
-        if after.is_terminal and goal in self._asked:
-            self._answer_all(goal, self._end(goal))
-
-    def noted(self, goal: Goal, news: News) -> None:  # noqa: ARG002
-        """Answer the requests for a goal whose server stops before the goal ends."""
-        if goal.error is not None and goal in self._asked:
-            self._answer_all(goal, goal.error)
+    def retire(self, goal: Goal) -> None:
+        """Let a goal go, and answer the requests for its result."""
+        self._retire(goal)
+        for respond in self._asked.pop(goal, ()):
+            respond(self._end(goal) if goal.error is None else goal.error)
+            self.waiting -= 1
+            self.answered.fire()
 
     def is_told(self, goal: Goal) -> bool:
         """Whether the result of a goal that the closing has ended was given to anybody."""
@@ -440,12 +434,6 @@ class _GetResult(_ActionService, GoalObserver):
         if goal.error is not None:  # the server stops, and the goal goes on after a restart
             raise goal.error
         return self._end(goal)
-
-    def _answer_all(self, goal: Goal, answer: Reply | TurtleactError) -> None:
-        for respond in self._asked.pop(goal):
-            respond(answer)
-            self.waiting -= 1
-        self.answered.fire()
 
     def _end(self, goal: Goal) -> Reply:
         if not self.server.is_open:
