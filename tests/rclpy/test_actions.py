@@ -519,15 +519,6 @@ def test_a_blocking_call_whose_answer_nobody_handles_says_why(node, context, mon
     assert "nobody spins the node" in said
 
 
-def test_servers_and_clients_stand_for_several_entities(node):
-    server = ActionServer(node, Fibonacci, "fibonacci", succeed)
-    client = ActionClient(node, Fibonacci, "fibonacci")
-    assert server.get_num_entities().num_services == 3
-    assert client.get_num_entities().num_clients == 3
-    assert server.describe() == "the action server of /fibonacci"
-    assert client.describe() == "the action client of /fibonacci"
-
-
 def test_an_execute_callback_that_is_surprised_by_a_shutdown_is_no_error(
     node, context, send, capsys
 ):

@@ -25,7 +25,6 @@ from turtleact.rclpy.executors import (
 from turtleact.rclpy.impl.entity import Handle
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.task import Future
-from turtleact.rclpy.waitable import NumberOfEntities, Waitable
 
 String = interface_class("std_msgs/msg/String")
 AddTwoInts = interface_class("example_interfaces/srv/AddTwoInts")
@@ -298,64 +297,17 @@ def test_a_context_is_initialised_and_shut_down_once(context):
         context.shutdown()
 
 
-# --- custom waitables and executors --------------------------------------------------------------
+# --- custom groups and executors ------------------------------------------------------------------
 
 
-class Counter(Waitable):
-    """Counts up to a number, or fails to."""
-
-    def __init__(self, group, things):
-        super().__init__(group)
-        self.things = things
-        self.counted: list[object] = []
-
-    def is_ready(self, wait_set):
-        return bool(self.things)
-
-    def take_data(self):
-        taken = self.things.pop(0)
-        if isinstance(taken, Exception):
-            raise taken
-        return taken
-
-    async def execute(self, taken_data):
-        self.counted.append(taken_data)
-
-
-def test_a_waitable_of_a_program_is_executed_when_it_is_ready(node, executor):
-    counter = Counter(node.default_callback_group, [1, None, 2])
-    node.add_waitable(counter)
-    for _ in range(4):
-        executor.spin_once(timeout_sec=0)
-    assert counter.counted == [1, 2]
-    node.remove_waitable(counter)
-    counter.things.append(3)
-    executor.spin_once(timeout_sec=0)
-    assert counter.counted == [1, 2]
-
-
-def test_a_waitable_that_cannot_be_taken_from_gives_its_group_back(node, executor):
-    counter = Counter(node.default_callback_group, [ValueError("broken"), 1])
-    node.add_waitable(counter)
-    with pytest.raises(ValueError, match="broken"):
-        executor.spin_once(timeout_sec=0)
-    executor.spin_once(timeout_sec=0)
-    assert counter.counted == [1]
-
-
-def test_the_base_of_waitables_and_groups_does_nothing_by_itself(node):
-    waitable = Waitable(node.default_callback_group)
-    for method in (waitable.is_ready, lambda _: waitable.take_data()):
-        with pytest.raises(NotImplementedError):
-            method(None)
+def test_the_base_of_groups_does_nothing_by_itself(node):
+    guard = node.create_guard_condition(print)
     group = CallbackGroup()
     for ask in (group.can_execute, group.beginning_execution, group.ending_execution):
         with pytest.raises(NotImplementedError):
-            ask(waitable)
-    group.add_entity(waitable)
-    assert group.has_entity(waitable)
-    counted = NumberOfEntities(1, 2, num_events=3)
-    assert (counted.num_subscriptions, counted.num_events) == (1, 3)
+            ask(guard)
+    group.add_entity(guard)
+    assert group.has_entity(guard)
 
 
 def test_an_exclusive_group_is_held_by_one_entity_at_a_time(node):

@@ -26,6 +26,7 @@ from turtleact.graph import Policy, misfits
 from turtleact.rclpy.callback_groups import CallbackGroup
 from turtleact.rclpy.executors import await_or_execute
 from turtleact.rclpy.impl.connection import Connection
+from turtleact.rclpy.impl.entity import NOTHING
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.qos import QoSPolicyKind
 from turtleact.rclpy.waitable import Waitable
@@ -335,8 +336,10 @@ class EventHandler(Waitable):
         self._event.noted(is_message=is_message)
         self.wake()  # the executor sleeps until the next event that was due
 
-    def is_ready(self, wait_set: object) -> bool:  # noqa: ARG002  # there is none
+    def is_ready_now(self) -> bool:
         """Whether an event has happened."""
+        if self._handle.is_destroyed:
+            return False
         if self._info is None:
             self._info = self._event.poll()
         return self._info is not None
@@ -345,14 +348,14 @@ class EventHandler(Waitable):
         """Return the time until a time limit is exceeded (s); None if no limit applies."""
         return None if self._handle.is_destroyed else self._event.due_in()
 
-    def take_data(self) -> object | None:
+    def take(self) -> object:
         """Return the info object of the event, and forget it."""
         taken, self._info = self._info, None
-        return taken
+        return NOTHING if taken is None else taken
 
-    async def execute(self, taken_data: object) -> None:
+    async def run(self, taken: object) -> None:
         """Call the callback with the info object."""
-        await await_or_execute(self.callback, taken_data)
+        await await_or_execute(self.callback, taken)
 
     def destroy(self) -> None:
         """Destroy the handler. A second call does nothing."""

@@ -23,6 +23,7 @@ from turtleact.goals.wire import read_states
 from turtleact.interfaces.wire_format import GOAL_ID
 from turtleact.rclpy.action.names import ActionKind, goal_key
 from turtleact.rclpy.executors import await_or_execute
+from turtleact.rclpy.impl.entity import NOTHING
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.impl.waiting import wait_for_answer, wait_until
 from turtleact.rclpy.messages.classes import interface_class
@@ -34,7 +35,7 @@ from turtleact.rclpy.qos import (
 )
 from turtleact.rclpy.service_introspection import Introspected
 from turtleact.rclpy.task import Future
-from turtleact.rclpy.waitable import NumberOfEntities, Waitable
+from turtleact.rclpy.waitable import Waitable
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
@@ -314,22 +315,18 @@ class ActionClient(Introspected, Waitable):
 
     # as a waitable
 
-    def is_ready(self, wait_set: object) -> bool:  # noqa: ARG002  # there is none
+    def is_ready_now(self) -> bool:
         """Whether a response or message waits to be handled."""
-        return bool(self._events)
+        return bool(self._events) and not self._handle.is_destroyed
 
-    def get_num_entities(self) -> NumberOfEntities:
-        """Return how many entities of each kind an action client consists of."""
-        return NumberOfEntities(num_subs=2, num_clients=3)
-
-    def take_data(self) -> Anything:
-        """Remove the oldest item from the queue and return it; None if the queue is empty."""
+    def take(self) -> Anything:
+        """Remove the oldest item from the queue and return it."""
         with self._lock:
-            return self._events.popleft() if self._events else None
+            return self._events.popleft() if self._events else NOTHING
 
-    async def execute(self, taken_data: Event) -> None:
-        """Handle an item that `take_data` has returned."""
-        handle, arguments = taken_data
+    async def run(self, taken: Event) -> None:
+        """Handle an item that `take` has returned."""
+        handle, arguments = taken
         await await_or_execute(handle, *arguments)
 
     def describe(self) -> str:

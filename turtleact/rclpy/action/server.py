@@ -27,6 +27,7 @@ from turtleact.rclpy.action.status import StatusTopic
 from turtleact.rclpy.exceptions import InvalidHandle, RCLError
 from turtleact.rclpy.executors import await_or_execute
 from turtleact.rclpy.impl.connection import RequestHandler, Respond
+from turtleact.rclpy.impl.entity import NOTHING
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import (
@@ -36,7 +37,7 @@ from turtleact.rclpy.qos import (
 )
 from turtleact.rclpy.service_introspection import Introspected
 from turtleact.rclpy.task import Future
-from turtleact.rclpy.waitable import NumberOfEntities, Waitable
+from turtleact.rclpy.waitable import Waitable
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
@@ -348,9 +349,10 @@ class ActionServer(Introspected, Waitable):
         self._requests.append((service, message, respond))
         self.wake()
 
-    def is_ready(self, wait_set: object) -> bool:  # noqa: ARG002  # there is none
+    def is_ready_now(self) -> bool:
         """Whether a request is unanswered, or a goal's ``result_timeout`` has passed."""
-        return bool(self._requests) or self._first_expiry() <= time.monotonic_ns()
+        has_work = bool(self._requests) or self._first_expiry() <= time.monotonic_ns()
+        return has_work and not self._handle.is_destroyed
 
     def due_in(self) -> float | None:
         """The time until the next goal is forgotten (s); None if no goal will be forgotten."""
@@ -358,12 +360,8 @@ class ActionServer(Introspected, Waitable):
             return None
         return max(0.0, (self._first_expiry() - time.monotonic_ns()) / 1e9)
 
-    def get_num_entities(self) -> NumberOfEntities:
-        """Return how many entities of each kind an action server consists of."""
-        return NumberOfEntities(num_timers=1, num_services=3)
-
-    def take_data(self) -> Anything:
-        """Remove the oldest request from the queue and return it; None if the queue is empty.
+    def take(self) -> Anything:
+        """Remove the oldest request from the queue and return it.
 
         This also forgets goals whose ``result_timeout`` has passed.
         """
@@ -371,11 +369,11 @@ class ActionServer(Introspected, Waitable):
         try:
             return self._requests.popleft()
         except IndexError:
-            return None
+            return NOTHING
 
-    async def execute(self, taken_data: Request) -> None:
-        """Answer a request that `take_data` has returned."""
-        service, message, respond = taken_data
+    async def run(self, taken: Request) -> None:
+        """Answer a request that `take` has returned."""
+        service, message, respond = taken
         if service == "send_goal":
             await self._execute_goal_request(message, respond)
         elif service == "cancel_goal":
