@@ -53,6 +53,7 @@ from turtleact.transports.base import (
     Reply,
     Target,
     Transport,
+    find_server,
     wait_until_served,
 )
 
@@ -255,6 +256,8 @@ class ClientEndpoints:
         If the server is known to run turtleact, the request is sent at once. Otherwise, the request
         goes through a `RequestLimiter`.
         """
+        # A client that has just come may know a server's other services before this one.
+        await find_server(self.transport, lambda: self._cancel_goal.is_served or None)
         self._canceling += 1
         try:
             if self.knows_ours():

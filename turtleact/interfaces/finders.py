@@ -19,7 +19,6 @@ from turtleact.workspace import KINDS
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
-    from turtleact.interfaces.types import Interface
 
 __all__ = [
     "BUILT_IN",
@@ -37,7 +36,7 @@ __all__ = [
 class Finder(Protocol):
     """One place where interfaces are looked for."""
 
-    def find(self, type_name: str) -> Interface | Traversable | None:
+    def find(self, type_name: str) -> type | Traversable | None:
         """Return an interface's class, or the file from which it can be made, or None."""
 
     def names(self) -> Iterable[str]:
@@ -92,7 +91,7 @@ class Workspace(msgspec.Struct, frozen=True):
 class BuiltIn(msgspec.Struct, frozen=True):
     """The generated classes in ``turtleact.interfaces.standard``."""
 
-    def find(self, type_name: str) -> Interface | None:
+    def find(self, type_name: str) -> type | None:
         """Return the class of an interface, or None."""
         return built_in_class(type_name)
 
@@ -137,14 +136,14 @@ class Finders(msgspec.Struct, frozen=True):
         return iter((self.loaded, self.workspace, self.nearby, self.built_in))
 
 
-def built_in_class(type_name: str) -> Interface | None:
+def built_in_class(type_name: str) -> type | None:
     """Return the built-in class with this full name, or None if there is none."""
     package, kind, name = type_name.split("/")
     try:
         module = import_module(f"{BUILT_IN}.{package}.{kind}")
     except ModuleNotFoundError:
         return None
-    found: Interface | None = vars(module).get(name) if name in module.__all__ else None
+    found: type | None = vars(module).get(name) if name in module.__all__ else None
     return found
 
 
