@@ -59,6 +59,13 @@ def test_an_unknown_class_is_an_attribute_error_with_the_nearest():
         module.Pont  # noqa: B018
 
 
+def test_an_import_of_an_unknown_class_suggests_the_nearest():
+    with pytest.raises(ImportError, match=r"cannot import name 'Pont'.*did you mean.*Point'"):
+        exec("from geometry_msgs.msg import Pont")  # as a program does
+    with pytest.raises(ModuleNotFoundError, match="No module"):
+        importlib.import_module("geometry_msgs.msg.Point")
+
+
 @pytest.mark.parametrize("name", sorted(MISSING))
 def test_what_turtleact_does_not_have_says_so(name):
     with pytest.raises(ImportError, match=f"turtleact has no '{name}'"):

@@ -24,7 +24,7 @@ from types import ModuleType
 from typing import Final
 
 from turtleact.errors import TurtleactError
-from turtleact.interfaces import known_interfaces
+from turtleact.interfaces import get_interface, known_interfaces
 
 __all__ = ["Finder", "install", "uninstall"]
 
@@ -68,7 +68,6 @@ MISSING: Final = {
     "tf2_geometry_msgs": "tf2 is not part of turtleact",
     "launch": "start each program by itself; 'turtleact run --help' lists what can be run",
     "launch_ros": "start each program by itself; 'turtleact run --help' lists what can be run",
-    "rclpy.lifecycle": "turtleact has no managed nodes",
     "rclpy.experimental": "use a SingleThreadedExecutor or a MultiThreadedExecutor",
     "rclpy.type_adapter": "turtleact has no type adapters",
 }
@@ -107,6 +106,9 @@ class Finder(MetaPathFinder):
             return None
         if rest in KINDS:
             return _spec(fullname, _Interfaces(top, rest), is_package=True)
+        kind, _, name = rest.partition(".")
+        if kind in KINDS and not name.startswith("_"):
+            _check_known(top, kind, name)
         if not rest and not _is_users_own(top):
             return _spec(fullname, _Package(), is_package=True)
         return None
@@ -227,6 +229,22 @@ class _Missing(MetaPathFinder):
 
 def _spec(name: str, loader: Loader, *, is_package: bool) -> ModuleSpec:
     return ModuleSpec(name, loader, origin="turtleact", is_package=is_package)
+
+
+def _check_known(package: str, kind: str, name: str) -> None:
+    """Check that a package has an interface.
+
+    Python looks for a module ``std_msgs.msg.Strng`` after ``from std_msgs.msg import Strng`` has
+    found no attribute of this name. Otherwise, the error would not say which names are similar.
+
+    Raises:
+        ImportError: if there is no such interface, or the file that defines it is malformed.
+    """
+    try:
+        get_interface(f"{package}/{kind}/{name}")
+    except TurtleactError as error:
+        text = f"cannot import name '{name}' from '{package}.{kind}': {error}"
+        raise ImportError(text, name=f"{package}.{kind}.{name}") from None
 
 
 def _is_users_own(package: str) -> bool:
