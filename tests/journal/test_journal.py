@@ -204,6 +204,18 @@ def test_a_file_that_is_no_database_is_left_alone(path, content, count):
     assert list(path.parent.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("page", [bytes(4096), b"spoilt" * 683])
+def test_a_journal_whose_first_page_is_damaged_is_renamed(path, page):
+    Database(path).close()
+    rest = path.read_bytes()[len(page) :]
+    path.write_bytes(page + rest)
+    database = Database(path)
+    database.close()
+    assert database.moved_to is not None
+    assert database.moved_to.read_bytes() == page + rest
+    assert list(read_goals(path)) == []
+
+
 def test_an_empty_file_becomes_a_journal(path):
     path.touch()
     Database(path).close()

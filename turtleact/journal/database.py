@@ -467,7 +467,8 @@ def _identity(path: Path, least: int) -> tuple[int, int] | None:
 def _is_foreign(path: Path) -> bool:
     """Whether a file certainly belongs to another program.
 
-    Such a file is not empty, and is neither a SQLite file nor a damaged journal.
+    Such a file is not empty, and is neither a SQLite file nor a damaged journal. A journal is known
+    by its mark, by its log, or by the lock file that the process which wrote it has left beside it.
     """
     if not path.is_file():
         return False
@@ -477,8 +478,8 @@ def _is_foreign(path: Path) -> bool:
     except OSError:  # SQLite reports it
         return False
     is_marked = head[MARK] == APPLICATION.to_bytes(4, "big")
-    has_log = Path(f"{path}-wal").exists()
-    return bool(head) and not (head.startswith(MAGIC) or is_marked or has_log)
+    has_files = Path(f"{path}-wal").exists() or Path(f"{path}-lock").exists()
+    return bool(head) and not (head.startswith(MAGIC) or is_marked or has_files)
 
 
 def _holder(path: Path) -> str:
