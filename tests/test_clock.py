@@ -139,6 +139,7 @@ async def test_a_scaled_clock_waits_for_a_sleeper_that_is_late(wall, monkeypatch
             wall.seconds += 5
             assert clock.time() == pytest.approx(1 + LEEWAY)
         sleeps.ends[0].set()
+    await settle()
     wall.seconds += 2
     assert clock.time() == pytest.approx(1 + LEEWAY + 20)
 
