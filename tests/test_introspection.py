@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
@@ -14,7 +12,6 @@ import pytest
 
 import turtleact
 from turtleact import (
-    CancelResponse,
     GoalCanceled,
     GoalRejected,
     GoalResponse,
@@ -30,7 +27,6 @@ from turtleact.introspection import EVENT_QOS, ServiceEvents
 from turtleact.names import event_topic
 from turtleact.node import Node
 from turtleact.node.topics import Subscription
-from turtleact.tasks import Background
 from turtleact.transports import MemoryTransport, open_zenoh
 
 from .lab import Count, Gate, HandClock, count, goal, result, running, settle
@@ -351,32 +347,6 @@ async def test_a_call_under_way_when_its_client_closes_is_published_to_its_end(a
         assert not near.count_publishers(event_topic("/flip"))
 
 
-@TOGETHER_AND_APART
-async def test_a_cancel_under_way_when_its_client_closes_is_published_to_its_end(address, nodes):
-    started, gate = anyio.Event(), anyio.Event()
-
-    async def wait(_: object) -> CancelResponse:
-        started.set()
-        await gate.wait()
-        return CancelResponse.ACCEPT
-
-    async with nodes(address) as (far, near):
-        far.action_server(Count, "count", Gate().wait, cancel_callback=wait)
-        client = near.action_client(Count, "count", introspection="metadata")
-        log = Log(near)
-        await client.wait_for_server()
-        async with client.send_goal(goal(1)) as handle:
-            handle.detach()
-        async with running(client.cancel_all) as canceling:
-            await started.wait()
-            await client.aclose()
-            gate.set()
-        assert len(canceling.value.goals_canceling) == 1
-        assert log.kinds("cancel_goal") == ["REQUEST_SENT", "RESPONSE_RECEIVED"]
-        topics = [event_topic(f"/count/_action/{name}") for name in SERVICES]
-        assert [near.count_publishers(topic) for topic in topics] == [0, 0, 0]
-
-
 class Far:
     """A publication whose only reader is in another process."""
 
@@ -404,24 +374,6 @@ async def events_for_others(monkeypatch) -> AsyncIterator[tuple[ServiceEvents, F
         await server.aclose()
 
 
-async def test_a_program_that_cancels_all_its_tasks_loses_no_events(monkeypatch):
-    gathering = list[Background]()
-
-    class Noted(Background):
-        def __init__(self, *args: Any) -> None:
-            super().__init__(*args)
-            gathering.append(self)
-
-    monkeypatch.setattr("turtleact.introspection.Background", Noted)
-    async with events_for_others(monkeypatch) as (events, far):
-        events.requested(b"", bytes(16), 1)
-        gathering[0].cancel()
-        await settle()
-        assert len(far.sent) == 1
-        events.requested(b"", bytes(16), 2)
-        await until(lambda: len(far.sent) == 2)
-
-
 async def test_what_happens_after_a_service_was_closed_is_not_published(monkeypatch):
     async with events_for_others(monkeypatch) as (events, far):
         events.requested(b"", bytes(16), 1)
@@ -437,30 +389,6 @@ def complete(events: list[Any]) -> set[tuple[bytes, int]]:
     """The calls that both ends have published in full."""
     calls = call_ids(events)
     return {each for each in calls if sum(call_ids([one]) == {each} for one in events) == 4}
-
-
-# --- cost
-
-
-def test_a_program_without_introspection_does_not_import_it():
-    program = """
-import asyncio, sys
-import turtleact
-from turtleact.interfaces.standard import Fibonacci
-from turtleact.actions import fibonacci
-
-async def main():
-    async with turtleact.open_node("lab") as node:
-        node.serve(fibonacci.fibonacci)
-        await node.action_client(Fibonacci, "fibonacci").send_goal(Fibonacci.Goal(1))
-
-asyncio.run(main())
-print("turtleact.introspection" in sys.modules)
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=20
-    )
-    assert done.stdout == "False\n"
 
 
 async def test_a_world_publishes_the_events_of_all_its_actions_and_services():

@@ -7,7 +7,6 @@ import functools
 import gc
 import logging
 import math
-import weakref
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import aclosing, asynccontextmanager, closing
 from typing import Any, NamedTuple, assert_type
@@ -26,16 +25,15 @@ from turtleact.errors import (
     ServerUnavailable,
     ServiceError,
     ServiceTimeout,
-    TurtleactError,
 )
-from turtleact.interfaces import Message, Service, WireFormat, get_interface, int32
-from turtleact.services import LocalService, ServiceClient, ServiceServer
+from turtleact.interfaces import Message, Service, WireFormat, int32
+from turtleact.services import ServiceClient, ServiceServer
 from turtleact.tasks import Background
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Endpoint, Reply, ServiceHandler
 
-from .lab import ON_ASYNCIO, ON_TRIO, other_tasks, running, settle
+from .lab import ON_ASYNCIO, other_tasks, running, settle
 
 
 class Add(Service, type_name="lab_interfaces/srv/Add"):
@@ -204,28 +202,10 @@ async def test_a_type_checker_knows_the_response():
         assert_type(response, Add.Response)
 
 
-async def test_a_service_whose_type_is_known_by_name_can_be_called():
-    spawn: Any = get_interface("turtlesim/srv/Spawn")
-    async with turtleact.open_node("sim") as node:
-        node.service(spawn, "spawn", lambda request: spawn.Response(name=f"the {request.name}"))
-        response = await node.service_client(spawn, "spawn").call(spawn.Request(name="turtle"))
-        assert response == spawn.Response(name="the turtle")
-
-
 async def test_a_client_may_be_on_another_node_of_the_transport():
     transport = MemoryTransport()
     async with desk(transport=transport), turtleact.open_node("b", transport=transport) as other:
         assert await other.service_client(Add, "add").call(numbers(1, 1)) == total(2)
-
-
-async def test_requests_are_handled_side_by_side(gate):
-    async with (
-        desk(gate.wait) as served,
-        running(lambda: served.client.call(numbers(1))),
-        running(lambda: served.client.call(numbers(2))),
-    ):
-        assert gate.log == ["begun", "begun"]
-        gate.opened.set()
 
 
 async def test_each_of_several_callers_gets_its_own_response(gate):
@@ -267,12 +247,6 @@ async def cancel(scope: anyio.CancelScope) -> None:
     scope.cancel()
 
 
-async def test_a_call_that_is_answered_leaves_nothing_at_the_server():
-    async with desk(add_later) as served:
-        await served.client.call(numbers(1))
-        assert served.is_idle
-
-
 # --- snapshots ------------------------------------------------------------------------------
 
 
@@ -303,12 +277,6 @@ async def test_a_caller_may_change_the_response_without_harm():
         assert kept == total(1)
 
 
-async def test_a_request_that_does_not_fit_raises_at_the_caller():
-    async with desk() as served:
-        with pytest.raises(InvalidMessage, match=r"^request\.numbers\[1\]: .*'two'"):
-            await served.client.call(numbers(1, "two"))
-
-
 async def test_a_request_of_another_type_raises_at_the_caller():
     async with desk() as served:
         with pytest.raises(InvalidMessage, match=r"^request: .*lab_interfaces/srv/Add_Request"):
@@ -317,8 +285,8 @@ async def test_a_request_of_another_type_raises_at_the_caller():
 
 async def test_a_request_that_does_not_fit_reaches_no_handler(gate):
     async with desk(gate.wait) as served:
-        with pytest.raises(InvalidMessage):
-            await served.client.call(numbers("one"))
+        with pytest.raises(InvalidMessage, match=r"^request\.numbers\[1\]: .*'two'"):
+            await served.client.call(numbers(1, "two"))
         await settle()
         assert gate.log == []
 
@@ -356,14 +324,6 @@ async def test_what_a_handler_raises_reaches_the_caller_as_a_service_error(handl
     async with desk(handler) as served:
         with pytest.raises(ServiceError, match=rf"^service '/add': {reason}$"):
             await served.client.call(numbers())
-
-
-async def test_a_service_error_holds_its_facts():
-    async with desk(fail) as served:
-        with pytest.raises(ServiceError) as caught:
-            await served.client.call(numbers())
-        facts = (caught.value.name, caught.value.reason)
-        assert facts == ("/add", "the handler failed: OSError: the abacus is broken")
 
 
 async def test_the_traceback_of_a_handler_is_logged(caplog):
@@ -404,17 +364,11 @@ async def test_a_server_outlives_a_handler_that_fails():
         (total(2**31), r"response\.total: .*int32.*2147483648"),
     ],
 )
-async def test_what_is_no_valid_response_reaches_the_caller_as_a_service_error(answer, reason):
+async def test_what_is_no_valid_response_is_a_service_error_and_logged(answer, reason, caplog):
     async with desk(lambda request: answer) as served:
         with pytest.raises(ServiceError, match=f"^service '/add': no valid response: {reason}"):
             await served.client.call(numbers())
-
-
-async def test_what_is_no_valid_response_is_logged(caplog):
-    async with desk(lambda request: total("one")) as served:
-        with pytest.raises(ServiceError):
-            await served.client.call(numbers())
-    assert "/add gave no valid response: response.total" in caplog.text
+    assert "/add gave no valid response: response" in caplog.text
 
 
 async def test_an_invalid_message_of_the_handlers_own_is_its_failure():
@@ -443,34 +397,6 @@ async def test_a_handler_that_is_canceled_from_within_is_a_service_error(error):
     async with desk(handler) as served:
         with pytest.raises(ServiceError, match="the handler was canceled from within"):
             await served.client.call(numbers())
-
-
-@ON_ASYNCIO
-async def test_a_cancellation_together_with_a_failure_is_a_failure():
-    async def handler(request: Add.Request) -> Add.Response:
-        raise BaseExceptionGroup("", [asyncio.CancelledError(), OSError("broken")])
-
-    async with desk(handler) as served:
-        with pytest.raises(ServiceError, match=r"the handler failed: .*OSError: broken"):
-            await served.client.call(numbers())
-
-
-async def test_an_error_is_gone_with_its_last_user():
-    async with desk(fail) as served:
-        gc.disable()
-        try:
-            error = await error_of(served)
-            assert error() is None
-        finally:
-            gc.enable()
-
-
-async def error_of(served: Desk) -> weakref.ref[ServiceError]:
-    try:
-        await served.client.call(numbers())
-    except ServiceError as error:
-        return weakref.ref(error)
-    raise AssertionError
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
@@ -554,37 +480,6 @@ async def test_a_call_of_what_nobody_serves_fails():
             await node.service_client(Add, "add").call(numbers())
 
 
-async def test_a_call_of_what_nobody_serves_does_not_wait_for_the_timeout():
-    async with turtleact.open_node("desk") as node:
-        with pytest.raises(ServerUnavailable):
-            await node.service_client(Add, "add").call(numbers(), timeout=1e6)
-
-
-async def test_a_service_of_another_type_is_named():
-    text = "it is served as lab_interfaces/srv/Add, not as lab_interfaces/srv/Subtract"
-    async with desk() as served:
-        with pytest.raises(ServerUnavailable, match=f"^service '/add': {text}$"):
-            await served.node.service_client(Subtract, "add").call(Subtract.Request())
-
-
-async def test_a_client_of_another_type_is_no_server():
-    async with turtleact.open_node("desk") as node:
-        node.service_client(Subtract, "add")
-        with pytest.raises(ServerUnavailable, match="no server answers"):
-            await node.service_client(Add, "add").call(numbers())
-
-
-async def test_a_server_is_what_a_client_of_the_same_process_asks_for():
-    async with desk() as served:
-        assert isinstance(served.local, LocalService)
-
-
-async def test_of_several_servers_the_first_is_called():
-    async with desk() as served:
-        served.node.service(Add, "add", fail)
-        assert await served.client.call(numbers(1)) == total(1)
-
-
 async def test_once_a_server_is_closed_the_next_one_is_called():
     async with desk(fail) as served:
         with pytest.raises(ServiceError):
@@ -612,30 +507,11 @@ async def test_a_service_is_waited_for_until_it_is_there():
             assert waiting.value is True
 
 
-async def test_a_service_of_another_type_is_not_what_is_waited_for():
-    async with turtleact.open_node("desk") as node:
-        client = node.service_client(Add, "add")
-        async with running(client.wait_for_service) as waiting:
-            node.service(Subtract, "add", Subtract.Response)
-            await settle()
-            assert not waiting.done.is_set()
-            waiting.scope.cancel()
-
-
 async def test_a_wait_for_a_service_ends_after_its_timeout():
     async with virtual_desk(taking(0, [])) as (served, clock):
         await served.server.aclose()
         assert not await served.client.wait_for_service(timeout=60)
         assert clock.time() == 60
-
-
-async def test_a_canceled_wait_for_a_service_leaves_nothing_running():
-    before = await tasks_of_asyncio()
-    async with turtleact.open_node("desk") as node:
-        client = node.service_client(Add, "add")
-        async with running(lambda: client.wait_for_service(timeout=1e6)) as waiting:
-            waiting.scope.cancel()
-        assert await tasks_of_asyncio() == before
 
 
 async def tasks_of_asyncio() -> set[asyncio.Task[Any]]:
@@ -698,11 +574,6 @@ async def test_a_timeout_of_no_time_is_over_at_once(timeout):
             await served.client.call(numbers(), timeout=timeout)
 
 
-async def test_a_timeout_may_be_infinite():
-    async with desk() as served:
-        assert await served.client.call(numbers(1), timeout=math.inf) == total(1)
-
-
 # --- timeouts -------------------------------------------------------------------------------
 
 
@@ -713,17 +584,6 @@ async def test_a_call_fails_after_its_timeout():
             await served.client.call(numbers(), timeout=0.5)
 
 
-async def test_a_timeout_holds_its_facts():
-    async with virtual_desk(taking(60, [])) as (served, _):
-        with pytest.raises(ServiceTimeout) as caught:
-            await served.client.call(numbers(), timeout=2)
-        assert (caught.value.name, caught.value.seconds) == ("/add", 2)
-
-
-async def test_a_timeout_is_a_service_error():
-    assert issubclass(ServiceTimeout, ServiceError)
-
-
 async def test_a_handler_that_runs_into_a_timeout_is_canceled_and_waited_for():
     log: list[str] = []
     async with virtual_desk(taking(60, log)) as (served, _):
@@ -732,28 +592,10 @@ async def test_a_handler_that_runs_into_a_timeout_is_canceled_and_waited_for():
         assert log == ["cleaned up at 3"]
 
 
-async def test_a_response_within_the_timeout_is_given():
-    async with virtual_desk(taking(1, [])) as (served, _):
-        assert await served.client.call(numbers(4), timeout=2) == total(4)
-
-
 async def test_a_response_is_not_held_back_until_the_timeout():
     async with virtual_desk(taking(1, [])) as (served, clock):
-        await served.client.call(numbers(4), timeout=2)
+        assert await served.client.call(numbers(4), timeout=2) == total(4)
         assert clock.time() == 1
-
-
-async def test_a_failure_within_the_timeout_is_the_handlers():
-    async with desk(fail_later) as served:
-        with pytest.raises(ServiceError, match="the abacus is broken"):
-            await served.client.call(numbers(), timeout=1e6)
-
-
-async def test_a_call_with_a_timeout_leaves_no_timer_behind():
-    before = await tasks_of_asyncio()
-    async with desk() as served:
-        await served.client.call(numbers(), timeout=1e6)
-        assert await tasks_of_asyncio() == before
 
 
 # --- a caller that leaves -------------------------------------------------------------------
@@ -822,15 +664,6 @@ async def test_a_caller_that_is_canceled_leaves_others_alone(gate):
         assert second.value == total(2)
 
 
-async def test_a_caller_that_is_canceled_leaves_nothing_at_the_server(gate):
-    before = await tasks_of_asyncio()
-    async with desk(gate.wait) as served:
-        async with running(lambda: served.client.call(numbers(), timeout=1e6)) as called:
-            called.scope.cancel()
-        assert served.is_idle
-        assert await tasks_of_asyncio() == before
-
-
 @pytest.mark.parametrize("turns", range(12))
 @pytest.mark.parametrize("timeout", [None, 1e6])
 async def test_a_call_canceled_at_any_await_leaves_nothing_behind(turns, timeout):
@@ -859,15 +692,6 @@ async def test_a_call_canceled_before_it_is_sent_reaches_no_handler(gate):
         assert gate.log == []
 
 
-@ON_TRIO
-async def test_a_call_canceled_as_its_handler_begins_leaves_nothing_at_the_server(gate):
-    async with desk(gate.wait) as served:
-        with anyio.CancelScope() as scope:
-            scope.cancel()
-            await served.local.answer(numbers())
-        assert served.is_idle
-
-
 @ON_ASYNCIO
 async def test_a_handler_canceled_before_its_first_step_is_not_called(gate):
     async with desk(gate.wait) as served:
@@ -887,17 +711,6 @@ async def test_a_handler_that_does_not_end_holds_its_caller_for_the_grace_only(g
         called.scope.cancel()
         await called.done.wait()
         assert gate.log == ["begun", "canceled"]
-        gate.opened.set()
-        await settle()
-
-
-async def test_a_handler_that_its_caller_has_left_is_still_the_servers(gate, no_grace):
-    async with (
-        desk(gate.hold_on) as served,
-        running(lambda: served.client.call(numbers())) as called,
-    ):
-        called.scope.cancel()
-        await called.done.wait()
         assert not served.is_idle
         gate.opened.set()
         await settle()
@@ -928,15 +741,6 @@ async def test_a_task_that_is_canceled_the_way_of_asyncio_cancels_its_handler(ga
         assert gate.log == ["begun", "canceled"]
 
 
-@ON_ASYNCIO
-async def test_a_timeout_of_asyncio_around_a_call_is_a_timeout_of_asyncio(gate):
-    async with desk(gate.wait) as served:
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(0):
-                await served.local.answer(numbers())
-        assert gate.log == ["begun", "canceled"]
-
-
 # --- closing --------------------------------------------------------------------------------
 
 
@@ -948,13 +752,7 @@ async def test_a_server_that_is_closed_answers_its_callers(gate):
         assert str(called.error) == "service '/add': the server was closed"
 
 
-async def test_a_server_that_is_closed_cancels_its_handlers(gate):
-    async with desk(gate.wait) as served, running(lambda: served.client.call(numbers())):
-        await served.server.aclose()
-        assert gate.log == ["begun", "canceled"]
-
-
-async def test_callers_are_answered_before_the_handlers_have_ended(gate):
+async def test_closing_a_server_answers_its_callers_and_waits_for_its_handlers(gate):
     async with (
         desk(gate.hold_on) as served,
         running(lambda: served.client.call(numbers())) as called,
@@ -962,15 +760,6 @@ async def test_callers_are_answered_before_the_handlers_have_ended(gate):
     ):
         await called.done.wait()
         assert not closing.done.is_set()
-        gate.opened.set()
-
-
-async def test_closing_a_server_waits_for_its_handlers(gate):
-    async with (
-        desk(gate.hold_on) as served,
-        running(lambda: served.client.call(numbers())),
-        running(served.server.aclose) as closing,
-    ):
         gate.opened.set()
         await closing.done.wait()
         assert gate.log == ["begun", "canceled", "over"]
@@ -1015,15 +804,6 @@ async def test_a_closed_server_is_called_no_more():
             await served.client.call(numbers())
 
 
-@ON_ASYNCIO
-async def test_a_server_that_is_closed_while_a_call_is_on_its_way_is_not_called(gate):
-    async with desk(gate.wait) as served, anyio.create_task_group() as group:
-        group.start_soon(served.server.aclose)
-        with pytest.raises(ServerUnavailable, match="no server answers"):
-            await served.client.call(numbers())
-        assert gate.log == []
-
-
 async def test_a_closed_server_takes_no_request_from_one_who_still_holds_it():
     async with desk() as served:
         await served.server.aclose()
@@ -1043,25 +823,6 @@ async def test_closing_a_node_closes_its_services(gate):
         await served.node.aclose()
         await called.done.wait()
         assert isinstance(called.error, ServerUnavailable)
-
-
-@ON_ASYNCIO
-async def test_a_handler_that_closes_its_server_at_once_is_canceled():
-    log: list[str] = []
-
-    async def handler(request: Add.Request) -> Add.Response:
-        try:
-            await served.server.aclose()
-        except asyncio.CancelledError:
-            log.append("canceled")
-            raise
-        return add(request)
-
-    async with desk(handler) as served:
-        with pytest.raises(ServerUnavailable, match="the server was closed"):
-            await served.client.call(numbers())
-        await settle()
-        assert log == ["canceled"]
 
 
 async def test_calls_go_on_when_their_client_is_closed(gate):
@@ -1099,21 +860,6 @@ async def test_a_server_that_is_elsewhere_is_called():
         assert await client.call(numbers(2, 3), timeout=100) == total(5)
 
 
-async def test_a_server_that_is_elsewhere_is_waited_for():
-    async with far_desk() as (transport, client):
-        async with running(client.wait_for_service) as waiting:
-            assert not waiting.done.is_set()
-            transport.serve(ENDPOINT, WireFormat(Add), Afar())
-        assert waiting.value is True
-
-
-async def test_a_request_that_does_not_fit_is_not_sent_elsewhere():
-    async with far_desk() as (transport, client):
-        transport.serve(ENDPOINT, WireFormat(Add), Afar())
-        with pytest.raises(InvalidMessage, match=r"request\.numbers\[0\]"):
-            await client.call(numbers("one"))
-
-
 async def test_a_server_answers_those_who_are_elsewhere():
     async with desk() as served:
         transport = served.node.transport
@@ -1132,12 +878,6 @@ async def test_a_server_answers_those_who_are_elsewhere():
 async def test_the_graph_shows_a_service():
     async with desk() as served:
         assert served.node.graph().services == {"/add": ("lab_interfaces/srv/Add",)}
-
-
-async def test_the_graph_shows_no_service_for_a_client_alone():
-    async with turtleact.open_node("desk") as node:
-        node.service_client(Add, "add")
-        assert node.graph().services == {}
 
 
 async def test_a_closed_service_leaves_the_graph():
@@ -1171,17 +911,3 @@ async def test_a_name_that_breaks_the_rules_is_refused(open_it):
         handler = [add] if open_it is turtleact.Node.service else []
         with pytest.raises(InvalidName, match="a slash follows a slash"):
             open_it(node, Add, "a//b", *handler)
-
-
-async def test_both_sides_know_their_type():
-    async with desk() as served:
-        assert served.server.service_type is served.client.service_type is Add
-
-
-@pytest.mark.parametrize("error", [ServiceError("/add", "why"), ServerUnavailable("/add")])
-def test_every_error_is_of_the_one_tree(error):
-    assert isinstance(error, TurtleactError)
-
-
-def test_an_action_that_nobody_serves_is_still_called_an_action():
-    assert str(ServerUnavailable("/count")) == "action '/count': no server answers"

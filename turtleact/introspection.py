@@ -167,11 +167,9 @@ class ServiceEvents(CallObserver):
             self._gathering = Background(self._send_soon(), name, self._tasks)
 
     async def _send_soon(self) -> None:
-        try:
-            await anyio.sleep(GATHER)
-        finally:  # a program may cancel all tasks: later events must start the next wait
-            self._is_gathering = False
-            self._send_all()
+        await anyio.sleep(GATHER)
+        self._is_gathering = False
+        self._send_all()
 
     def _send_all(self) -> None:
         unsent, self._unsent = self._unsent, []

@@ -18,7 +18,6 @@ from turtleact import GoalStatus, Outcome, QoS
 from turtleact.errors import (
     ActionConflict,
     GoalAborted,
-    GoalRejected,
     InvalidBody,
     InvalidName,
     InvalidOption,
@@ -162,12 +161,6 @@ async def test_what_is_no_name_is_refused_and_nothing_opened(open_it, name):
         assert node.transport.endpoints() == ()
 
 
-async def test_publishers_are_not_counted_by_what_is_no_name():
-    async with turtleact.open_node("lab") as node:
-        with pytest.raises(InvalidName):
-            node.count_publishers("a//b")
-
-
 # --- actions on a node ----------------------------------------------------------------------
 
 
@@ -184,13 +177,6 @@ async def test_a_declared_action_is_served_under_its_own_name():
 async def test_a_declared_action_can_be_served_under_another_name():
     async with turtleact.open_node("lab", namespace="/sim") as node:
         assert node.serve(closed_today, name="~/count").name == "/sim/lab/count"
-
-
-async def test_the_declared_options_hold():
-    async with turtleact.open_node("lab") as node:
-        node.serve(closed_today)
-        with pytest.raises(GoalRejected):
-            await node.action_client(Count, "count").send_goal(goal())
 
 
 async def test_other_options_than_the_declared_ones_can_be_given():
@@ -416,24 +402,6 @@ async def test_a_built_in_makes_way_and_its_running_goals_finish(caplog):
     assert said == "/count is served by /user now: the built-in action withdraws"
 
 
-async def test_a_built_in_does_not_wait_for_a_goal_that_was_canceled_in_the_queue():
-    transport, gate = MemoryTransport(), Gate()
-    shared: Any = {"slot": "arm", "policy": "queue"}
-    async with (
-        turtleact.open_node("turtle_actions", transport=transport) as home,
-        turtleact.open_node("user", transport=transport) as user,
-    ):
-        home.action_server(Count, "busy", gate.wait, **shared)
-        home.action_server(Count, "count", seven, on_conflict="withdraw", **shared)
-        async with user.action_client(Count, "busy").send_goal(goal()):
-            async with user.action_client(Count, "count").send_goal(goal()) as waiting:
-                user.action_server(Count, "count", seven)
-                await settle()
-                await waiting.cancel()
-            await settle()
-            assert [each.node for each in transport.endpoints("/count/_action/status")] == ["/user"]
-
-
 async def test_a_built_in_serves_again_when_the_other_server_has_gone(caplog):
     transport = MemoryTransport()
     said = []
@@ -522,13 +490,6 @@ async def test_what_was_closed_is_gone_from_the_graph(open_it):
         await open_it(node, "it").aclose()
         assert node.graph() == before
         assert node.transport.endpoints() == ()
-
-
-async def test_the_graph_is_as_it_was_when_it_was_asked_for():
-    async with turtleact.open_node("lab") as node:
-        before = node.graph()
-        node.publisher(Word, "words")
-        assert before.topics == {}
 
 
 async def test_publishers_of_a_topic_are_counted_on_all_nodes():
@@ -682,40 +643,6 @@ async def test_a_body_still_has_its_topics_services_and_clients_for_its_clean_up
         assert heard.drain() == [Word(number=7)]
 
 
-async def test_a_handler_still_has_its_topics_for_its_clean_up():
-    async def handler(request):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            words.publish(Word(number=7))
-
-    async with two_nodes() as (lab, user):
-        heard = user.subscription(Word, "words")
-        lab.service(Double, "double", handler)
-        words = lab.publisher(Word, "words")
-        caller = user.service_client(Double, "double")
-        async with running(lambda: caller.call(Double.Request())):
-            await lab.aclose()
-        assert heard.drain() == [Word(number=7)]
-
-
-async def test_what_a_body_opens_in_its_clean_up_is_closed_too():
-    async def body(request, handle):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            handle.node.publisher(Word, "words")
-            handle.node.action_server(Count, "another", count)
-
-    async with two_nodes() as (lab, user):
-        lab.action_server(Count, "count", body)
-        async with user.action_client(Count, "count").send_goal(goal()) as handle:
-            await settle()
-            await lab.aclose()
-            assert await handle.outcome() == SHUTDOWN
-        assert {endpoint.node for endpoint in user.transport.endpoints()} == {"/user"}
-
-
 async def test_all_actions_of_a_node_are_canceled_before_any_is_waited_for():
     canceled = {name: anyio.Event() for name in ("one", "two")}
 
@@ -743,29 +670,6 @@ async def test_all_actions_of_a_node_are_canceled_before_any_is_waited_for():
             assert await one.outcome() == await two.outcome() == SHUTDOWN
 
 
-@pytest.mark.parametrize("style", ["awaited", "entered"])
-@pytest.mark.parametrize("order", [("outer", "inner"), ("inner", "outer")])
-async def test_a_goal_and_the_goal_that_its_body_sent_both_end_by_the_shutdown(order, style):
-    gate = Gate()
-
-    async def outer(request, handle):
-        client = handle.node.action_client(Count, "inner")
-        if style == "awaited":
-            return await client.send_goal(request)
-        async with client.send_goal(request) as inner:
-            return await inner.result()
-
-    async with two_nodes() as (lab, user):
-        bodies: dict[str, Any] = {"outer": outer, "inner": gate.wait}
-        for name in order:
-            lab.action_server(Count, name, bodies[name])
-        async with user.action_client(Count, "outer").send_goal(goal()) as handle:
-            await settle()
-            await lab.aclose()
-            assert await handle.outcome() == SHUTDOWN
-        assert gate.log == ["begun", "canceled", "over"]
-
-
 async def test_a_server_that_is_being_closed_is_waited_for():
     gate, log = Gate(), []
 
@@ -786,19 +690,6 @@ async def test_a_server_that_is_being_closed_is_waited_for():
                 gate.opened.set()
                 await leaving.done.wait()
                 assert log == ["cleaned up"]
-
-
-@ON_ASYNCIO
-@pytest.mark.parametrize("style", ["wait", "stream"])
-async def test_leaving_leaves_nothing_running(style):
-    before = other_tasks()
-    async with turtleact.open_node("lab") as node:
-        node.action_server(Count, "count", getattr(Gate(), style))
-        node.service(Double, "double", anyio.sleep_forever)  # type: ignore[arg-type]  # never asked
-        for _ in range(3):
-            await node.action_client(Count, "count").send_goal(goal()).__aenter__()
-        await settle()
-    assert other_tasks() == before
 
 
 async def test_what_is_closed_early_is_not_held_by_the_node():
@@ -935,71 +826,12 @@ async def test_nothing_can_be_opened_on_a_closed_node(open_it):
         assert is_deserted(node.transport)  # type: ignore[arg-type]  # its own, in this process
 
 
-async def test_a_closed_node_serves_no_declared_action():
-    async with turtleact.open_node("lab") as node:
-        await node.aclose()
-        with pytest.raises(TurtleactError, match=CLOSED):
-            node.serve(closed_today)
-
-
-async def test_a_closed_node_still_sees_the_graph():
-    async with two_nodes() as (lab, user):
-        user.publisher(Word, "words")
-        await lab.aclose()
-        assert lab.graph() == user.graph()
-        assert lab.count_publishers("words") == 1
-
-
 async def test_closing_twice_is_closing_once():
     async with two_nodes() as (lab, user):
         lab.action_server(Count, "count", count)
         await lab.aclose()
         await lab.aclose()
         assert user.graph().nodes == ("/user",)
-
-
-@ON_ASYNCIO
-async def test_no_task_is_made_for_a_server_that_waits_for_nothing_when_its_node_is_closed():
-    made: list[object] = []
-
-    def make(loop, coroutine, **options):
-        made.append(coroutine)
-        return asyncio.Task(coroutine, loop=loop, **options)
-
-    gate = Gate()
-    async with two_nodes() as (lab, user):
-        lab.action_server(Count, "count", count)
-        lab.service(Double, "double", double)
-        lab.action_server(Count, "busy", gate.wait)
-        async with user.action_client(Count, "busy").send_goal(goal()):
-            asyncio.get_running_loop().set_task_factory(make)
-            await lab.aclose()
-            asyncio.get_running_loop().set_task_factory(None)
-    assert len(made) == 1  # for "busy"
-
-
-async def test_who_closes_a_node_that_is_being_closed_waits_for_its_end():
-    gate = Gate()
-
-    async def body(request):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await gate.opened.wait()
-            gate.log.append("cleaned up")
-
-    async with two_nodes() as (lab, user):
-        lab.action_server(Count, "count", body)
-        async with (
-            user.action_client(Count, "count").send_goal(goal()),
-            running(lab.aclose) as first,
-            running(lab.aclose) as second,
-        ):
-            assert (first.done.is_set(), second.done.is_set()) == (False, False)
-            gate.opened.set()
-            await second.done.wait()
-            assert gate.log == ["cleaned up"]
 
 
 async def test_a_goal_cannot_be_sent_to_an_action_of_a_closed_node():

@@ -58,12 +58,6 @@ def test_a_queue_is_bounded_in_bytes():
     assert [queue.take() for _ in range(3)] == [3, 4, None]
 
 
-def test_something_too_heavy_for_a_queue_is_not_kept():
-    queue: BoundedQueue[int] = BoundedQueue()
-    assert not queue.put(1, CAPACITY)
-    assert (queue.take(), queue.weight) == (None, 0)
-
-
 @given(st.lists(st.one_of(st.none(), st.integers(0, 10_000))), st.integers(1, 5))
 def test_a_queue_is_told_of_as_many_entries_as_can_be_taken(script, longest):
     queue: BoundedQueue[int] = BoundedQueue(longest)
@@ -188,14 +182,6 @@ async def test_a_peer_that_sends_nonsense_fills_no_log(log, caplog):
         "service /add: a request cannot be read: 2,877 more such warnings in 0.01 s"
         " from the peer of gid 0a0b"
     ]
-
-
-async def test_a_peer_that_sends_nonsense_hides_no_other(log, caplog):
-    warnings = log()
-    for peer in (b"a", b"a", b"a", b"a", b"a", b"b"):
-        warnings.warn("it", peer, ValueError(peer))
-    assert caplog.messages == ["it: b'a'"] * LOGGED + ["it: b'b'"]
-    await until_counted(caplog, "2 more")
 
 
 async def test_after_a_while_a_peer_is_complained_of_again(log, caplog):

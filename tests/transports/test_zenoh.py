@@ -22,7 +22,6 @@ import zenoh
 
 import turtleact
 from turtleact.errors import (
-    InvalidMessage,
     InvalidOption,
     ServerUnavailable,
     ServiceError,
@@ -450,21 +449,6 @@ async def test_a_request_that_cannot_be_read_is_answered_so(
         ((text, kind),) = other.errors
         assert (said in text, kind, adder.callers) == (True, "InvalidMessage", [])
     assert "service /add: a request cannot be read" in caplog.text
-
-
-async def test_a_flood_of_requests_that_cannot_be_read_fills_no_log(address, caplog):
-    async with beside(address) as (transport, other):
-        transport.serve(service(), SERVING, Adder())
-        for number in range(20):
-            beside_it = write_attachment(number, 0, GID)
-            await anyio.to_thread.run_sync(other.ask, ADD_KEY, b"", beside_it)
-        assert len(other.errors) == 20
-    about = "service /add: a request cannot be read: "
-    assert len(caplog.messages) == 4
-    assert (
-        caplog.messages[-1]
-        == f"{about}17 more such warnings in 10 s from the peer of gid {GID.hex()}"
-    )
 
 
 async def test_a_thread_that_brings_messages_stays_with_python(address):
@@ -906,34 +890,6 @@ async def test_a_latched_source_on_demand_tells_its_state_once_it_is_asked_for(a
         assert far.numbers[-1] == 5
 
 
-async def test_a_latched_source_on_demand_is_asked_for_nothing_before_somebody_else_reads(address):
-    class Asked(Numbers):
-        times = 0
-
-        def written(self, encode):
-            self.times += 1
-            return super().written(encode)
-
-    async with two(address) as peers:
-        source = Asked()
-        publication = peers.here.advertise(shy(publisher(qos=LATCHED)), SPEECH, source)
-        publication.refresh()
-        await peers.settle()
-        assert source.times == 0
-        assert peers.here.context.crew.running == {}
-
-
-async def test_nothing_is_asked_of_zenoh_for_what_is_on_demand_and_not_wanted(address, monkeypatch):
-    async with two(address) as peers:
-        with monkeypatch.context() as patched:
-            posted: list[object] = []
-            patched.setattr(peers.here.context.send_queue, "post", posted.append)
-            peers.here.advertise(shy(publisher()), SPEECH).close()
-            peers.here.subscribe(shy(subscription()), SPEECH, Inbox().deliver).close()
-            peers.here.serve(shy(service()), SERVING, Adder()).close()
-            assert posted == []
-
-
 async def test_what_is_on_demand_and_closed_leaves_nothing_behind(address):
     async with two(address) as peers:
         opened = [
@@ -998,33 +954,6 @@ async def test_who_publishes_more_than_goes_out_can_wait(address):
             gate.set()
             await waiting.done.wait()
         assert not publication.is_congested
-
-
-async def test_what_waits_behind_a_message_that_cannot_be_sent_is_sent(
-    address, monkeypatch, caplog
-):
-    gate, put = threading.Event(), Publisher.put
-
-    def fail_once(self, payload, attachment):
-        if SPEECH.decode(payload) == feedback(1):
-            raise TurtleactError("Zenoh cannot publish: as a test wants it")
-        put(self, payload, attachment)
-
-    async with two(address) as peers:
-        inbox = Inbox()
-        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
-        publication = peers.here.advertise(publisher(), SPEECH)
-        await peers.settle()
-        monkeypatch.setattr(Publisher, "put", fail_once)
-        peers.here.context.send_queue.post(gate.wait)
-        for number in range(4):
-            publication.publish(feedback(number))
-        gate.set()
-        await peers.here.flush()
-        monkeypatch.undo()
-        await peers.settle()
-    assert inbox.numbers == [0, 2, 3]
-    assert "as a test wants it" in caplog.text
 
 
 async def test_what_is_written_already_is_sent_to_other_processes_alone(address):
@@ -1093,43 +1022,6 @@ async def test_a_server_may_answer_at_once_or_in_a_while(address, numbers, total
         await peers.settle()
         reply = await caller.call(Sum.Request(numbers=numbers))
         assert reply.message == Sum.Response(total=total)
-
-
-class CutOff(ServiceHandler):
-    """A handler with a task that somebody cancels; then it can answer without one, or not."""
-
-    def __init__(self, *, answers_then: bool) -> None:
-        self.begun = anyio.Event()
-        self._answers_then = answers_then
-
-    def reply_nowait(self, request: Any, caller: bytes, respond: Callable[[Reply], object]) -> bool:
-        if not (self.begun.is_set() and self._answers_then):
-            return False
-        respond(Reply(Sum.Response(total=7)))
-        return True
-
-    async def reply(self, request: Any, caller: bytes) -> Reply:
-        self.begun.set()
-        await anyio.sleep_forever()
-        raise AssertionError
-
-
-@pytest.mark.parametrize("answers_then", [True, False])
-async def test_a_request_is_answered_if_other_code_cancels_its_task(address, answers_then):
-    async with two(address) as peers:
-        handler = CutOff(answers_then=answers_then)
-        peers.here.serve(service(), SERVING, handler)
-        caller = peers.there.join(client(), ASKING)
-        await peers.settle()
-        async with running(lambda: caller.call(Sum.Request(numbers=[1]))) as calling:
-            await handler.begun.wait()
-            for task in tuple(peers.here.context.crew.running.values()):
-                task.cancel()
-            await calling.done.wait()
-        if answers_then:
-            assert calling.value.message == Sum.Response(total=7)
-        else:
-            assert "the server was closed" in str(calling.error)
 
 
 @pytest.mark.parametrize(
@@ -1417,13 +1309,6 @@ async def test_a_domain_of_the_environment_that_is_none_is_said(address, monkeyp
         await open_zenoh([], listen=[address]).__aenter__()
 
 
-async def test_an_error_in_its_block_closes_a_transport(address):
-    with pytest.raises(LookupError):
-        async with open_zenoh([], listen=[address]) as transport:
-            raise LookupError
-    assert not transport.context.is_open
-
-
 async def test_a_handler_that_never_ends_does_not_keep_a_transport_open(address, monkeypatch):
     monkeypatch.setattr("turtleact.transports.rmw_zenoh.context.GRACE", 0.01)
 
@@ -1607,11 +1492,6 @@ def test_turtleact_is_imported_without_zenoh():
     assert ran.stdout == "False\n"
 
 
-def test_transports_has_no_other_names():
-    with pytest.raises(AttributeError, match="has no attribute 'open_dds'"):
-        turtleact.transports.open_dds  # noqa: B018
-
-
 # --- nodes ------------------------------------------------------------------------------------
 
 
@@ -1656,16 +1536,6 @@ async def counted(address: str, body: Any):
             yield lab, handle
 
 
-async def test_an_abort_reason_that_utf_8_cannot_encode_keeps_its_result(address):
-    async def body(_):
-        raise turtleact.Abort("caf\udce9", result(4))
-        yield  # pragma: no cover
-
-    async with counted(address, body) as (_, handle):
-        outcome = await handle.outcome()
-    assert (outcome.result, outcome.reason) == (result(4), r"caf\udce9")
-
-
 async def test_a_service_error_that_utf_8_cannot_encode_is_escaped(address):
     async with two(address) as peers:
         peers.there.serve(service(), SERVING, Adder(ServiceError("/add", "caf\udce9")))
@@ -1673,36 +1543,6 @@ async def test_a_service_error_that_utf_8_cannot_encode_is_escaped(address):
         await peers.settle()
         with pytest.raises(ServiceError, match=re.escape(r"caf\udce9")):
             await caller.call(numbers())
-
-
-async def test_a_huge_error_of_a_handler_is_shortened_where_it_is_sent_and_logged(address, caplog):
-    async with two(address) as peers:
-        peers.there.serve(service(), SERVING, Adder(ValueError("x" * 1_000_000)))
-        caller = peers.here.join(client(), ASKING)
-        await peers.settle()
-        with pytest.raises(ServiceError) as caught:
-            await caller.call(numbers())
-    assert len(str(caught.value)) < 11_000
-    assert "the handler of service /add failed" in caplog.text
-    assert len(caplog.text) < 30_000
-
-
-async def test_odd_feedback_is_converted_or_refused_for_another_process_too(address):
-    odd: Any = (1, 2)
-    told: list[str] = []
-
-    async def body(_):
-        yield Count.Feedback(so_far=odd)
-        try:
-            yield Count.Feedback(so_far=[3, True])
-        except InvalidMessage as error:
-            told.append(str(error))
-        yield result(4)
-
-    async with counted(address, body) as (_, handle):
-        assert [each async for each in handle] == [feedback(1, 2)]
-        assert await handle.result() == result(4)
-    assert told == ["feedback.so_far[1]: expected a whole number (int32), got True"]
 
 
 async def test_who_attaches_itself_later_sees_the_last_feedback_sent_to_another_process(address):

@@ -243,11 +243,7 @@ class _Request(msgspec.Struct, eq=False):
         except Exception as error:
             self.refuse(self._failure(error))
         finally:
-            # The user's code may cancel this task, as it may cancel any task of the loop. Some
-            # requests can still be answered without it, such as that for the result of a goal.
-            is_cut_off = service.context.is_open and self.key in service.under_way
-            if not (is_cut_off and self._answer_nowait(message)):
-                self.refuse(service.closed())  # does nothing if the request was answered
+            self.refuse(service.closed())  # does nothing if the request was answered
 
     def _failure(self, error: Exception) -> TurtleactError:
         """Turn a handler's exception into the error that the client gets."""
