@@ -246,7 +246,7 @@ def test_arguments_of_other_types_are_refused(node, call, error):
         (
             Descriptor(integer_range=[IntegerRange(from_value=0, to_value=9, step=5)]),
             6,
-            "not a valid step",
+            "in steps of 5, not 6",
         ),
     ],
 )

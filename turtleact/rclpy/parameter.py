@@ -8,6 +8,7 @@ from enum import Enum
 from pathlib import Path
 from typing import ClassVar
 
+from turtleact.node.parameter_rules import KINDS
 from turtleact.rclpy.impl.arguments import Arguments, parse_value, read_parameters
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.classes import interface_class
@@ -21,20 +22,6 @@ __all__ = [
 ]
 
 PARAMETER_SEPARATOR_STRING = "."
-
-FIELDS = (
-    None,
-    "bool_value",
-    "integer_value",
-    "double_value",
-    "string_value",
-    "byte_array_value",
-    "bool_array_value",
-    "integer_array_value",
-    "double_array_value",
-    "string_array_value",
-)
-"""The value fields of ``rcl_interfaces.msg.ParameterValue``, indexed by parameter type."""
 
 
 class Parameter(Subscriptable):
@@ -142,8 +129,8 @@ class Parameter(Subscriptable):
         """Return the parameter's value as a ``rcl_interfaces.msg.ParameterValue``."""
         made: Anything = interface_class("rcl_interfaces/msg/ParameterValue")
         message = made(type=self._type.value)
-        field = FIELDS[self._type.value]
-        if field is not None:
+        field = KINDS[self._type.value].field
+        if field:
             setattr(message, field, self._value)
         return message
 
@@ -189,10 +176,10 @@ def parameter_value_to_python(parameter_value: Anything) -> Anything:
         RuntimeError: if the message has an unknown type.
     """
     kind = parameter_value.type
-    if kind not in range(len(FIELDS)):
+    if kind not in range(len(KINDS)):
         raise RuntimeError(f"unexpected parameter type {kind}")
-    field = FIELDS[kind]
-    if field is None:
+    field = KINDS[kind].field
+    if not field:
         return None
     value = getattr(parameter_value, field)
     return list(value) if field.endswith("array_value") else value

@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 
 from turtleact.errors import InvalidMessage
+from turtleact.node.parameter_rules import flattened
 from turtleact.rclpy.exceptions import RCLError, UnknownROSArgsError
 
 __all__ = [
@@ -308,8 +309,6 @@ def _level(text: str) -> tuple[str, int]:
 
 
 def _rules(tree: Mapping[str, object], path: str) -> Iterator[ParameterRule]:
-    from turtleact.node.parameter_rules import flattened  # few programs have files of parameters
-
     for key, value in tree.items():
         if not isinstance(value, dict):
             raise RCLError(

@@ -10,11 +10,11 @@ Source: the ROS 2 design article "ROS 2 Parameters"; rclpy ``node.py`` for names
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeAlias
 
+from turtleact.node.parameter_rules import is_listed, out_of_range
 from turtleact.rclpy.exceptions import (
     InvalidParameterTypeException,
     InvalidParameterValueException,
@@ -306,7 +306,7 @@ class NodeParameters:
         made: Anything = interface_class("rcl_interfaces/msg/ListParametersResult")
         result = made()
         for name in sorted(self._parameters):
-            if any(_is_below(name, prefix, depth) for prefix in prefixes or [""]):
+            if is_listed(name, prefixes, depth):
                 result.names.append(name)
                 above = name.rpartition(PARAMETER_SEPARATOR_STRING)[0]
                 if above and above not in result.prefixes:
@@ -502,13 +502,6 @@ def _from_value(name: str, value: Anything) -> Parameter:
     return Parameter.from_parameter_msg(made(name=name, value=value))
 
 
-def _is_below(name: str, prefix: str, depth: int) -> bool:
-    if prefix and name != prefix and not name.startswith(f"{prefix}{PARAMETER_SEPARATOR_STRING}"):
-        return False
-    rest = name.removeprefix(prefix).strip(PARAMETER_SEPARATOR_STRING)
-    return not depth or rest.count(PARAMETER_SEPARATOR_STRING) < depth
-
-
 def _misfit(parameter: Parameter, descriptor: Anything) -> str:
     """Return rclpy's error text if a descriptor forbids a value; otherwise an empty string."""
     if not descriptor.dynamic_typing and descriptor.type != parameter.type_.value:
@@ -518,35 +511,5 @@ def _misfit(parameter: Parameter, descriptor: Anything) -> str:
             f"Wrong parameter type, expected '{Parameter.Type(descriptor.type)}' "
             f"got '{parameter.type_}'"
         )
-    if parameter.type_ is Parameter.Type.INTEGER and descriptor.integer_range:
-        return _out_of_integer_range(parameter, descriptor.integer_range[0])
-    if parameter.type_ is Parameter.Type.DOUBLE and descriptor.floating_point_range:
-        return _out_of_float_range(parameter, descriptor.floating_point_range[0])
-    return ""
-
-
-def _out_of_integer_range(parameter: Parameter, bounds: Anything) -> str:
-    low, high = sorted((bounds.from_value, bounds.to_value))
-    value: int = parameter.value
-    if not low <= value <= high:
-        return f"Parameter {parameter.name} out of range. Min: {low}, Max: {high}, value: {value}"
-    is_on_step = not bounds.step or value == high or (value - low) % bounds.step == 0
-    return "" if is_on_step else f"The parameter value for {parameter.name} is not a valid step. "
-
-
-def _out_of_float_range(parameter: Parameter, bounds: Anything) -> str:
-    low, high = sorted((bounds.from_value, bounds.to_value))
-    value: float = parameter.value
-    if math.isclose(value, low) or math.isclose(value, high):
-        return ""
-    if not low < value < high:
-        return f"Parameter {parameter.name} out of range Min: {low}, Max: {high}, value: {value}"
-    if not bounds.step:
-        return ""
-    steps = (value - low) / bounds.step
-    is_on_step = math.isclose(steps, round(steps), rel_tol=1e-9, abs_tol=1e-9)
-    return (
-        ""
-        if is_on_step
-        else f"The parameter value for {parameter.name} is not close enough to a valid step. "
-    )
+    misfit = out_of_range(descriptor, parameter.get_parameter_value())
+    return f"Parameter {parameter.name} out of range: {misfit}" if misfit else ""
