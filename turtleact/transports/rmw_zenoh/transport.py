@@ -18,6 +18,7 @@ import os
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from functools import partial
 from time import perf_counter
+from typing import TypeVar
 from weakref import WeakValueDictionary
 
 import anyio
@@ -64,6 +65,8 @@ from turtleact.transports.rmw_zenoh.topics import (
 
 __all__ = ["ZenohTransport", "open_zenoh"]
 
+T = TypeVar("T")
+
 
 class ZenohTransport:
     """The transport between processes. `open_zenoh` opens and closes it.
@@ -92,7 +95,7 @@ class ZenohTransport:
             WeakValueDictionary()
         )
         self._count = 0
-        self._gone_since: dict[anyio.Event, set[str]] = {}
+        self._gone_since: dict[object, set[str]] = {}  # tokens gone during each exploration
         self._awaited: set[anyio.Event] = set()  # set when they end, or at the close
         self.context.send_queue.post(partial(self._watch, session))
 
@@ -204,10 +207,7 @@ class ZenohTransport:
         Raises:
             TurtleactError: if the transport is closed before or during the call.
         """
-        self._check_open()
-        passed = anyio.Event()
-        self.context.send_queue.post(lambda: self.context.tasks.from_anywhere(passed.set))
-        await self._wait_unless_closed(passed)
+        await self._ask(lambda: None, None)
 
     async def explore(self) -> None:
         """Ask which nodes and endpoints are on the graph, and wait for the answer.
@@ -217,30 +217,17 @@ class ZenohTransport:
         Raises:
             TurtleactError: if the transport is closed before or during the call.
         """
-        self._check_open()
-        context, found = self.context, anyio.Event()
-        gone = self._gone_since[found] = set()
-        began = perf_counter()
-
-        def ask() -> None:
-            tokens: list[str] = []
-            try:
-                tokens = context.session.tokens(all_tokens(context.domain))
-            finally:
-                context.receive_queue.push(partial(add, tokens))
-
-        def add(tokens: list[str]) -> None:
+        began, exploration = perf_counter(), object()
+        gone = self._gone_since[exploration] = set()
+        try:
+            key = all_tokens(self.context.domain)
+            tokens = await self._ask(lambda: self.context.session.tokens(key), list[str]())
             for token in tokens:
                 if token not in gone:  # a node that died meanwhile would otherwise stay for ever
                     self.token_appeared(token)
-            found.set()
-
-        context.send_queue.post(ask)
-        try:
-            await self._wait_unless_closed(found)
             self.round_trip = perf_counter() - began
         finally:
-            del self._gone_since[found]
+            del self._gone_since[exploration]
 
     async def domains(self) -> tuple[int, ...]:
         """The ROS domains in which other sessions have nodes. Hidden nodes do not count.
@@ -250,22 +237,9 @@ class ZenohTransport:
         Raises:
             TurtleactError: if the transport is closed before or during the call.
         """
-        self._check_open()
-        context, answered = self.context, anyio.Event()
-        found: set[int] = set()
-
-        def ask() -> None:
-            try:
-                for token in context.session.tokens(all_nodes()):
-                    domain = domain_of_node(token)
-                    if domain is not None:
-                        found.add(domain)
-            finally:
-                context.tasks.from_anywhere(answered.set)
-
-        context.send_queue.post(ask)
-        await self._wait_unless_closed(answered)
-        return tuple(sorted(found))
+        tokens = await self._ask(lambda: self.context.session.tokens(all_nodes()), list[str]())
+        found = {domain_of_node(token) for token in tokens}
+        return tuple(sorted(domain for domain in found if domain is not None))
 
     async def routers(self) -> dict[str, str]:
         """The ids of the connected routers, each with the router's own description as JSON.
@@ -275,19 +249,7 @@ class ZenohTransport:
         Raises:
             TurtleactError: if the transport is closed before or during the call.
         """
-        self._check_open()
-        context, answered = self.context, anyio.Event()
-        found: dict[str, str] = {}
-
-        def ask() -> None:
-            try:
-                found.update(context.session.routers())
-            finally:
-                context.tasks.from_anywhere(answered.set)
-
-        context.send_queue.post(ask)
-        await self._wait_unless_closed(answered)
-        return found
+        return await self._ask(self.context.session.routers, dict[str, str]())
 
     async def aclose(self) -> None:
         """Send the waiting messages, then close the session. A second call does nothing.
@@ -315,13 +277,29 @@ class ZenohTransport:
         for event in self._awaited:  # the send_queue may have ended without setting them
             event.set()
 
-    async def _wait_unless_closed(self, event: anyio.Event) -> None:
-        self._awaited.add(event)
-        try:
-            await event.wait()
-        finally:
-            self._awaited.discard(event)
+    async def _ask(self, ask: Callable[[], T], otherwise: T) -> T:
+        """Call ``ask`` in the thread of the send queue, and return its result.
+
+        If ``ask`` fails, the failure is logged there, and the result is ``otherwise``.
+        """
         self._check_open()
+        found, answered = otherwise, anyio.Event()
+
+        def work() -> None:
+            nonlocal found
+            try:
+                found = ask()
+            finally:
+                self.context.tasks.from_anywhere(answered.set)
+
+        self.context.send_queue.post(work)
+        self._awaited.add(answered)
+        try:
+            await answered.wait()
+        finally:
+            self._awaited.discard(answered)
+        self._check_open()
+        return found
 
     # names
 
