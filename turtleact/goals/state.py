@@ -314,7 +314,7 @@ class GoalTable:
         result_timeout: How long to keep a goal after its end (s); None to keep it for ever.
     """
 
-    KEPT: Final = 1 << 15
+    KEPT: Final = 1 << 14
     """With a ``result_timeout``, the most ended goals that are kept. Virtual time may stand still,
     so the timeout alone would not limit them."""
 
