@@ -132,7 +132,7 @@ def test_info_says_in_one_line_that_a_file_is_cut_off(turtleact, bag, caplog, op
     file.write_bytes(whole[: len(whole) // 2])
     assert turtleact("bag", "info", *options, str(bag)).status == 0
     [said] = caplog.messages
-    assert said.startswith(f"bag '{file}': the record at byte ")
+    assert said == f"bag '{file}': it was not closed, so messages may be missing at its end"
 
 
 def test_info_of_a_folder_opens_no_sqlite_file_since_that_reads_all_of_it(turtleact, bag):

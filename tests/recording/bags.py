@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
-from mcap.reader import make_reader
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader, make_reader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -77,3 +79,12 @@ def by_mcap(path: Path) -> list[tuple[str, int, bytes]]:
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         return [(one.topic, each.log_time, each.data) for _, one, each in reader.iter_messages()]
+
+
+def of_unfinished(path: Path) -> list[int]:
+    """The stamps in a file without an index, as the mcap package reads them."""
+    found = []
+    with path.open("rb") as stream, contextlib.suppress(McapError):
+        for _, _, each in NonSeekingReader(stream).iter_messages(log_time_order=False):
+            found.append(each.log_time)  # the reader raises at the end
+    return found

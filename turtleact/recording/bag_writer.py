@@ -1,7 +1,7 @@
 """Writes a bag: a single file, or a folder with files and ``metadata.yaml``.
 
-If the disk fills up, the last file loses chunks until its index fits. A bag whose ``metadata.yaml``
-found no room can be read without it.
+If the disk fills up, the last file keeps what was written until then, without an index. A bag whose
+``metadata.yaml`` found no room can be read without it.
 
 A write may block while the disk is busy, so `turtleact.recording.spool` writes in a thread of its
 own.
@@ -34,9 +34,6 @@ from turtleact.recording.metadata import (
 from turtleact.recording.storage import Channel
 
 __all__ = ["BagWriter", "Split"]
-
-ABOUT: Final = "rosbag2"
-"""The name of the metadata records that describe the bag."""
 
 DISTRO: Final = "turtleact"
 """The text that a bag has in place of a ROS distribution."""
@@ -200,8 +197,7 @@ class BagWriter:
             self._register(each)
 
     def _begin(self) -> McapWriter:
-        writer = McapWriter(self._folder / self._name, self._split.compression)
-        writer.add_metadata(ABOUT, self._head)
+        writer = McapWriter(self._folder / self._name, self._split.compression, self._head)
         self._offered.clear()
         self._numbers.clear()
         self._is_open = True
@@ -235,13 +231,10 @@ class BagWriter:
             raise problem
 
     def _end(self, lost: dict[str, int] | None = None) -> None:
-        """Close the current file.
-
-        If the disk has no room for the file's index, the file loses its last messages.
-        """
+        """Close the current file."""
         writer, self._is_open = self._writer, False
         try:
-            writer.finish(ABOUT, lambda: self._about_bag(lost or {}))
+            writer.finish(self._about_bag(lost or {}))
         finally:
             if not writer.is_finished:
                 self._not_closed = self._name
