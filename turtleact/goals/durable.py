@@ -201,8 +201,9 @@ class DurableGoals(GoalObserver):
             self._start(goal, context)
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
-        """Record a goal's new state."""
-        if not goal.is_ending and after in (GoalStatus.EXECUTING, _CANCELING):
+        """Record a goal's new state. A goal that starts at once is EXECUTING from its record on."""
+        is_start = after is GoalStatus.EXECUTING and not self._starts_at_once
+        if (is_start or after is _CANCELING) and not goal.is_ending:
             self._journal.progress(goal.id, GoalChange(status=after))
 
     def pause_changed(self, goal: Goal, is_paused: bool) -> None:
@@ -329,7 +330,8 @@ class DurableGoals(GoalObserver):
             if record.is_paused:
                 server.pauses.hold(goal)
             # The record is written first, so that a start that crashes the process is counted.
-            change = GoalChange(crashes=self._crashes(record), is_stopped=False)
+            status = GoalStatus.EXECUTING if self._starts_at_once else None
+            change = GoalChange(crashes=self._crashes(record), is_stopped=False, status=status)
             self._journal.progress(record.id, change, partial(self._go_on, goal))
 
     def _end_restored(self, goal: Goal, why: str, *, canceling: bool = False) -> None:
