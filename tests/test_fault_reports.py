@@ -103,6 +103,10 @@ def test_a_disk_that_cannot_be_looked_at_is_no_fault():
     assert not disk_fault(Path("/no/such/folder/goals.db"), "journal")
 
 
+def test_a_full_disk_is_noticed_within_three_seconds():
+    assert fault_reports.LOOK_EVERY < 3
+
+
 async def test_a_disk_is_looked_at_again_and_again(monkeypatch, tmp_path):
     free = [0]
     monkeypatch.setattr(fault_reports, "LOOK_EVERY", 0.0)

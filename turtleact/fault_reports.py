@@ -58,7 +58,7 @@ ROOM: Final = 1_000_000_000
 SMALL: Final = 0.05
 """A small disk is nearly full if less than this share of its space is free."""
 
-LOOK_EVERY: Final = 10.0
+LOOK_EVERY: Final = 2.0
 """The interval at which free disk space is checked (s, event loop time)."""
 
 SILENT_AFTER: Final = 10.0
