@@ -27,10 +27,8 @@ if TYPE_CHECKING:
 
 __all__ = ["serve_stdio"]
 
-CHUNK: Final = 2**16
-
 LONGEST: Final = 2**24
-"""The maximum length of a message (bytes)."""
+"""The maximum length of a message (bytes). A longer message ends the server with an error."""
 
 
 async def serve_stdio(server: McpServer) -> None:
@@ -51,7 +49,7 @@ async def _open_stdin() -> AsyncIterator[anyio.AsyncFile[str] | None]:
     if file is None or not _can_be_waited_for(file):
         yield None
         return
-    reader = asyncio.StreamReader()
+    reader = asyncio.StreamReader(LONGEST)
     loop = asyncio.get_running_loop()
     own = os.fdopen(os.dup(file), "rb", buffering=0)
     transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), own)
@@ -81,11 +79,6 @@ def _can_be_waited_for(file: int) -> bool:
 
 
 async def _lines(reader: asyncio.StreamReader) -> AsyncIterator[str]:
-    """Yield the lines of stdin. A line that is too long is cut off, and so becomes invalid JSON."""
-    held = bytearray()
-    while chunk := await reader.read(CHUNK):
-        *lines, rest = chunk.split(b"\n")
-        for line in lines:
-            yield (held + line).decode(errors="replace")
-            held.clear()
-        held += rest[: max(0, LONGEST - len(held))]
+    """Yield the lines of stdin."""
+    async for line in reader:
+        yield line.decode(errors="replace")
