@@ -115,7 +115,6 @@ class Bag:
                 storage = self.storage(file.path)
                 self._tell(storage)
                 yield from storage.messages(wanted)
-                self._tell(storage)  # the index may turn out to be damaged when it is used
 
     def check(self) -> None:
         """Open each file, and log what is missing from it.
