@@ -101,11 +101,10 @@ def free_address() -> str:
 
 def fork_servers(orders: Connection, path: str, address: str) -> None:
     """Start and kill servers. Each order says how long the next server lives (s); 0 ends this."""
-    from turtleact import app, cli, journal  # imported here and not in each server
-    from turtleact.commands import serve
-    from turtleact.commands.verbs import serve as verb
+    from turtleact import cli, journal  # imported here and not in each server
+    from turtleact.commands import serve, serving
 
-    _ = app, journal, serve, verb
+    _ = journal, serve, serving
     os.setsid()  # so that the servers can be ended together with this process
     command = f"serve --plain --listen {address} --turtles {CLIENTS} --speed {SPEED}"
     keeping = ["--journal", path, "--on-restart", "resume", "--max-starts", "0"]

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 from turtleact import interfaces
 from turtleact.commands import GROUPS, VERBS
-from turtleact.commands.verbs import load
+from turtleact.commands.app import load
 
 __all__ = ["Pages", "api", "commands", "examples", "interface_packages"]
 

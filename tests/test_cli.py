@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from turtleact import __version__, cli
-from turtleact.commands import VERBS, verbs
+from turtleact.commands import VERBS, app
 from turtleact.errors import InvalidGoal, InvalidName, ServerUnavailable, SimError, UsageError
 
 from . import warm
@@ -27,7 +27,7 @@ def ends(monkeypatch, capsys):
     """Runs a job through the door: its exit status and what stands on stderr."""
 
     def run(job):
-        monkeypatch.setattr(verbs, "run_verb", lambda _: job())
+        monkeypatch.setattr(app, "run", lambda _: job())
         return cli.run(["verb"]), capsys.readouterr().err
 
     return run
@@ -74,8 +74,8 @@ def test_a_bug_is_one_line_that_says_how_to_see_more(ends):
 
 def test_in_dev_mode_a_bug_shows_its_traceback():
     code = (
-        "import sys; from turtleact import cli; from turtleact.commands import VERBS, verbs;"
-        "verbs.run_verb = lambda _: 1 / 0; sys.argv = ['turtleact', 'verb']; cli.main()"
+        "import sys; from turtleact import cli; from turtleact.commands import VERBS, app;"
+        "app.run = lambda _: 1 / 0; sys.argv = ['turtleact', 'verb']; cli.main()"
     )
     outcome = subprocess.run(
         [sys.executable, "-X", "dev", "-c", code], capture_output=True, text=True, check=False
@@ -157,7 +157,7 @@ def test_characters_that_the_output_cannot_show_are_escaped(ends, monkeypatch):
 def test_closed_outputs_are_no_reason_to_fail(monkeypatch):
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
-    monkeypatch.setattr(verbs, "run_verb", lambda _: raises(UsageError("no"))())
+    monkeypatch.setattr(app, "run", lambda _: raises(UsageError("no"))())
     assert cli.run(["verb"]) == 2
 
 

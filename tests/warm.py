@@ -52,8 +52,8 @@ PRELOADED = (
         "turtleact.commands.graph",
         "turtleact.commands.live",
     ),
-    *("turtleact.commands.send_goal", "turtleact.commands.serve", "turtleact.sim.turtlesim"),
-    *("turtleact.commands.verbs.goals", "turtleact.commands.verbs.serve"),
+    *("turtleact.commands.send_goal", "turtleact.commands.serving", "turtleact.sim.turtlesim"),
+    *("turtleact.commands.goals", "turtleact.commands.serve"),
     *("turtleact.interfaces.text", "turtleact.transports.rmw_zenoh.transport"),
 )
 """What most commands import. None of these opens a file or starts a thread."""
@@ -440,7 +440,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the programs and for pytest
     for name in PRELOADED:
         importlib.import_module(name)
-    from turtleact.commands.verbs import load
+    from turtleact.commands.app import load
 
     # Typer imports pydantic when it reads an option.
     load("action").commands["list"].make_context("list", [])

@@ -1,6 +1,6 @@
 """The entry point of the command line: takes arguments, returns an exit status.
 
-`turtleact.commands.verbs` runs the verb. This module calls it and turns every exception
+`turtleact.commands.app` runs the verb. This module calls it and turns every exception
 into a line on stderr and an exit status. Modules are imported only when needed, because users wait
 for every import. Importing Typer alone takes five times as long as running an empty Python program.
 
@@ -71,9 +71,9 @@ def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit status. An error is printed to stderr."""
     _make_printable()
     try:
-        from turtleact.commands.verbs import run_verb
+        from turtleact.commands import app
 
-        status = run_verb(arguments)
+        status = app.run(arguments)
         if sys.stdout is not None and not sys.stdout.closed:
             sys.stdout.flush()
     except KeyboardInterrupt:
@@ -102,9 +102,9 @@ def _complete() -> None:
     watch.start()
     status = 0
     with suppress(Exception):
-        from turtleact.commands.verbs import run_verb
+        from turtleact.commands import app
 
-        status = run_verb(())
+        status = app.run(())
     leave(status)
 
 
@@ -134,13 +134,6 @@ def _advice(error: BaseException) -> str:
     from turtleact.errors import UnknownInterface
 
     if isinstance(error, UnknownInterface):
-        package, slash, name = error.type_name.rpartition("/")
-        if name[:1].islower():
-            camel = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
-            begins = (
-                f"names of interfaces begin with a capital letter, as in '{package}{slash}{camel}'"
-            )
-            return f" N{begins[1:]}" if error.suggestion else f": {begins}"
         return f"{' If not,' if error.suggestion else ':'} {ELSEWHERE}"
     if isinstance(error.__cause__, UnknownInterface):  # a file uses it
         return f"\nto make it known, {ELSEWHERE}"

@@ -9,27 +9,27 @@ from __future__ import annotations
 import sys
 
 from turtleact import cli
-from turtleact.commands import serve
+from turtleact.commands import serving
 from turtleact.transports.rmw_zenoh import config
 
 SPEED = 3.0
 """How fast time passes for the turtles."""
 
-run = serve.run
+run = serving.run
 
 
 def main() -> int:
     """Run a command line."""
     port = sys.argv.pop(1)
     router = f"tcp/127.0.0.1:{port}"
-    serve.ROUTER = router
+    serving.ROUTER = router
     config.CONNECT = dict.fromkeys(("peer", "client"), (router,)) | {"router": ()}
 
     def run_fast(service):
         fleet = service.fleet and service.fleet._replace(speed=SPEED)
         return run(service._replace(fleet=fleet))
 
-    serve.run = run_fast
+    serving.run = run_fast
     return cli.main()
 
 

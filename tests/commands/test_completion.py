@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from turtleact import open_world
-from turtleact.commands import VERBS, completion, graph, verbs
+from turtleact.commands import VERBS, app, completion, graph
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import get_interface, type_hash
 from turtleact.interfaces.types import REGISTRY
@@ -80,7 +80,7 @@ def offered(monkeypatch, capsys):
     def tab(*words, shell="bash"):
         for name, value in asked_by(shell, *words).items():
             monkeypatch.setenv(name, value)
-        assert verbs.run_verb(()) == 0
+        assert app.run(()) == 0
         out, err = capsys.readouterr()
         assert err == ""
         return out.splitlines()

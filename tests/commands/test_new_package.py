@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 from turtleact import cli
-from turtleact.commands import new_package
+from turtleact.commands import pkg
 from turtleact.commands.packages import find_sources
+from turtleact.commands.pkg import spread
 from turtleact.commands.programs import run_program
-from turtleact.commands.verbs.pkg import spread
 from turtleact.interfaces import get_action, load_interfaces
 from turtleact.interfaces.types import REGISTRY
 
@@ -139,7 +139,7 @@ def test_the_steps_lead_to_another_folder(turtleact, here):
 
 
 def test_pytest_is_installed_first_if_it_is_missing(turtleact, monkeypatch):
-    monkeypatch.setattr(new_package, "find_spec", lambda _: None)
+    monkeypatch.setattr(pkg, "find_spec", lambda _: None)
     assert turtleact("pkg", "create", "lab").out.endswith("pip install pytest && pytest lab\n")
 
 

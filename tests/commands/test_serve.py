@@ -25,7 +25,7 @@ from websockets.sync.client import ClientConnection, connect
 
 import turtleact
 from turtleact import GoalStatus
-from turtleact.commands.serve import ServerLog, listed, serve_declared
+from turtleact.commands.serving import ServerLog, listed, serve_declared
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.interfaces.standard import Fibonacci
 from turtleact.transports import MemoryTransport
@@ -597,7 +597,7 @@ async def test_a_server_of_the_same_node_that_lives_is_not_waited_for_for_ever(
     tmp_path, monkeypatch, caplog
 ):
     """Two sessions, as of two processes: whether the other is a predecessor cannot be seen."""
-    monkeypatch.setattr("turtleact.commands.serve.LEASE", 0.1)
+    monkeypatch.setattr("turtleact.commands.serving.LEASE", 0.1)
     here = f"unixsock-stream/{tmp_path}/router"
     async with (
         turtleact.open_zenoh(mode="router", listen=[here]) as first,

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from turtleact.commands import verbs
+from turtleact.commands import app
 
 from ..tables import together
 from .test_serve import PATIENCE, free_endpoint, serving, start
@@ -31,12 +31,9 @@ PYTHON = re.compile(
 )
 
 COMPLETE = {
-    "serve --config FILE": "serve --config serve.toml",
-    "node info NODE": "node info /turtlesim",
     "param set": "param set /turtlesim background_r 100",
-    "serve --web 9090": "serve --web 0",
 }
-"""What a reader puts in place of what a suggestion leaves open, and a free port for a fixed one."""
+"""What a reader puts in place of what a suggestion leaves open."""
 
 ELSEWHERE = {
     "serve --listen tls/0.0.0.0:7447 --config serve.toml": "test_locks.py: it needs certificates",
@@ -188,8 +185,8 @@ def test_a_command_in_a_sentence_is_understood(line, capsys, monkeypatch):
     monkeypatch.setattr("shellingham.detect_shell", lambda: ("bash", "/bin/bash"))
     # In one pass: what a path of this checkout has in it by chance is not replaced in turn.
     line = re.sub("|".join(map(re.escape, OPEN)), lambda found: OPEN[found[0]], line)
-    monkeypatch.setattr(verbs.Verb, "invoke", lambda *_: None)  # it is only parsed
-    verbs.run_verb(shlex.split(f"{line} {NEEDS_MORE.get(line, '')}"))
+    monkeypatch.setattr(app.Verb, "invoke", lambda *_: None)  # it is only parsed
+    app.run(shlex.split(f"{line} {NEEDS_MORE.get(line, '')}"))
     assert capsys.readouterr().err == ""
 
 

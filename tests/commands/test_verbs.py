@@ -11,13 +11,13 @@ from typing import get_args
 import pytest
 from typer.core import TyperGroup
 
-from turtleact.commands import GROUPS, VERBS, send_goal, serve, verbs
+from turtleact.commands import GROUPS, VERBS, app, send_goal, serving
+from turtleact.commands.app import without_daemon
+from turtleact.commands.goals import moment
 from turtleact.commands.message_text import GoalText
+from turtleact.commands.options import BUNDLES
 from turtleact.commands.settings import Fleet, Place, Placing, Policies, Reach, endpoints
 from turtleact.commands.targets import Modules
-from turtleact.commands.verbs import without_daemon
-from turtleact.commands.verbs.goals import moment
-from turtleact.commands.verbs.options import BUNDLES
 from turtleact.errors import UsageError
 from turtleact.sim.start_poses import PLACINGS
 
@@ -72,14 +72,6 @@ USAGE = [
     ),
     (["send-gaol"], "No such command 'send-gaol'. Did you mean 'send-goal'?"),
     (["--frobnicate"], "No such option: --frobnicate"),
-    (
-        ["serve", "--port", "9"],
-        "No such option: --port. Did you mean --web .HOST:.PORT or --listen tcp/HOST:PORT",
-    ),
-    (
-        ["serve", "--port=9090"],
-        "No such option: --port. Did you mean --web .HOST:.PORT or --listen",
-    ),
     (["topic", "list", "--port", "9"], "No such option: --port"),
     (["send-goal", "--rate"], "No such option: --rate"),
     (["serve", "--listen", "tcp/127.0.0.1:99999"], "--listen takes an endpoint such as"),
@@ -146,19 +138,6 @@ USAGE = [
         ["run", "turtlesim", "turtlesim_node", "--connect=tcp/127.0.0.1:7448"],
         "'run', so it stands before the package: turtleact run --connect VALUE turtlesim turt",
     ),
-    (["launch", "turtlesim", "multisim.launch.py"], "turtleact has no 'launch': start"),
-    (["pkg", "prefix", "turtlesim"], "turtleact has no 'pkg prefix': 'turtleact pkg exec"),
-    (["pkg", "build"], "turtleact has no 'pkg build': nothing has to be built or sourced"),
-    (["colcon", "build"], "turtleact has no 'colcon': nothing has to be built or sourced"),
-    (["build"], "turtleact has no 'build': nothing has to be built or sourced"),
-    (["rosdep", "install", "--from-paths", "src"], "turtleact has no 'rosdep': pip installs what"),
-    (["test", "my_launch_test.py"], "turtleact has no 'test': 'python -m pytest' runs your tests"),
-    (["lifecycle", "nodes"], "has no 'lifecycle': there are no managed nodes; 'turtleact node"),
-    (["component", "list"], "turtleact has no 'component': each node is a program"),
-    (["multicast", "send"], "turtleact has no 'multicast': nodes find each other"),
-    (["security"], "turtleact has no 'security': 'turtleact serve --config FILE' controls"),
-    (["wtf"], "turtleact has no 'wtf': 'turtleact doctor' finds"),
-    (["rqt_graph"], "turtleact has no 'rqt_graph': 'turtleact node list' lists the nodes"),
     (["send-goal", "x", "--embedded", "--connect", "tcp/a:1"], "is given twice"),
     (["send-goal", "x", "--speed", "2", "--connect", "tcp/a:1"], "is given twice"),
     (
@@ -275,8 +254,8 @@ def test_a_refusal_says_where_there_is_help(turtleact, arguments):
 )
 def test_the_node_of_a_server_without_a_world_has_the_name_of_the_module(monkeypatch, line, name):
     names = []
-    monkeypatch.setattr(serve, "run", lambda service: names.append(service.node_name))
-    assert verbs.run_verb(["serve", *line.split()]) == 0
+    monkeypatch.setattr(serving, "run", lambda service: names.append(service.node_name))
+    assert app.run(["serve", *line.split()]) == 0
     assert names == [name]
 
 
@@ -306,7 +285,7 @@ def order(monkeypatch):
             return 9
 
         monkeypatch.setattr(send_goal, "run", run)
-        assert verbs.run_verb(["send-goal", *arguments]) == 9
+        assert app.run(["send-goal", *arguments]) == 9
         return orders[0]
 
     return of
@@ -364,7 +343,7 @@ def test_an_embedded_world_is_asked_for(order, option):
 @pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7447", "tcp/127.0.0.1:1,tls/[::]:2"])
 def test_nobody_is_let_in_from_beyond_unasked(endpoint):
     with pytest.raises(UsageError, match="lets in everybody who can reach this machine"):
-        verbs.run_verb(["serve", "--listen", endpoint])
+        app.run(["serve", "--listen", endpoint])
 
 
 def test_where_to_look_reaches_the_order(order):
@@ -401,11 +380,11 @@ IMPORTS = """
 import io, os, sys
 from contextlib import redirect_stdout, suppress
 import typer.rich_utils
-from turtleact.commands.verbs import run_verb
+from turtleact.commands.app import run
 for verb in sys.argv[1:]:
     if os.fork() == 0:
         with redirect_stdout(io.StringIO()), suppress(SystemExit):
-            run_verb([verb, "--help"])
+            run([verb, "--help"])
         print(verb, *(each for each in sys.modules if each.startswith("turtleact.")), flush=True)
         os._exit(0)
     os.wait()
@@ -421,21 +400,10 @@ def imports_of_verbs():
 @together
 @pytest.mark.parametrize("verb", list(VERBS))
 def test_only_the_verb_that_is_asked_for_is_imported(imports_of_verbs, verb):
-    home = verbs.HOMES.get(verb, verb)
-    expected = {home, "options"}
-    # Its help lists the packages that can be run.
-    search = {"commands.packages", "commands.programs", "workspace"} if verb == "run" else ()
-    assert imports_of_verbs[verb] == {
-        "turtleact.commands",
-        "turtleact.commands.completion",
-        "turtleact.commands.settings",
-        "turtleact.commands.output",
-        "turtleact.commands.verbs",
-        *(f"turtleact.commands.verbs.{each}" for each in expected),
-        *(f"turtleact.{each}" for each in search),
-        "turtleact.errors",
-        "turtleact.graph",
-    }
+    homes = {f"turtleact.commands.{app.HOMES.get(each, each)}" for each in VERBS}
+    imports = imports_of_verbs[verb]
+    assert imports & homes == {f"turtleact.commands.{app.HOMES.get(verb, verb)}"}
+    assert not imports & {f"turtleact.{each}" for each in ("goals", "node", "tasks", "transports")}
 
 
 def test_the_help_of_a_verb_is_typers_and_shows_examples(turtleact):
@@ -461,7 +429,7 @@ def test_help_fits_the_terminal_and_cuts_nothing_at_80_columns(turtleact, monkey
 
 def test_the_tables_of_verbs_name_what_typer_knows():
     for verb in VERBS:
-        command = verbs.load(verb)
+        command = app.load(verb)
         assert isinstance(command, TyperGroup) == (verb in GROUPS)
         if verb in GROUPS:
             assert [*command.commands] == list(GROUPS[verb])
@@ -474,7 +442,7 @@ def test_the_world_knows_the_ways_of_placing_turtles():
 def test_ros2s_ways_of_looking_at_the_graph_are_accepted(monkeypatch):
     args = ["--no-daemon", "--spin-time", "2", "-t", "--spin-time=1"]
     assert without_daemon(args) == ["-t"]
-    command = verbs.load("topic").commands["list"]
+    command = app.load("topic").commands["list"]
     with command.make_context("list", ["--spin-time", "2", "-t"]) as context:
         assert context.params["types"]
 
@@ -482,8 +450,8 @@ def test_ros2s_ways_of_looking_at_the_graph_are_accepted(monkeypatch):
 @pytest.mark.parametrize("arguments", [["--help"], ["action", "--help"], ["send-goal", "--help"]])
 def test_help_is_printed_without_pydantic(arguments):
     code = (
-        "import sys; from turtleact.commands.verbs import run_verb;"
-        f"run_verb({arguments}); print('pydantic' in sys.modules)"
+        "import sys; from turtleact.commands.app import run;"
+        f"run({arguments}); print('pydantic' in sys.modules)"
     )
     out = subprocess.check_output([sys.executable, "-c", code], text=True)
     assert out.splitlines()[-1] == "False"
@@ -591,7 +559,7 @@ def test_programs_of_ros2_are_services_here(turtleact, monkeypatch, program, tar
         ran.append(service)
         return 0
 
-    monkeypatch.setattr(serve, "run", run)
+    monkeypatch.setattr(serving, "run", run)
     assert turtleact("run", *program, "--domain", "3").status == 0
     [service] = ran
     fleet = Fleet() if has_world else None
@@ -631,7 +599,7 @@ def test_a_web_page_without_a_port_is_at_9090(monkeypatch, line, where, targets)
         services.append(service)
         return 0
 
-    monkeypatch.setattr(serve, "run", run)
-    assert verbs.run_verb(["serve", *line.split()]) == 0
+    monkeypatch.setattr(serving, "run", run)
+    assert app.run(["serve", *line.split()]) == 0
     [service] = services
     assert (service.page[:2], service.targets) == (where, targets)

@@ -15,7 +15,7 @@ UNASKED = """
 import sys
 import turtleact
 import turtleact.commands.serve
-import turtleact.commands.verbs.serve
+import turtleact.commands.serving
 import turtleact.web
 print([name for name in sys.modules if name.startswith(("opentelemetry", "turtleact.telemetry"))])
 import turtleact.telemetry

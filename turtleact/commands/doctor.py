@@ -1,31 +1,53 @@
-"""Implements ``doctor``, which prints a line for each fault of the graph, with advice."""
+"""The verb ``doctor``, which prints a line for each fault of the graph, with advice."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import AsyncIterator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from turtleact.commands import graph
-from turtleact.commands.interrupts import Interrupts
+import typer
+
+from turtleact.commands import VERBS
+from turtleact.commands.app import SETTINGS, verb
+from turtleact.commands.options import flag
 from turtleact.commands.output import say_names
-from turtleact.doctor.checks import Fault, find_faults
-from turtleact.doctor.gathering import take_snapshot
 from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.settings import Reach
+    from turtleact.doctor.checks import Fault
     from turtleact.doctor.snapshot import Snapshot
     from turtleact.node import Node
 
-__all__ = ["fact_lines", "run"]
+__all__ = ["app", "fact_lines"]
+
+app = typer.Typer(**SETTINGS)
+
+
+@verb(app, knows=True, help=VERBS["doctor"])
+def doctor(
+    reach: Reach,
+    *,
+    as_json: Annotated[bool, flag("--json", text="Print a line of JSON for each fault.")] = False,
+    verbose: Annotated[
+        bool,
+        flag(
+            *("--verbose", "-v"),
+            text="Print facts too: routers, versions, sessions, domains in use.",
+        ),
+    ] = False,
+) -> int:
+    """``doctor``."""
+    return _run(reach, as_json=as_json, verbose=verbose)
+
 
 HEALTHY, FAULTY = 0, 1
 """The exit statuses without and with faults."""
 
 
-def run(reach: Reach, *, as_json: bool, verbose: bool) -> int:
+def _run(reach: Reach, *, as_json: bool, verbose: bool) -> int:
     """Print the faults of a graph, and return the exit status: 1 if there is a fault.
 
     Args:
@@ -36,19 +58,18 @@ def run(reach: Reach, *, as_json: bool, verbose: bool) -> int:
     Raises:
         UsageError: if the ``--config`` file cannot be read, or has an invalid value.
     """
+    from turtleact.commands import graph
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.doctor.checks import Fault, find_faults
+    from turtleact.doctor.gathering import take_snapshot
 
-    async def look(node: Node) -> int:
-        snapshot = await take_snapshot(node, with_domains=verbose)
+    async def look(found: Node | Fault) -> int:
+        if isinstance(found, Fault):
+            return _print([found], None, as_json=as_json)
+        snapshot = await take_snapshot(found, with_domains=verbose)
         return _print(find_faults(snapshot), snapshot if verbose else None, as_json=as_json)
 
-    async def act(found: Node | Fault) -> int:
-        return (
-            _print([found], None, as_json=as_json)
-            if isinstance(found, Fault)
-            else await look(found)
-        )
-
-    return Interrupts().run(graph.use(_open(reach), act))
+    return Interrupts().run(graph.use(_open(reach), look))
 
 
 @asynccontextmanager
@@ -61,6 +82,8 @@ async def _open(reach: Reach) -> AsyncIterator[Node | Fault]:
     Raises:
         UsageError: if the ``--config`` file cannot be read, or has an invalid value.
     """
+    from turtleact.commands import graph
+
     async with AsyncExitStack() as stack:
         try:
             node = await stack.enter_async_context(graph.open_graph(reach, "client"))
@@ -73,6 +96,8 @@ async def _open(reach: Reach) -> AsyncIterator[Node | Fault]:
 
 
 def _unreachable(problem: str) -> Fault:
+    from turtleact.doctor.checks import Fault
+
     advice = (
         "start a router there, with 'turtleact serve' or rmw_zenohd, or give its address with "
         "--connect"

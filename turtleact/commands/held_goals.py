@@ -2,7 +2,7 @@
 
 All of this except pausing and resuming works with any ROS 2 server: the status topic shows which
 goals a server holds, ``cancel_goal`` cancels them, and ``get_result`` waits for their end. Only
-servers of turtleact can pause goals; see `turtleact.commands.pause_requests`.
+servers of turtleact can pause goals; ROS 2 has no pauses.
 
 A server publishes its status when a goal changes, and its last status message is latched. A server
 that never had a goal may publish nothing. The commands therefore wait only a short time for latched
@@ -27,7 +27,6 @@ from turtleact.commands import graph, send_goal
 from turtleact.commands.graph import interface_class, not_served
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import duration, note, say, say_names, say_table
-from turtleact.commands.pause_requests import paused_goals, set_paused
 from turtleact.commands.transcript import Followed, after_return, watch_command
 from turtleact.errors import (
     PauseRefused,
@@ -37,6 +36,7 @@ from turtleact.errors import (
     UsageError,
 )
 from turtleact.goals.state import CancelCode, GoalStatus, status_of
+from turtleact.goals.wire import PausedGoals, SetPaused, paused_topic, set_paused_service
 from turtleact.graph import types_by_name
 from turtleact.interfaces import (
     SECOND,
@@ -264,7 +264,7 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
     """
     goals, silent = await held_goals(node, served_actions(node, name))
     now = node.clock.now()
-    paused = await paused_goals(node, {each.action for each in goals if each.status.is_active})
+    paused = await _paused_goals(node, {each.action for each in goals if each.status.is_active})
     goals = [goal._replace(is_paused=goal.goal_id in paused) for goal in goals]
     if as_json:
         say("".join(f"{_as_json(node, goal, now)}\n" for goal in goals))
@@ -425,7 +425,7 @@ async def switch_all(node: Node, name: str | None, *, is_paused: bool, timeout: 
     goals, silent = await held_goals(node, served_actions(node, name))
     goals = [goal for goal in goals if goal.status.is_active]
     if not is_paused:
-        paused = await paused_goals(node, {goal.action for goal in goals})
+        paused = await _paused_goals(node, {goal.action for goal in goals})
         goals = [goal for goal in goals if goal.goal_id in paused]
     problems = list[str]()
 
@@ -574,7 +574,7 @@ async def _switch(node: Node, goal: HeldGoal, *, is_paused: bool, timeout: float
         problem = f"it has ended {goal.status.name}"
     else:
         try:
-            await set_paused(node, goal.action, goal.goal_id, is_paused=is_paused, timeout=timeout)
+            await _set_paused(node, goal.action, goal.goal_id, is_paused=is_paused, timeout=timeout)
         except PauseRefused as refused:
             problem = refused.reason
         except TurtleactError as error:
@@ -587,3 +587,70 @@ async def _switch(node: Node, goal: HeldGoal, *, is_paused: bool, timeout: float
 def _pause_word(*, is_paused: bool, problem: str) -> str:
     word = "paused" if is_paused else "resumed"
     return f"not {word}: {problem}" if problem else word
+
+
+PAUSE_ANSWER = 10.0
+"""How long the server may take to answer, in addition to the body's time to pause.
+
+In seconds, by the clock of the graph.
+"""
+
+OFFERED_WITHIN = 2.0
+"""How long a server may take to offer the service (s, by the clock of the graph)."""
+
+TOLD_WITHIN = 0.2
+"""How long to wait for the message with the paused goals (s, by the clock of the graph).
+
+The time for `ROUND_TRIPS` is added. Servers without turtleact do not publish this message.
+"""
+
+LATCHED = QoS(depth=1, durability="transient_local")
+
+
+async def _paused_goals(node: Node, actions: Iterable[str]) -> frozenset[bytes]:
+    """Return the ids of all paused goals of these actions."""
+    found = set[bytes]()
+
+    async def listen(action: str) -> None:
+        subscription = node.subscription(PausedGoals, paused_topic(action), LATCHED)
+        try:
+            message = await anext(subscription)
+            found.update(bytes(each.uuid) for each in message.goal_ids)
+        finally:
+            await subscription.aclose()
+
+    patience = TOLD_WITHIN + ROUND_TRIPS * node.transport.round_trip
+    async with within(patience, node.clock), anyio.create_task_group() as listening:
+        for action in actions:
+            listening.start_soon(listen, action)
+    return frozenset(found)
+
+
+async def _set_paused(
+    node: Node, action: str, goal_id: bytes, *, is_paused: bool, timeout: float
+) -> None:
+    """Pause or resume a goal, and wait until its server has done so.
+
+    Args:
+        node: The node of this process, which sends the request.
+        action: The fully qualified name of the action.
+        goal_id: The id of the goal.
+        is_paused: True to pause the goal, False to resume it.
+        timeout: How long the server waits for the goal's body to pause (s).
+
+    Raises:
+        PauseRefused: if the server refuses, cannot pause goals, or does not answer.
+        ServerUnavailable: if the server goes away.
+    """
+    client = node.service_client(SetPaused, set_paused_service(action))
+    try:
+        if not await client.wait_for_service(OFFERED_WITHIN):
+            raise PauseRefused("its server does not offer that; is it a server of turtleact?")
+        request = SetPaused.Request(UUID(goal_id), is_paused, timeout)
+        response = await client.call(request, timeout + PAUSE_ANSWER)
+    except ServiceTimeout:
+        raise PauseRefused("the server does not answer") from None
+    finally:
+        await client.aclose()
+    if not response.success:
+        raise PauseRefused(response.message)

@@ -1,4 +1,4 @@
-"""Implements ``mcp``, which offers a graph to language models until the client leaves."""
+"""The verb ``mcp``, which offers a graph to language models until the client leaves."""
 
 from __future__ import annotations
 
@@ -7,26 +7,143 @@ import sys
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeAlias
 
 import anyio
+import typer
 
-from turtleact.commands import graph
-from turtleact.commands.graph import no_router, world_started
-from turtleact.commands.interrupts import Interrupts
+from turtleact.commands import VERBS
+from turtleact.commands.app import SETTINGS, verb
+from turtleact.commands.options import Embedded, flag, host_and_port, only_one, value
 from turtleact.commands.output import note, say
-from turtleact.commands.send_goal import embedded_world
+from turtleact.commands.settings import WrongOptions
 from turtleact.errors import InvalidOption, TurtleactError, UsageError
-from turtleact.names import resolve_name
-from turtleact.node import Node, open_node
-from turtleact.tasks import Background
-from turtleact.transports.base import find_server
 
 if TYPE_CHECKING:
     from turtleact.commands.settings import Reach
     from turtleact.mcp import McpServer
+    from turtleact.node import Node
 
-__all__ = ["Order", "run"]
+__all__ = ["app"]
+
+OFFER = "What the model may use"
+HTTP = "HTTP"
+
+_EXAMPLES = """\
+[bold]Examples[/]
+  turtleact mcp --actions /patrol,/go_to
+  turtleact mcp --all --confirm
+  turtleact mcp --all --read-only --http 8000
+"""
+
+app = typer.Typer(**SETTINGS)
+
+
+Actions: TypeAlias = Annotated[
+    str | None,
+    value(
+        "--actions",
+        metavar="NAMES",
+        text="The actions to offer, such as /patrol,/go_to.",
+        panel=OFFER,
+    ),
+]
+Services: TypeAlias = Annotated[
+    str | None,
+    value(
+        "--services",
+        metavar="NAMES",
+        text="The services to offer, such as /spawn,/clear.",
+        panel=OFFER,
+    ),
+]
+Topics: TypeAlias = Annotated[
+    str | None,
+    value(
+        "--topics",
+        metavar="NAMES",
+        text="The topics that may be read, such as /turtle1/pose.",
+        panel=OFFER,
+    ),
+]
+Http: TypeAlias = Annotated[
+    str | None,
+    value(
+        "--http",
+        metavar="[HOST:]PORT",
+        text="Serve over HTTP instead of stdin and stdout.",
+        panel=HTTP,
+    ),
+]
+Token: TypeAlias = Annotated[
+    str | None,
+    value(
+        "--token",
+        metavar="TEXT",
+        text="The secret that clients must send over HTTP.",
+        panel=HTTP,
+    ),
+]
+
+
+@verb(app, knows=True, help=VERBS["mcp"], epilog=_EXAMPLES)
+def mcp(
+    reach: Reach,
+    *,
+    actions: Actions = None,
+    all: Annotated[
+        bool, flag("--all", text="Offer all actions and all topics.", panel=OFFER)
+    ] = False,
+    services: Services = None,
+    topics: Topics = None,
+    read_only: Annotated[
+        bool, flag("--read-only", text="Offer only what changes nothing.", panel=OFFER)
+    ] = False,
+    confirm: Annotated[
+        bool,
+        flag("--confirm", text="Ask the user before each goal and each service call.", panel=OFFER),
+    ] = False,
+    http: Http = None,
+    token: Token = None,
+    allow_host: Annotated[
+        str | None,
+        value(
+            "--allow-host",
+            metavar="NAMES",
+            text="Names and addresses of this machine that clients may use over HTTP.",
+            panel=HTTP,
+        ),
+    ] = None,
+    embedded: Embedded = False,
+) -> int:
+    """``mcp``."""
+    only_one("what to offer", all=all, actions=actions is not None)
+    only_one("what to offer", all=all, topics=topics is not None)
+    only_one("the graph", embedded=embedded, connect=bool(reach.connect))
+    if read_only and services:
+        raise WrongOptions(
+            "--read-only and --services exclude each other: a call may change things"
+        )
+    if http is None and (token is not None or allow_host is not None):
+        raise WrongOptions("--token and --allow-host need --http")
+    address = None if http is None else host_and_port("--http", http)
+    everything = all or (read_only and actions is None)
+    order = Order(
+        None if embedded else reach,
+        None if everything else _names(actions),
+        _names(services),
+        None if all else _names(topics),
+        address,
+        token,
+        _names(allow_host),
+        read_only=read_only,
+        confirm=confirm,
+    )
+    return _run(order)
+
+
+def _names(text: str | None) -> tuple[str, ...]:
+    return () if text is None else tuple(each.strip() for each in text.split(",") if each.strip())
 
 
 class Order(NamedTuple):
@@ -61,7 +178,7 @@ class Order(NamedTuple):
         return not self.read_only and all(each is not None and not each for each in names)
 
 
-def run(order: Order) -> int:
+def _run(order: Order) -> int:
     """Serve until the client leaves or a signal comes, and return the exit status.
 
     Raises:
@@ -69,6 +186,9 @@ def run(order: Order) -> int:
             the existing actions.
         TurtleactError: if the MCP SDK is not installed, or no graph can be reached.
     """
+    from turtleact.commands import graph
+    from turtleact.commands.interrupts import Interrupts
+
     if not order.is_empty:
         _check_sdk()
 
@@ -91,6 +211,7 @@ def _check_sdk() -> None:
 
 async def _serve(order: Order, node: Node) -> int:
     from turtleact.mcp import open_mcp
+    from turtleact.tasks import Background
 
     opened = open_mcp(
         node,
@@ -134,6 +255,8 @@ async def _serve_http(
 
 async def _what_there_is(node: Node) -> str:
     """Return the error message for a command line that names no actions to offer."""
+    from turtleact.transports.base import find_server
+
     await find_server(node.transport, lambda: node.graph().actions or None)
     seen = ", ".join(node.graph().actions) or "none"
     return f"name what to offer: --actions NAME,… or --all; the actions here are: {seen}"
@@ -141,6 +264,9 @@ async def _what_there_is(node: Node) -> str:
 
 async def _warn_of_missing(node: Node, actions: tuple[str, ...]) -> None:
     """Warn about actions that nobody serves yet. Their tools appear once the actions are served."""
+    from turtleact.names import resolve_name
+    from turtleact.transports.base import find_server
+
     names = {resolve_name(each) for each in actions}
     await find_server(node.transport, lambda: names <= node.graph().actions.keys() or None)
     missing = sorted(names - node.graph().actions.keys())
@@ -151,6 +277,10 @@ async def _warn_of_missing(node: Node, actions: tuple[str, ...]) -> None:
 @asynccontextmanager
 async def _open_node(reach: Reach | None) -> AsyncIterator[Node]:
     """Open a node on the user's graph or, if there is no graph, in an embedded world."""
+    from turtleact.commands import graph
+    from turtleact.commands.send_goal import embedded_world
+    from turtleact.node import open_node
+
     async with AsyncExitStack() as stack:
         there = None
         if reach is not None:
@@ -161,5 +291,5 @@ async def _open_node(reach: Reach | None) -> AsyncIterator[Node]:
             yield await stack.enter_async_context(open_node(name, transport=there))
             return
         node = await stack.enter_async_context(embedded_world(1.0, 0))
-        note(world_started("" if reach is None else no_router(reach)))
+        note(graph.world_started("" if reach is None else graph.no_router(reach)))
         yield node

@@ -1,4 +1,4 @@
-"""Implements the verbs of ``interface``, which list and show interfaces and print prototypes.
+"""The verbs of ``interface``, which list and show interfaces and print prototypes.
 
 These verbs need no graph. They know the interfaces that ship with turtleact, and those in the
 folder of ``--interfaces``, in the sourced ROS workspace, and near the working directory.
@@ -14,8 +14,11 @@ import sys
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
 
+from turtleact.commands import completion
+from turtleact.commands.app import new_group, verb
+from turtleact.commands.options import argument, flag, only_one, value
 from turtleact.commands.output import note, say
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.interfaces import (
@@ -41,12 +44,12 @@ __all__ = [
     "first_message",
     "make_found",
     "make_known",
+    "print_definition",
     "print_list",
     "print_package",
     "print_packages",
     "print_prototype",
     "read_type",
-    "show",
     "write_python",
 ]
 
@@ -58,6 +61,99 @@ _CONTROL: Final = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
 
 LONGEST_LINE: Final = 2**12
 """At most this many bytes of an interface name are read from a pipe. No such name is longer."""
+
+
+Messages: TypeAlias = Annotated[bool, flag("--only-msgs", "-m", text="Messages only.")]
+Services: TypeAlias = Annotated[bool, flag("--only-srvs", "-s", text="Services only.")]
+Actions: TypeAlias = Annotated[bool, flag("--only-actions", "-a", text="Actions only.")]
+
+app = new_group("interface")
+
+
+@verb(app, "list", knows=True)
+def list_(*, msgs: Messages = False, srvs: Services = False, actions: Actions = False) -> None:
+    """List all interfaces."""
+    print_list(_kinds(msgs=msgs, srvs=srvs, actions=actions))
+
+
+@verb(app, knows=True)
+def package(
+    name: Annotated[
+        str, argument("PACKAGE", "The package, such as geometry_msgs.", completion.packages)
+    ],
+    *,
+    msgs: Messages = False,
+    srvs: Services = False,
+    actions: Actions = False,
+) -> None:
+    """List the interfaces of a package."""
+    print_package(name, _kinds(msgs=msgs, srvs=srvs, actions=actions))
+
+
+@verb(app, knows=True)
+def packages(*, msgs: Messages = False, srvs: Services = False, actions: Actions = False) -> None:
+    """List the packages that have interfaces."""
+    print_packages(_kinds(msgs=msgs, srvs=srvs, actions=actions))
+
+
+@verb(app, knows=True)
+def proto(
+    type_name: Annotated[
+        str, argument("TYPE", "The interface, such as std_msgs/msg/String.", completion.interfaces)
+    ],
+    *,
+    no_quotes: Annotated[
+        bool, flag("--no-quotes", text="Print the message without quotes.")
+    ] = False,
+) -> None:
+    """Print a message with its default values, as YAML."""
+    print_prototype(type_name, quotes=not no_quotes)
+
+
+@verb(app, "python", knows=True)
+def python_(
+    names: Annotated[
+        list[str], argument("PACKAGE", "The packages, such as nav2_msgs.", completion.packages)
+    ],
+    *,
+    output: Annotated[
+        Path, value("--output", "-o", metavar="DIR", text="Write DIR/PACKAGE/KIND.py.")
+    ],
+    check: Annotated[
+        bool, flag("--check", text="Write nothing; exit with 1 if a file would change.")
+    ] = False,
+) -> int:
+    """Write the interfaces of packages as typed Python classes."""
+    return write_python(names, output, is_check=check)
+
+
+@verb(app, knows=True)
+def show(
+    type_name: Annotated[
+        str,
+        argument(
+            "TYPE",
+            "The interface, such as std_msgs/msg/String. A dash (-) reads it from stdin.",
+            completion.interfaces,
+        ),
+    ],
+    *,
+    all_comments: Annotated[
+        bool, flag("--all-comments", text="Print the comments of nested messages too.")
+    ] = False,
+    no_comments: Annotated[
+        bool, flag("--no-comments", text="Leave out comments and empty lines.")
+    ] = False,
+) -> None:
+    """Print the definition of an interface."""
+    only_one("what to do with comments", all_comments=all_comments, no_comments=no_comments)
+    name = read_type(type_name)
+    print_definition(name, comments=not no_comments, nested_comments=all_comments)
+
+
+def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
+    given = {"msg": msgs, "srv": srvs, "action": actions}
+    return [kind for kind, is_wanted in given.items() if is_wanted]
 
 
 def make_known(folder: str | None, *, is_silent: bool = False) -> None:
@@ -156,7 +252,7 @@ def first_message(type_name: str) -> Message:
     return interface.Request() if issubclass(interface, Service) else interface()
 
 
-def show(type_name: str, *, comments: bool, nested_comments: bool) -> None:
+def print_definition(type_name: str, *, comments: bool, nested_comments: bool) -> None:
     """Print the definition of an interface, with nested messages indented by one tab more.
 
     Args:
@@ -276,7 +372,7 @@ def _by_package(kinds: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _lines(type_name: str, *, depth: int, comments: bool, nested_comments: bool) -> Iterator[str]:
-    """Yield the lines that `show` prints."""
+    """Yield the lines that `print_definition` prints."""
     interface = get_interface(type_name)
     package = interface.type_name.partition("/")[0]
     for number, text in enumerate(commented_text(interface).splitlines(), 1):

@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from turtleact.commands import VERBS, completion
-from turtleact.commands.output import printable
-from turtleact.commands.settings import Fleet, Reach, Service, WrongOptions, quoted
-from turtleact.commands.verbs import SETTINGS, Verb, verb
-from turtleact.commands.verbs.options import (
+from turtleact.commands.app import SETTINGS, Verb, verb
+from turtleact.commands.options import (
     Interfaces,
     argument,
     flag,
@@ -24,6 +22,8 @@ from turtleact.commands.verbs.options import (
     ros_domain,
     value,
 )
+from turtleact.commands.output import printable
+from turtleact.commands.settings import Fleet, Reach, Service, WrongOptions, quoted
 
 if TYPE_CHECKING:
     from turtleact.commands.programs import Program
@@ -178,7 +178,7 @@ def _file(name: str) -> Program:
 
 def _run(program: Program, arguments: Sequence[str], how: How) -> int:
     """Run a user's program, and return its exit status."""
-    from turtleact.commands.interfaces import make_found
+    from turtleact.commands.interface import make_found
     from turtleact.commands.programs import run_program
     from turtleact.rclpy.impl.settings import Place
     from turtleact.rclpy.program import Options
@@ -203,13 +203,13 @@ def _own_domain(arguments: Sequence[str], where: Reach) -> tuple[list[str], Reac
 def _run_built_in(package: str, executable: str, arguments: Sequence[str], where: Reach) -> int:
     """Run a built-in program, and return its exit status."""
     if executable == "turtle_teleop_key":
-        from turtleact.commands.verbs.turtlesim import turtle_teleop_key
+        from turtleact.commands.turtlesim import turtle_teleop_key
 
         return turtle_teleop_key(arguments, where)
     if arguments:
         raise WrongOptions(_not_taken(package, executable, arguments))
-    from turtleact.commands.interfaces import make_known
-    from turtleact.commands.serve import run
+    from turtleact.commands.interface import make_known
+    from turtleact.commands.serving import run
 
     make_known(None)
     targets = () if package == "turtlesim" else (FIBONACCI,)

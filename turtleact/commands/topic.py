@@ -6,9 +6,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from turtleact.commands import completion
-from turtleact.commands.settings import WrongOptions, quoted
-from turtleact.commands.verbs import MessageVerb, new_group, verb
-from turtleact.commands.verbs.options import (
+from turtleact.commands.app import MessageVerb, new_group, verb
+from turtleact.commands.options import (
     ShowTypes,
     count_of,
     flag,
@@ -23,6 +22,7 @@ from turtleact.commands.verbs.options import (
     value,
     whole,
 )
+from turtleact.commands.settings import WrongOptions, quoted
 
 if TYPE_CHECKING:
     from types import CodeType

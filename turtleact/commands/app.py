@@ -5,9 +5,8 @@ adds the options that many verbs share, such as ``--connect``, and opens the gra
 that takes a node. Each group of verbs is a module, which is imported only when the user chooses the
 group. The functions import what they need, so that ``--help`` and the Tab key stay fast.
 
-`Verb` accepts the forms of arguments that ``ros2`` accepts. If the user types a verb that
-only ``ros2`` has, `Group` suggests an alternative. Both classes override only documented methods
-of click.
+`Verb` accepts the forms of arguments that ``ros2`` accepts. `Verb` and `Group` override only
+documented methods of click.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from turtleact.commands import GROUPS, VERBS
+from turtleact.commands.options import BUNDLES, TYPE_NAME, Interfaces, folder
 from turtleact.commands.output import printable
 from turtleact.commands.settings import WrongOptions
-from turtleact.commands.verbs.options import BUNDLES, TYPE_NAME, Interfaces, folder
 
 __all__ = [
     "SETTINGS",
@@ -36,7 +35,7 @@ __all__ = [
     "Verb",
     "load",
     "new_group",
-    "run_verb",
+    "run",
     "verb",
     "without_daemon",
 ]
@@ -57,42 +56,11 @@ _KIND: Final = Parameter.KEYWORD_ONLY
 _VALUE: Final = re.compile(r"-[\d.\s]|---\s")
 """The beginning of a value with a leading dash: ``-5``, ``- x: 1``, or a YAML document."""
 
-_NO_BUILD: Final = (
-    "nothing has to be built or sourced; 'turtleact run --help' lists what can be run here"
-)
-
-_TEST: Final = "'python -m pytest' runs your tests"
-_ELSEWHERE: Final = {
-    "build": _NO_BUILD,
-    "colcon": _NO_BUILD,
-    "component": "each node is a program of its own, such as 'turtleact serve'",
-    "control": "there are no controllers; 'turtleact action list' lists actions",
-    "extension_points": "there are no plug-ins; 'turtleact pkg list' lists packages",
-    "extensions": "there are no plug-ins; 'turtleact pkg list' lists packages",
-    "launch": "start each program in a terminal of its own, such as 'turtleact serve'",
-    "lifecycle": "there are no managed nodes; 'turtleact node list' lists all nodes",
-    "multicast": "nodes find each other through a router, such as 'turtleact serve'",
-    "pkg build": _NO_BUILD,
-    "pkg prefix": "'turtleact pkg executables' lists what packages can run",
-    "pkg xml": "'turtleact pkg executables' lists what packages can run",
-    "plugin": "there are no plug-ins; 'turtleact pkg list' lists packages",
-    "pytest": _TEST,
-    "rosdep": "pip installs what Python programs need; 'turtleact pkg list' lists what is here",
-    "security": "'turtleact serve --config FILE' controls who may connect",
-    "rqt": "'turtleact serve --web 9090' shows goals, topics and turtles in a browser",
-    "rqt_graph": "'turtleact node list' lists the nodes, 'turtleact node info NODE' describes one",
-    "rviz2": "'turtleact serve --web 9090' shows the turtles in a browser",
-    "test": _TEST,
-    "wtf": "'turtleact doctor' finds out what is wrong",
-}
-"""Verbs of ``ros2`` that turtleact does not have, and what to use instead."""
-
-
 BROKEN_PIPE: Final = 141
 
 HOMES: Final = {
     **dict.fromkeys(
-        ("send-goal", "cancel", "pause", "resume", "watch", "result", "action"), "goals"
+        ("send-goal", "cancel", "pause", "resume", "watch", "result", "action", "journal"), "goals"
     ),
     **dict.fromkeys(("param", "service"), "node"),
     **dict.fromkeys(("teleop", "snapshot"), "turtlesim"),
@@ -112,13 +80,6 @@ PANELS: Final = {
 """The heading under which ``turtleact --help`` lists each verb."""
 
 
-_UNKNOWN: Final = ("--port", "--host")
-"""Options of other programs that users may try. The error message suggests `_MEANT` instead."""
-
-_MEANT: Final = {"--web": "[HOST:]PORT", "--listen": "tcp/HOST:PORT"}
-"""Maps each option that replaces an option in `_UNKNOWN` to the form of its value."""
-
-
 class Verb(TyperCommand):
     """A command that accepts the forms of arguments that ``ros2`` accepts."""
 
@@ -135,11 +96,6 @@ class Verb(TyperCommand):
             args = [arg for arg in args if arg != "--ros-args"]
         if any(arg not in known and _VALUE.match(arg) for arg in args):
             ctx.ignore_unknown_options = True
-        typed = (arg.partition("=")[0] for arg in args)  # such as --port=9090
-        unknown = [name for name in typed if name in _UNKNOWN and name not in known]
-        if unknown and known >= _MEANT.keys():
-            options = " or ".join(f"{name} {value}" for name, value in _MEANT.items())
-            ctx.fail(f"No such option: {unknown[0]}. Did you mean {options}?")
         left = super().parse_args(ctx, args)
         for param in self.params:
             _check_text(ctx, param)
@@ -196,7 +152,7 @@ class MessageVerb(Verb):
 
 
 class Group(TyperGroup):
-    """A group that suggests what to use instead of verbs that only ``ros2`` has."""
+    """A group that suggests the group of a verb that stands without it."""
 
     def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]  # as above
         """Return the options, set up so that the help shows no type for switches."""
@@ -205,15 +161,11 @@ class Group(TyperGroup):
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above
         """Find the verb.
 
-        If only ``ros2`` has the verb, the error says what to use instead. If the verb belongs to a
-        group and the group was left out, the error suggests the group. For any other unknown verb,
-        Typer suggests the nearest one.
+        If the verb belongs to a group and the group was left out, the error suggests the group. For
+        any other unknown verb, Typer suggests the nearest one.
         """
         verb = args[0]
         if verb not in self.commands and not ctx.resilient_parsing:
-            path = verb if ctx.parent is None else f"{ctx.info_name} {verb}"
-            if path in _ELSEWHERE:
-                ctx.fail(f"turtleact has no '{path}': {_ELSEWHERE[path]}")
             groups = [name for name, verbs in GROUPS.items() if verb in verbs]
             if ctx.parent is None and groups and verb != "send_goal":  # we have send-goal too
                 meant = " or ".join(f"'{group} {verb}'" for group in groups)
@@ -243,7 +195,7 @@ class LazyGroup(Group):
         return name, load(name) if name in VERBS else command, rest
 
 
-def run_verb(arguments: Sequence[str]) -> int:
+def run(arguments: Sequence[str]) -> int:
     """Run a command line, and return the exit status.
 
     Typer prints help, completions and usage errors. All exceptions of verbs are raised.
@@ -308,7 +260,7 @@ def _command(function: Callable[..., Any], *, knows: bool) -> Callable[..., int 
         for each, options in bundled.items():
             values[each] = BUNDLES[each](**{option: given[option] for option in options})
         if knows:
-            from turtleact.commands.interfaces import make_known
+            from turtleact.commands.interface import make_known
 
             make_known(folder(given["interfaces"]))
         if "node" not in own:
@@ -357,7 +309,7 @@ def _assemble(*, completion: bool) -> typer.Typer:
 
 def load(verb: str) -> Any:  # noqa: ANN401  # of click, which Typer brings along privately
     """Import and return the command or group of a verb."""
-    home = import_module(f"turtleact.commands.verbs.{HOMES.get(verb, verb)}")
+    home = import_module(f"turtleact.commands.{HOMES.get(verb, verb)}")
     group = getattr(home, verb) if verb in GROUPS and verb in HOMES else home.app
     command = get_command(group)
     if isinstance(command, TyperGroup) and verb not in GROUPS:

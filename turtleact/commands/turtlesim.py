@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 
 from turtleact.commands import VERBS
+from turtleact.commands.app import SETTINGS, Verb, verb
+from turtleact.commands.options import Embedded, Plain, argument, only_one, value
 from turtleact.commands.settings import Reach, WrongOptions, quoted
-from turtleact.commands.verbs import SETTINGS, Verb, verb
-from turtleact.commands.verbs.options import Embedded, Plain, argument, only_one, value
 
 __all__ = ["app", "ros_arguments", "teleop", "turtle_teleop_key"]
 

@@ -1,4 +1,4 @@
-"""The verbs about goals, and those of ``action``."""
+"""The verbs about goals, and those of ``action`` and ``journal``."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from turtleact.commands import VERBS, completion
-from turtleact.commands.settings import Place, Reach, WrongOptions, quoted
-from turtleact.commands.verbs import SETTINGS, MessageVerb, new_group, verb
-from turtleact.commands.verbs.options import (
+from turtleact.commands.app import SETTINGS, MessageVerb, new_group, verb
+from turtleact.commands.options import (
     Interfaces,
     Json,
     Plain,
@@ -36,6 +35,7 @@ from turtleact.commands.verbs.options import (
     value,
     whole,
 )
+from turtleact.commands.settings import Place, Reach, WrongOptions, quoted
 from turtleact.errors import InvalidName
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from turtleact.commands.transcript import View
     from turtleact.node import Node
 
-__all__ = ["action", "app", "moment"]
+__all__ = ["action", "app", "journal", "moment"]
 
 _GOAL_ID = re.compile(r"[0-9a-f]{4,32}")
 _HEXADECIMAL = re.compile(r"[0-9a-fA-F-]+")
@@ -97,6 +97,7 @@ _PAUSING = """\
 
 app = typer.Typer(**SETTINGS)
 action = new_group("action")
+journal = new_group("journal", VERBS["journal"])
 
 
 def _written(reach: Reach, interfaces: Path | None) -> str:
@@ -197,7 +198,7 @@ def send_goal(
         folder(interfaces),
         _written(reach, interfaces),
     )
-    from turtleact.commands.interfaces import make_known
+    from turtleact.commands.interface import make_known
     from turtleact.commands.message_text import GoalText
     from turtleact.commands.send_goal import Order, run
 
@@ -436,12 +437,32 @@ def echo(
 ) -> int:
     """Print the feedback, the states, the requests and the responses of an action."""
     from turtleact.commands import event_echo, graph
-    from turtleact.commands.interfaces import make_known
+    from turtleact.commands.interface import make_known
 
     parts = None if interfaces is None else _parts(interfaces, event_echo.PARTS)
     make_known(interfaces if parts is None else None)
     order = event_echo.Order(name, type_name, style, parts or event_echo.PARTS)
     return graph.run(reach, partial(event_echo.echo_action, order=order))
+
+
+@verb(journal)
+def prune(
+    file: Annotated[Path, argument("FILE", "The journal.")],
+    *,
+    keep: Annotated[
+        float,
+        value(
+            "--keep",
+            metavar="TIME",
+            text="Keep the goals that ended within this time, such as 7d, 12h or 30min.",
+            parser=span,
+        ),
+    ],
+) -> int:
+    """Delete goals that ended long ago. A server may be writing the journal meanwhile."""
+    from turtleact.commands.journaled_goals import prune_goals
+
+    return prune_goals(file, round(keep * 1e9))
 
 
 def moment(text: str) -> int:
@@ -538,7 +559,7 @@ def _view(*, plain: bool) -> View:
 def _follow(reach: Reach, interfaces: Path | None, wanted: str, view: View | None) -> int:
     """Follow a goal. Without a view, only wait for the result."""
     from turtleact.commands import held_goals
-    from turtleact.commands.interfaces import make_known
+    from turtleact.commands.interface import make_known
 
     make_known(folder(interfaces))
     return held_goals.run(reach, wanted, view, _written(reach, interfaces))

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from turtleact.commands import completion
-from turtleact.commands.settings import WrongOptions, quoted
-from turtleact.commands.verbs import MessageVerb, new_group, verb
-from turtleact.commands.verbs.options import (
+from turtleact.commands.app import MessageVerb, new_group, verb
+from turtleact.commands.options import (
     ShowTypes,
     argument,
     count_of,
@@ -25,6 +24,7 @@ from turtleact.commands.verbs.options import (
     type_of,
     value,
 )
+from turtleact.commands.settings import WrongOptions, quoted
 
 if TYPE_CHECKING:
     from turtleact.commands.message_text import Style

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import typer
 
 from turtleact.commands import completion
-from turtleact.commands.settings import WrongOptions, quoted
-from turtleact.commands.verbs import Verb, new_group, verb
-from turtleact.commands.verbs.options import (
+from turtleact.commands.app import Verb, new_group, verb
+from turtleact.commands.options import (
     Json,
     argument,
     flag,
@@ -22,6 +21,7 @@ from turtleact.commands.verbs.options import (
     value,
     whole,
 )
+from turtleact.commands.settings import WrongOptions, quoted
 from turtleact.errors import TurtleactError
 
 if TYPE_CHECKING:
