@@ -1,7 +1,7 @@
-"""Contains the commands: `verbs` declares them for Typer, and the other modules run them.
+"""Contains the commands: a module for each group of verbs, and modules that several share.
 
-``turtleact --help`` and the completion of verbs use only the tables in this module, and do not
-import `verbs`.
+``turtleact --help`` and the completion of verbs use only the tables in this module and `app`, and
+import no verb.
 """
 
 from __future__ import annotations
