@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import turtleact.actions  # noqa: F401  # for the interfaces that they declare
-from turtleact.commands import interface
+from turtleact.commands import interface, interface_search
 from turtleact.errors import UsageError
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.finders import Finders
@@ -277,7 +277,7 @@ def test_the_note_comes_once(tmp_path, monkeypatch, capsys):
     for name in ("Go", "Come"):
         put(tmp_path / "lab" / "action" / f"{name}.action", "---\n---\n")
     monkeypatch.chdir(tmp_path)
-    interface.make_found(None)
+    interface_search.make_found(None)
     for name in ("Go", "Come"):
         get_interface(f"lab/action/{name}")
     assert capsys.readouterr().err == f"turtleact: found lab/action/Go in {tmp_path}/lab\n"

@@ -201,7 +201,7 @@ def packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001
 @_silent
 def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
     """Offer one message, with default values, of the type given earlier on the command line."""
-    from turtleact.commands.interface import first_message, make_found, make_known
+    from turtleact.commands.interface_search import first_message, make_found, make_known
     from turtleact.interfaces import get_interface, to_dict
     from turtleact.interfaces.text import flow
 
@@ -310,7 +310,7 @@ def _as_begun(names: Iterable[str], begun: str) -> list[str]:
 
 def _interfaces(ctx: typer.Context, kind: str | None = None) -> list[str]:
     """Return the names of all interfaces; with a ``kind``, such as ``"msg"``, only of that kind."""
-    from turtleact.commands.interface import make_known
+    from turtleact.commands.interface_search import make_known
     from turtleact.interfaces import known_interfaces
 
     make_known(_folder(ctx), is_silent=True)

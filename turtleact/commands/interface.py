@@ -8,42 +8,32 @@ Source: ros2cli ``ros2interface/verb/*.py`` (Jazzy), for the printed text.
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
 
 from turtleact.commands import completion
 from turtleact.commands.app import new_group, verb
+from turtleact.commands.interface_search import first_message
 from turtleact.commands.options import argument, flag, only_one, value
-from turtleact.commands.output import note, say
+from turtleact.commands.output import say
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.interfaces import (
-    Action,
-    Service,
     get_interface,
     known_interfaces,
-    load_interfaces,
-    load_workspace,
-    offer_interfaces,
     to_yaml,
 )
 from turtleact.interfaces.comments import commented_text
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.parse import Line, parse_member, without_comment
-from turtleact.workspace import find_interfaces
 
 if TYPE_CHECKING:
-    from turtleact.interfaces import Message
+    pass
 
 __all__ = [
     "KINDS",
-    "first_message",
-    "make_found",
-    "make_known",
     "print_definition",
     "print_list",
     "print_package",
@@ -156,56 +146,6 @@ def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
     return [kind for kind, is_wanted in given.items() if is_wanted]
 
 
-def make_known(folder: str | None, *, is_silent: bool = False) -> None:
-    """Register turtleact's own interfaces, and those that `make_found` registers.
-
-    Args:
-        folder: A folder with interface files, or None.
-        is_silent: Whether to leave out the note on stderr.
-
-    Raises:
-        InvalidInterface: if the folder does not exist.
-    """
-    for module in ("actions", "sim.world_services"):  # they declare interfaces
-        import_module(f"turtleact.{module}")
-    make_found(folder, is_silent=is_silent)
-
-
-def make_found(folder: str | None, *, is_silent: bool = False) -> None:
-    """Find and register interfaces in ``folder``, in the workspace and near the working directory.
-
-    If an interface has several definitions, the search order decides: first ``folder``, then the
-    sourced workspace, the folders near the working directory, and turtleact itself. When the first
-    interface near the working directory is used, a note on stderr says where that interface was
-    found.
-
-    Args:
-        folder: The folder to search, or None; see `turtleact.interfaces.load_interfaces`.
-        is_silent: Whether to leave out the note on stderr.
-
-    Raises:
-        InvalidInterface: if the folder does not exist.
-    """
-    load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
-    found = find_interfaces(Path())
-    if found:
-        offer_interfaces(found, None if is_silent else _OneNote())
-    if folder is not None:
-        load_interfaces(folder)
-
-
-class _OneNote:
-    """Prints a note that says where an interface was found, but only for the first interface."""
-
-    def __init__(self) -> None:
-        self._is_told = False
-
-    def __call__(self, type_name: str, file: str) -> None:
-        if not self._is_told:
-            self._is_told = True
-            note(f"found {type_name} in {Path(file).absolute().parents[1]}")
-
-
 def print_list(kinds: Sequence[str]) -> None:
     """Print the names of all interfaces of these kinds. Without ``kinds``, print all names."""
     for kind in kinds or KINDS:
@@ -238,18 +178,6 @@ def print_prototype(type_name: str, *, quotes: bool) -> None:
     """
     quote = '"' if quotes else ""
     say(f"{quote}{to_yaml(first_message(type_name))}{quote}\n")
-
-
-def first_message(type_name: str) -> Message:
-    """Return an action's goal, a service's request or a message, with default values.
-
-    Raises:
-        UnknownInterface: if the name is unknown. The error suggests the nearest name.
-    """
-    interface = get_interface(type_name)
-    if issubclass(interface, Action):
-        return interface.Goal()
-    return interface.Request() if issubclass(interface, Service) else interface()
 
 
 def print_definition(type_name: str, *, comments: bool, nested_comments: bool) -> None:

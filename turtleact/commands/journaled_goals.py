@@ -87,7 +87,7 @@ def print_result(path: Path, wanted: str, interfaces: str | None) -> int:
         raise UsageError(f"'{wanted}' is the beginning of several goals: {shown}")
     if not goals:
         raise TurtleactError(f"journal '{path}' has no goal {wanted}")
-    from turtleact.commands.interface import make_known
+    from turtleact.commands.interface_search import make_known
     from turtleact.commands.transcript import result_text
     from turtleact.goals.client import Outcome
 

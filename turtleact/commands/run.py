@@ -178,7 +178,7 @@ def _file(name: str) -> Program:
 
 def _run(program: Program, arguments: Sequence[str], how: How) -> int:
     """Run a user's program, and return its exit status."""
-    from turtleact.commands.interface import make_found
+    from turtleact.commands.interface_search import make_found
     from turtleact.commands.programs import run_program
     from turtleact.rclpy.impl.settings import Place
     from turtleact.rclpy.program import Options
@@ -208,7 +208,7 @@ def _run_built_in(package: str, executable: str, arguments: Sequence[str], where
         return turtle_teleop_key(arguments, where)
     if arguments:
         raise WrongOptions(_not_taken(package, executable, arguments))
-    from turtleact.commands.interface import make_known
+    from turtleact.commands.interface_search import make_known
     from turtleact.commands.serving import run
 
     make_known(None)
