@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
@@ -416,3 +418,24 @@ async def test_a_service_that_cannot_be_opened_leaves_no_topic_behind(monkeypatc
         with pytest.raises(TurtleactError, match="no more room"):
             open_it(introspection="contents")
         assert not node.transport.endpoints(event_topic("/flip"))
+
+
+def test_a_program_without_introspection_does_not_import_it():
+    program = """
+import asyncio, sys
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
+from turtleact.actions import fibonacci
+
+async def main():
+    async with turtleact.open_node("lab") as node:
+        node.serve(fibonacci.fibonacci)
+        await node.action_client(Fibonacci, "fibonacci").send_goal(Fibonacci.Goal(1))
+
+asyncio.run(main())
+print("turtleact.introspection" in sys.modules)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=20
+    )
+    assert done.stdout == "False\n"

@@ -7,6 +7,7 @@ import functools
 import gc
 import logging
 import math
+import weakref
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import aclosing, asynccontextmanager, closing
 from typing import Any, NamedTuple, assert_type
@@ -911,3 +912,21 @@ async def test_a_name_that_breaks_the_rules_is_refused(open_it):
         handler = [add] if open_it is turtleact.Node.service else []
         with pytest.raises(InvalidName, match="a slash follows a slash"):
             open_it(node, Add, "a//b", *handler)
+
+
+async def error_of(served: Desk) -> weakref.ref[ServiceError]:
+    try:
+        await served.client.call(numbers())
+    except ServiceError as error:
+        return weakref.ref(error)
+    raise AssertionError
+
+
+async def test_an_error_is_gone_with_its_last_user():
+    async with desk(fail) as served:
+        gc.disable()
+        try:
+            error = await error_of(served)
+            assert error() is None
+        finally:
+            gc.enable()

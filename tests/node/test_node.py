@@ -865,3 +865,21 @@ async def test_the_result_of_a_goal_outlives_the_node():
             await handle.result()
             await lab.aclose()
             assert await handle.result() == result(0, 1, 2)
+
+
+async def test_a_built_in_does_not_wait_for_a_goal_that_was_canceled_in_the_queue():
+    transport, gate = MemoryTransport(), Gate()
+    shared: Any = {"slot": "arm", "policy": "queue"}
+    async with (
+        turtleact.open_node("turtle_actions", transport=transport) as home,
+        turtleact.open_node("user", transport=transport) as user,
+    ):
+        home.action_server(Count, "busy", gate.wait, **shared)
+        home.action_server(Count, "count", seven, on_conflict="withdraw", **shared)
+        async with user.action_client(Count, "busy").send_goal(goal()):
+            async with user.action_client(Count, "count").send_goal(goal()) as waiting:
+                user.action_server(Count, "count", seven)
+                await settle()
+                await waiting.cancel()
+            await settle()
+            assert [each.node for each in transport.endpoints("/count/_action/status")] == ["/user"]

@@ -210,3 +210,11 @@ async def test_what_was_counted_is_logged_at_the_close(monkeypatch, caplog):
     await settle()
     await crew.aclose()
     assert caplog.messages[-1] == "it: 2 more such warnings in 1000 s"
+
+
+async def test_a_peer_that_sends_nonsense_hides_no_other(log, caplog):
+    warnings = log()
+    for peer in (b"a", b"a", b"a", b"a", b"a", b"b"):
+        warnings.warn("it", peer, ValueError(peer))
+    assert caplog.messages == ["it: b'a'"] * LOGGED + ["it: b'b'"]
+    await until_counted(caplog, "2 more")

@@ -22,6 +22,7 @@ import zenoh
 
 import turtleact
 from turtleact.errors import (
+    InvalidMessage,
     InvalidOption,
     ServerUnavailable,
     ServiceError,
@@ -1906,3 +1907,58 @@ async def test_nothing_stays_of_a_latched_subscription_that_is_closed(address):
         assert len(await parts()) == 1
         reader.close()
         assert await parts() == []
+
+
+async def test_what_waits_behind_a_message_that_cannot_be_sent_is_sent(
+    address, monkeypatch, caplog
+):
+    gate, put = threading.Event(), Publisher.put
+
+    def fail_once(self, payload, attachment):
+        if SPEECH.decode(payload) == feedback(1):
+            raise TurtleactError("Zenoh cannot publish: as a test wants it")
+        put(self, payload, attachment)
+
+    async with two(address) as peers:
+        inbox = Inbox()
+        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
+        publication = peers.here.advertise(publisher(), SPEECH)
+        await peers.settle()
+        monkeypatch.setattr(Publisher, "put", fail_once)
+        peers.here.context.send_queue.post(gate.wait)
+        for number in range(4):
+            publication.publish(feedback(number))
+        gate.set()
+        await peers.here.flush()
+        monkeypatch.undo()
+        await peers.settle()
+    assert inbox.numbers == [0, 2, 3]
+    assert "as a test wants it" in caplog.text
+
+
+async def test_odd_feedback_is_converted_or_refused_for_another_process_too(address):
+    odd: Any = (1, 2)
+    told: list[str] = []
+
+    async def body(_):
+        yield Count.Feedback(so_far=odd)
+        try:
+            yield Count.Feedback(so_far=[3, True])
+        except InvalidMessage as error:
+            told.append(str(error))
+        yield result(4)
+
+    async with counted(address, body) as (_, handle):
+        assert [each async for each in handle] == [feedback(1, 2)]
+        assert await handle.result() == result(4)
+    assert told == ["feedback.so_far[1]: expected a whole number (int32), got True"]
+
+
+async def test_an_abort_reason_that_utf_8_cannot_encode_keeps_its_result(address):
+    async def body(_):
+        raise turtleact.Abort("caf\udce9", result(4))
+        yield  # pragma: no cover
+
+    async with counted(address, body) as (_, handle):
+        outcome = await handle.outcome()
+    assert (outcome.result, outcome.reason) == (result(4), r"caf\udce9")
