@@ -38,7 +38,7 @@ import turtleact
 from benchmarks import wire_peers as peers
 from benchmarks.wire_peers import Contender, Open, Serve
 from turtleact import Action, ActionClient, GoalStatus, Message
-from turtleact.goals.remote_goals import RemoteGoal
+from turtleact.goals.remote import RemoteGoal
 from turtleact.interfaces import int32
 from turtleact.transports import open_zenoh
 

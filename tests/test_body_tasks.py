@@ -300,12 +300,7 @@ async def test_a_body_that_does_not_handle_the_failure_of_a_child_is_aborted(
     ("where", "when"),
     [(in_process, "at once"), (in_process, "after a wait"), (over_zenoh, "after a wait")],
 )
-def test_a_body_that_exits_ends_its_goal_and_then_the_program(
-    loop, wait, where, address, when, monkeypatch
-):
-    # A closing server waits this long for a client that has yet to ask for the result.
-    monkeypatch.setattr("turtleact.goals.server_endpoints.LATE_REQUEST", 0.0)
-
+def test_a_body_that_exits_ends_its_goal_and_then_the_program(loop, wait, where, address, when):
     async def body(request: Count.Goal) -> Count.Result:
         if when == "after a wait":
             await anyio.lowlevel.checkpoint()

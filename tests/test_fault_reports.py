@@ -22,7 +22,6 @@ from turtleact.fault_reports import (
     disk_fault,
     watching_disk,
 )
-from turtleact.goals import remote_goals
 from turtleact.interfaces.standard.diagnostic_msgs.msg import DiagnosticArray
 from turtleact.recording import record
 from turtleact.testing import FaultyTransport, run
@@ -181,7 +180,7 @@ def test_virtual_time_makes_no_disk_look_silent(backend, monkeypatch, tmp_path):
 
 
 async def test_a_client_reports_feedback_that_has_not_arrived(monkeypatch):
-    monkeypatch.setattr(remote_goals, "LATE_FEEDBACK", 0.01)
+    monkeypatch.setattr("turtleact.goals.remote.LATE_FEEDBACK", 0.01)
     graph = MemoryTransport()
     async with (
         FaultyTransport(graph, seed=1) as faulty,
@@ -219,7 +218,7 @@ async def test_a_server_reports_feedback_that_it_had_to_drop(monkeypatch, tmp_pa
         turtleact.open_node("server", transport=there) as far,
         turtleact.open_node("client", transport=here) as near,
     ):
-        monkeypatch.setattr(remote_goals, "LATE_FEEDBACK", 0.01)
+        monkeypatch.setattr("turtleact.goals.remote.LATE_FEEDBACK", 0.01)
         far.action_server(Count, "count", flood)
         client = near.action_client(Count, "count")
         await client.send_goal(goal(100))

@@ -28,7 +28,7 @@ from ..lab import (
     running,
     settle,
 )
-from .test_remote_server import Apart, Cut
+from .test_remote_server import Cut
 
 Call: TypeAlias = Callable[[], Awaitable[object]]
 
@@ -98,8 +98,7 @@ ELSEWHERE = pytest.mark.parametrize("where", [by_messages, over_zenoh])
 @pytest.fixture(autouse=True)
 def no_patience(monkeypatch) -> None:
     """What a server that has died is waited for: nothing."""
-    monkeypatch.setattr("turtleact.goals.remote_goals.BACK_WITHIN", 0.0)
-    monkeypatch.setattr(Apart, "is_known", False)
+    monkeypatch.setattr("turtleact.goals.remote.BACK_WITHIN", 0.0)
 
 
 # --- how a client waits -------------------------------------------------------------------------

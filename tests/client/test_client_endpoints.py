@@ -146,49 +146,6 @@ def client(transport: MemoryTransport) -> ClientEndpoints:
     return ClientEndpoints(transport, endpoint, NAMES, Count)
 
 
-@pytest.mark.parametrize(("reply", "known"), [(OURS, True), (STRANGER, False)])
-async def test_a_server_is_known_by_its_replies(reply, known):
-    transport = MemoryTransport()
-    serve(transport, 1)
-    endpoints = client(transport)
-    assert not endpoints.knows_ours()
-    endpoints.learn(OURS)
-    endpoints.learn(reply)
-    assert endpoints.knows_ours() is known
-
-
-async def test_what_comes_and_goes_elsewhere_on_the_graph_changes_nothing():
-    transport = MemoryTransport()
-    serve(transport, 1)
-    endpoints = client(transport)
-    endpoints.learn(OURS)
-    transport.enter("/new")
-    assert endpoints.knows_ours()
-
-
-async def test_of_a_server_in_the_place_of_ours_nothing_is_known():
-    transport = MemoryTransport()
-    ours, endpoints = serve(transport, 1), client(transport)
-    endpoints.learn(OURS)
-    ours.close()
-    serve(transport, 2)
-    assert not endpoints.knows_ours()
-
-
-async def test_the_next_server_may_get_both_requests_though_the_last_one_could_not():
-    transport = MemoryTransport()
-    ours, endpoints = serve(transport, 1), client(transport)
-    endpoints.learn(OURS)
-    endpoints.takes_both = False
-    endpoints.learn(OURS)
-    assert not endpoints.takes_both
-    ours.close()
-    serve(transport, 2)
-    assert not endpoints.knows_ours()
-    endpoints.learn(OURS)
-    assert endpoints.takes_both
-
-
 @pytest.mark.parametrize(
     ("servers", "error", "text"),
     [

@@ -229,8 +229,7 @@ async def test_an_observer_that_fails_does_no_harm(caplog):
 
 
 async def test_an_observer_hears_of_a_goal_that_is_lost(monkeypatch):
-    monkeypatch.setattr("turtleact.goals.remote_goals.BACK_WITHIN", 0.0)
-    monkeypatch.setattr(Apart, "is_known", False)
+    monkeypatch.setattr("turtleact.goals.remote.BACK_WITHIN", 0.0)
     gate, transport = Gate(), MemoryTransport()
     graph: Any = Cut(transport)
     async with (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections import defaultdict
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from typing import Any
@@ -27,16 +27,15 @@ from turtleact.errors import (
     TurtleactError,
     UnknownGoal,
 )
-from turtleact.goals.client_endpoints import ClientEndpoints
 from turtleact.goals.client_handle import Outcome
-from turtleact.goals.remote_goals import RemoteGoal
+from turtleact.goals.remote import RemoteGoal
 from turtleact.goals.state import CancelCode
 from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import Action, Message, implied, int32
 from turtleact.interfaces.standard import CancelGoal, Time
 from turtleact.tasks import current_tasks
 from turtleact.transports import MemoryTransport
-from turtleact.transports.base import EVERY_SERVER, Reply
+from turtleact.transports.base import EVERY_SERVER
 
 from ..lab import (
     ON_ASYNCIO,
@@ -61,15 +60,7 @@ ID = bytes(range(16))
 
 
 class Apart:
-    """A graph whose servers are all elsewhere: nobody is handed the server itself.
-
-    Attributes:
-        is_prompt: Whether requests are sent without waiting, as over a wire.
-        is_known: Whether clients know before the first reply that the server is turtleact's.
-    """
-
-    is_prompt = False
-    is_known = True
+    """A graph whose servers are all elsewhere: nobody is handed the server itself."""
 
     def __init__(self, transport: MemoryTransport) -> None:
         self._transport = transport
@@ -79,60 +70,6 @@ class Apart:
 
     def local(self, name: str, type_name: str) -> None:
         """There is none in this process."""
-
-    def join(self, endpoint: Any, format: Any, target: Any = EVERY_SERVER) -> Any:
-        caller: Any = self._transport.join(endpoint, format, target)
-        if self.is_prompt:
-            caller.ask = lambda request, note="": Early(lambda: caller.call(request, note))
-        return caller
-
-
-class Early:
-    """A request that is under way by itself.
-
-    Args:
-        call: Sends it.
-    """
-
-    def __init__(self, call: Callable[[], Awaitable[Reply]]) -> None:
-        self._call = call
-        self._over = anyio.Event()
-        self._came: Reply | Exception
-        current_tasks().spawn(self._run(), "an early request")
-
-    async def reply(self) -> Reply:
-        await self._over.wait()
-        if isinstance(self._came, Exception):
-            raise self._came
-        return self._came
-
-    def drop(self) -> None:
-        """Stop waiting. Nobody is told then."""
-
-    async def _run(self) -> None:
-        await anyio.lowlevel.checkpoint()
-        try:
-            self._came = await self._call()
-        except Exception as error:
-            self._came = error
-        self._over.set()
-
-
-@pytest.fixture(autouse=True, params=["one by one", "both at once"])
-def is_prompt(request, monkeypatch) -> None:
-    """How the two requests of a goal are sent to a server of turtleact."""
-    is_prompt = request.param == "both at once"
-    monkeypatch.setattr(Apart, "is_prompt", is_prompt)
-    if is_prompt:  # a client knows its server before the first reply
-
-        def knows_ours(endpoints: Any) -> bool:
-            if endpoints.transport.is_known and not hasattr(endpoints, "was_told"):
-                endpoints.was_told = True
-                endpoints.learn(Reply(None, GoalMetadata().write()))
-            return genuine(endpoints)
-
-        genuine = ClientEndpoints.knows_ours
-        monkeypatch.setattr(ClientEndpoints, "knows_ours", knows_ours)
 
 
 @asynccontextmanager
@@ -161,7 +98,7 @@ def send(request) -> Send:
 @pytest.fixture(autouse=True)
 def no_patience(monkeypatch) -> None:
     """Do not wait for a dead server to return."""
-    monkeypatch.setattr("turtleact.goals.remote_goals.BACK_WITHIN", 0.0)
+    monkeypatch.setattr("turtleact.goals.remote.BACK_WITHIN", 0.0)
 
 
 # --- ends ---------------------------------------------------------------------------------------
@@ -691,9 +628,6 @@ class CutCaller:
     def is_served(self) -> bool:
         return not self._graph.is_cut and self._caller.is_served
 
-    def ask(self, request: object, note: str = "") -> Early | None:
-        return Early(lambda: self.call(request)) if self._graph.is_prompt else None
-
     async def call(self, request: object, note: str = "") -> Any:
         if self._graph.delays and self._name.endswith("get_result"):
             await settle()
@@ -747,7 +681,7 @@ async def test_a_server_that_comes_back_at_once_is_asked_again(send, monkeypatch
     gate = Gate()
     async with cut(gate.wait) as (served, graph), running(lambda: send(served, goal())) as sent:
         await gate.started.wait()
-        monkeypatch.setattr("turtleact.goals.remote_goals.BACK_WITHIN", 5.0)
+        monkeypatch.setattr("turtleact.goals.remote.BACK_WITHIN", 5.0)
         graph.returns = True
         graph.cut()
         await settle()
@@ -786,7 +720,7 @@ async def test_leaving_the_block_of_a_lost_goal_does_not_hang():
 async def test_lost_feedback_is_waited_for_and_then_logged(caplog, monkeypatch):
     async with cut(count) as (served, graph):
         graph.withholds = 2
-        monkeypatch.setattr("turtleact.goals.remote_goals.LATE_FEEDBACK", 0.0)
+        monkeypatch.setattr("turtleact.goals.remote.LATE_FEEDBACK", 0.0)
         assert await served.client.send_goal(goal(5)) == result(0, 1, 2, 3, 4)
     assert "2 feedback messages of goal" in caplog.text
 
@@ -845,7 +779,7 @@ async def test_an_id_that_is_under_way_is_refused_here():
 
 
 async def test_a_reader_far_behind_loses_the_oldest(monkeypatch):
-    monkeypatch.setattr("turtleact.goals.remote_goals.MOST_UNREAD", 3000)
+    monkeypatch.setattr("turtleact.goals.remote.MOST_UNREAD", 3000)
 
     async def act(request):
         for number in range(8000):
@@ -941,7 +875,6 @@ async def strange() -> AsyncIterator[tuple[Stranger, turtleact.ActionClient[Any,
     """A stranger that serves `Count`, and the client of another node."""
     transport = MemoryTransport()
     near: Any = Apart(transport)
-    near.is_known = False
     async with (
         turtleact.open_node("far", transport=transport) as far,
         turtleact.open_node("near", transport=near) as node,

@@ -19,7 +19,6 @@ import pytest
 import turtleact
 from turtleact import GoalStatus
 from turtleact.errors import InvalidOption, ServerUnavailable, UnknownGoal
-from turtleact.goals import remote_goals
 from turtleact.goals.observers import GoalObserver
 from turtleact.transports import MemoryTransport, open_zenoh
 
@@ -274,7 +273,7 @@ async def test_feedback_ends_the_absence_of_a_server_that_is_killed_again_and_ag
 ):
     later, now = [0.0], anyio.current_time
     monkeypatch.setattr(anyio, "current_time", lambda: now() + later[0])
-    monkeypatch.setattr(remote_goals, "SETTLED", 1e9)  # no server lives that long
+    monkeypatch.setattr("turtleact.goals.remote.SETTLED", 1e9)  # no server lives that long
     gate, transport = Gate(), MemoryTransport()
     restarted = Restarted(transport, tmp_path / "goals.db", gate.stream if is_heard else gate.wait)
     near: Any = Apart(transport)
@@ -308,4 +307,4 @@ async def test_reattach_is_a_number():
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch) -> None:
-    monkeypatch.setattr(remote_goals, "PAUSE", 0.001)
+    monkeypatch.setattr("turtleact.goals.remote.PAUSE", 0.001)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import anyio
 import pytest
@@ -89,39 +89,6 @@ async def test_a_result_that_is_asked_for_early_comes_at_the_end():
             gate.opened.set()
         assert one.value.status == other.value.status == GoalStatus.SUCCEEDED
         assert (await wire.get()).result == result(3)
-
-
-@pytest.mark.parametrize(
-    ("answer", "status"),
-    [(GoalResponse.ACCEPT, GoalStatus.SUCCEEDED), (GoalResponse.REJECT, GoalStatus.UNKNOWN)],
-)
-async def test_a_result_may_be_asked_for_before_the_goal_is_taken(answer, status):
-    thinking, thought = anyio.Event(), anyio.Event()
-
-    async def think(_):
-        thinking.set()
-        await thought.wait()
-        return answer
-
-    async with lab(count, goal_callback=think) as served:
-        handlers = {
-            name: cast("Any", served.node.transport.local(f"/count/_action/{name}", type_name))
-            for name, type_name in (
-                ("send_goal", f"{Count.type_name}_SendGoal"),
-                ("get_result", f"{Count.type_name}_GetResult"),
-            )
-        }
-        sent = IMPLIED.send_goal.Request(goal_id=ID, goal=goal(3))
-        asked = IMPLIED.get_result.Request(goal_id=ID)
-        async with (
-            running(lambda: handlers["send_goal"].reply(sent, b"")),
-            running(lambda: handlers["get_result"].reply(asked, b"")) as end,
-        ):
-            await thinking.wait()
-            await settle()
-            assert not end.done.is_set()
-            thought.set()
-        assert end.value.message.status == status
 
 
 async def test_the_result_of_an_unknown_goal_is_unknown():

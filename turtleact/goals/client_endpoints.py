@@ -46,7 +46,6 @@ from turtleact.transports.base import (
     Caller,
     CallObserver,
     Closeable,
-    Endpoint,
     Format,
     MakeEndpoint,
     QoS,
@@ -155,9 +154,7 @@ class ClientEndpoints:
         send_goal: The service client that sends goals. If the action has several servers, each goal
             goes to only one server.
         get_result: The service client that asks for results. It exists only after `open`.
-        is_ours: Whether the server ran turtleact when it last answered; see `knows_ours`.
-        takes_both: Whether the client may send a goal and ask for its result at the same time. The
-            value is False after a result request has overtaken its goal on the way to a server.
+        is_ours: Whether the last answer to a goal request came from a turtleact server.
     """
 
     get_result: Caller
@@ -176,7 +173,6 @@ class ClientEndpoints:
         self.action_type = action_type
         self.is_open = False
         self.is_ours = False
-        self.takes_both = True
         self._endpoint = endpoint
         self._names = names
         self._introspection = introspection
@@ -185,8 +181,6 @@ class ClientEndpoints:
         self._canceling = 0  # cancel requests under way
         self._watches_status = self._watches_paused = False
         self._goals, self._cancels = RequestLimiter(), RequestLimiter()
-        self._servers: list[Endpoint] = []  # the servers that existed when `is_ours` was learned
-        self._seen = 0  # the graph's change count when `_servers` was last compared
         self._lost: LostFeedback | None = None
         self.send_goal = self._join(
             names.send_goal,
@@ -214,53 +208,34 @@ class ClientEndpoints:
         """Wait until the action has a server on the graph. Cancelling: safe."""
         await wait_until_served(self.transport, lambda: self.send_goal.is_served or None, None)
 
-    # which kind of server
-
-    def knows_ours(self) -> bool:
-        """Return whether the server is known to run turtleact.
-
-        A server is known to run turtleact if its last reply had a ``note`` attached, and the action
-        still has the same servers. The client sends requests to a turtleact server at once.
-        """
-        if self.is_ours and self._seen != self.transport.changes:
-            self._seen = self.transport.changes
-            self.is_ours = self._servers == self._find_servers()
-        return self.is_ours
-
-    def learn(self, reply: Reply) -> None:
-        """Learn from a reply whether the server runs turtleact.
-
-        Only a turtleact server attaches a ``note`` to its replies.
-        """
-        if not reply.note:
-            self.is_ours = False
-        elif not self.is_ours:
-            self.is_ours = self.takes_both = True
-            self._servers, self._seen = self._find_servers(), self.transport.changes
-            self._goals.admit_all()
-            self._cancels.admit_all()
+    # requests
 
     async def ask_for_goal(self, request: object, note: str) -> Reply:
         """Send a goal, and return the server's answer.
 
-        If the server is known to run turtleact, the request is sent at once. Otherwise, the request
-        goes through a `RequestLimiter`.
+        If the last answer came from a turtleact server, the request is sent at once. Otherwise, the
+        request goes through a `RequestLimiter`.
         """
-        if self.knows_ours():
-            return await self.send_goal.call(request, note)
-        return await self._goals.call(self.send_goal, request, note)
+        if self.is_ours:
+            reply = await self.send_goal.call(request, note)
+        else:
+            reply = await self._goals.call(self.send_goal, request, note)
+        self.is_ours = bool(reply.note)  # only a turtleact server attaches a note
+        if self.is_ours:
+            self._goals.admit_all()
+            self._cancels.admit_all()
+        return reply
 
     async def ask_to_cancel(self, request: object) -> Reply:
         """Send a cancel request, and return the server's answer. Call `open` first.
 
-        If the server is known to run turtleact, the request is sent at once. Otherwise, the request
-        goes through a `RequestLimiter`.
+        As in `ask_for_goal`, only requests to ROS 2 servers are limited.
         """
         # A client that has just come may know a server's other services before this one.
         await find_server(self.transport, lambda: self._cancel_goal.is_served or None)
         self._canceling += 1
         try:
-            if self.knows_ours():
+            if self.is_ours:
                 return await self._cancel_goal.call(request)
             return await self._cancels.call(self._cancel_goal, request)
         finally:
@@ -403,11 +378,6 @@ class ClientEndpoints:
             for each in self._events:
                 each.close()
             self._events.clear()
-
-    def _find_servers(self) -> list[Endpoint]:
-        """Find all servers of the action. A restarted server counts as a new server."""
-        endpoints = self.transport.endpoints(self._names.send_goal)
-        return [each for each in endpoints if each.kind == "service"]
 
     def _join(
         self, name: str, type_name: str, find_type: Callable[[], type[Service]], target: Target

@@ -41,7 +41,6 @@ from turtleact.interfaces import (
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.services import LocalServiceServer, service_events
-from turtleact.summaries import CUT_OFF, STOPPED
 from turtleact.tasks import GRACE, Tasks, wait_while
 from turtleact.transports.base import (
     STATUS_QOS,
@@ -70,9 +69,6 @@ OURS = GoalMetadata().write()
 
 A response with a note shows that a turtleact server has sent the response.
 """
-
-LATE_REQUEST = 0.5
-"""How long a closing server waits for clients in other processes to request results (s)."""
 
 
 class ActionEndpoints:
@@ -103,7 +99,7 @@ class ActionEndpoints:
         self._endpoint = endpoint
         self._cancel_goal = _CancelGoal(server, names, transport, tasks)
         self._get_result = _GetResult(server, names, tasks)
-        self._send_goal = _SendGoal(server, names, tasks, self._get_result)
+        self._send_goal = _SendGoal(server, names, tasks)
         self._introspection = introspection
         if introspection == "off":
             self._send_goal.goal_server = server
@@ -161,10 +157,8 @@ class ActionEndpoints:
 
         Call this after all bodies have ended.
         """
-        answered = self._get_result.answered
-        if self._services:
-            await wait_while(self._is_expected, answered, LATE_REQUEST)
-        await wait_while(lambda: self._get_result.waiting, answered, GRACE)
+        results = self._get_result
+        await wait_while(lambda: results.waiting, results.answered, GRACE)
         for opened in self._services:
             opened.close()
         for service in (self._send_goal, self._cancel_goal, self._get_result):
@@ -172,14 +166,6 @@ class ActionEndpoints:
         for topic in self._topics:
             topic.close()
         await self._pausing.aclose()
-
-    def _is_expected(self) -> bool:
-        """Whether a client in another process is likely to request the result of a goal soon."""
-        reasons = (self._server.closing_reason, STOPPED, CUT_OFF)
-        return any(
-            _may_be_asked_for(goal, reasons) and not self._get_result.is_told(goal)
-            for goal in self._server.held().values()
-        )
 
 
 class _ActionService(ServiceHandler):
@@ -269,13 +255,10 @@ class _SendGoal(_ActionService):
 
     goal_server: LocalActionServer
 
-    def __init__(
-        self, server: LocalActionServer, names: ActionNames, tasks: Tasks, get_result: _GetResult
-    ) -> None:
+    def __init__(self, server: LocalActionServer, names: ActionNames, tasks: Tasks) -> None:
         super().__init__(server, names.send_goal, tasks)
         self.expect_readers: Callable[[], None] | None = None
         self.on_rejection: Callable[[bytes, str], None] | None = None
-        self._get_result = get_result
 
     def find_type(self) -> Any:  # noqa: ANN401  # a service class
         return self._implied.send_goal
@@ -300,8 +283,7 @@ class _SendGoal(_ActionService):
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
         try:
             goal_request = self._read(request, caller)
-            with self._get_result.expecting(goal_request.goal_id):
-                goal = await self.server.send(goal_request)
+            goal = await self.server.send(goal_request)
         except GoalRejected as rejected:
             return self._rejected(request, rejected)
         return self._accepted(goal)
@@ -356,33 +338,12 @@ class _CancelGoal(_ActionService):
 
 
 class _GetResult(_ActionService):
-    """Answers with the results of goals, once the goals have ended.
-
-    A client of turtleact sends a goal and the request for its result at the same time. The request
-    for the result may therefore arrive while the server still decides whether to accept the goal.
-    In this case, the service waits until the server has decided.
-    """
+    """Answers with the results of goals, once the goals have ended."""
 
     def __init__(self, server: LocalActionServer, names: ActionNames, tasks: Tasks) -> None:
         super().__init__(server, names.get_result, tasks)
-        self._expected: list[bytes | None] = []  # a list, since the same id may be sent twice
-        self._decided = tasks.signal()
         self._asked: dict[Goal, list[Respond]] = {}  # for goals that have not ended
-        self._told: set[bytes] = set()  # the goals whose results were given after the closing began
         self._retire, server.retire = server.retire, self.retire
-
-    @contextmanager
-    def expecting(self, goal_id: bytes | None) -> Iterator[None]:
-        """Hold requests for a goal's result while the server decides whether to accept the goal.
-
-        The code in the ``with`` block makes this decision.
-        """
-        self._expected.append(goal_id)
-        try:
-            yield
-        finally:
-            self._expected.remove(goal_id)
-            self._decided.fire()
 
     def find_type(self) -> Any:  # noqa: ANN401  # a service class
         return self._implied.get_result
@@ -396,7 +357,7 @@ class _GetResult(_ActionService):
         """Answer as soon as the goal has ended.
 
         If the goal is unknown, return False. The caller must then call `handle` in a task, because
-        the request that sends the goal may still arrive.
+        the goals of an earlier process may not be restored yet.
         """
         goal = self.server.find(request.goal_id.uuid)
         if goal is None:
@@ -416,31 +377,19 @@ class _GetResult(_ActionService):
             self.waiting -= 1
             self.answered.fire()
 
-    def is_told(self, goal: Goal) -> bool:
-        """Whether the result of a goal that the closing has ended was given to anybody."""
-        return goal.id in self._told
-
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
-        goal_id = request.goal_id.uuid
         await self.server.wait_until_restored()
-        if self.server.find(goal_id) is None:
-            # The goal's own request may have arrived just before, in a task that has not begun.
-            await self._tasks.checkpoint()
-        while (goal := self.server.find(goal_id)) is None:
-            if goal_id not in self._expected:
-                return Reply(self._implied.get_result.Response(status=GoalStatus.UNKNOWN), OURS)
-            await self._decided.wait()
+        goal = self.server.find(request.goal_id.uuid)
+        if goal is None:
+            return Reply(self._implied.get_result.Response(status=GoalStatus.UNKNOWN), OURS)
         await goal.wait_for_end()
         if goal.error is not None:  # the server stops, and the goal goes on after a restart
             raise goal.error
         return self._end(goal)
 
     def _end(self, goal: Goal) -> Reply:
-        if not self.server.is_open:
-            self._told.add(goal.id)
-        response = self._implied.get_result.Response
         result: Any = goal.result
-        message = response(status=int(goal.status), result=result)
+        message = self._implied.get_result.Response(status=int(goal.status), result=result)
         if goal.reason or goal.log.count:
             return Reply(message, GoalMetadata(goal.reason, goal.log.count).write())
         return Reply(message, OURS)
@@ -462,14 +411,3 @@ def _joined(answers: list[CancelGoal.Response]) -> CancelGoal.Response:
         return_code=min(known, default=CancelCode.UNKNOWN_GOAL_ID),  # NONE is the smallest
         goals_canceling=[goal for each in answers for goal in each.goals_canceling],
     )
-
-
-def _may_be_asked_for(goal: Goal, reasons: tuple[str, ...]) -> bool:
-    """Whether a client in another process is likely to request this goal's result soon.
-
-    True for a goal from another process that the shutdown has ended, until its result is requested.
-    ``reasons`` are the reasons of goals that the shutdown ends.
-    """
-    is_sent_from_elsewhere = isinstance(goal.sender, bytes) and bool(goal.sender)
-    is_ended_late = goal.reason in reasons
-    return is_sent_from_elsewhere and is_ended_late
