@@ -6,7 +6,6 @@ import re
 from contextlib import asynccontextmanager
 
 import anyio
-import pytest
 
 from turtleact import open_node
 from turtleact.goals.wire import SetPaused
@@ -157,19 +156,10 @@ def test_paused_goals_are_listed_as_such(on_graph):
     assert states == ["EXECUTING (paused)", "ACCEPTED (paused)", "EXECUTING"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "problem"),
-    [
-        ((), "give the ids of goals, or --all; 'turtleact goals' lists them"),
-        (("--all", "walk", "blind"), "--all takes one action; without one, it means all actions"),
-    ],
-)
-def test_it_must_be_clear_which_goals_are_meant(turtleact, arguments, problem):
-    ran = turtleact("pause", *arguments)
-    assert (ran.status, ran.problem) == (2, problem)
-
-
-# --- the key of the live display ----------------------------------------------------------------
+def test_it_must_be_clear_which_goals_are_meant(turtleact):
+    ran = turtleact("pause")
+    assert ran.problem == "give the ids of goals, or --all; 'turtleact goals' lists them"
+    assert ran.status == 2
 
 
 def test_an_action_stands_for_its_only_running_goal(on_graph):

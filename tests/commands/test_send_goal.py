@@ -19,7 +19,7 @@ import pytest
 
 from turtleact import open_node
 from turtleact.commands import send_goal
-from turtleact.commands.transcript import PlainTranscript
+from turtleact.commands.goal_printer import GoalPrinter
 from turtleact.interfaces import from_text
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard import GetSimulationState, SetSimulationState, SimulationState
@@ -361,7 +361,7 @@ def test_without_an_answer_nobody_says_what_became_of_a_canceled_goal(
     monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", 0.05)
     if not arguments:
         interrupt = signal.raise_signal
-        monkeypatch.setattr(PlainTranscript, "accepted", lambda *_: interrupt(signal.SIGINT))
+        monkeypatch.setattr(GoalPrinter, "accepted", lambda *_: interrupt(signal.SIGINT))
     ran = on_graph(deaf, "send-goal", "deaf", "--plain", *arguments)
     assert left == [status]
     assert re.fullmatch(
@@ -416,13 +416,13 @@ def test_a_server_that_does_not_answer_in_time_is_told_from_one_that_takes_no_go
 
 
 def test_a_server_that_does_not_answer_is_waited_for_until_a_signal(on_graph, monkeypatch):
-    def note(transcript, text):
+    def note(printer, text):
         print(text, file=sys.stderr)
         if "waiting for it" in text:
             signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(send_goal, "PATIENCE", 0.01)
-    monkeypatch.setattr(PlainTranscript, "note", note)
+    monkeypatch.setattr(GoalPrinter, "note", note)
     ran = on_graph(late, "send-goal", "stuck")
     assert ran.err == (
         "no answer from the server for 0.01 s; waiting for it\n"

@@ -60,7 +60,7 @@ BROKEN_PIPE: Final = 141
 
 HOMES: Final = {
     **dict.fromkeys(
-        ("send-goal", "cancel", "pause", "resume", "watch", "result", "action", "journal"), "goals"
+        ("send-goal", "cancel", "pause", "resume", "watch", "result", "action"), "goals"
     ),
     **dict.fromkeys(("param", "service"), "node"),
     **dict.fromkeys(("teleop", "snapshot"), "turtlesim"),

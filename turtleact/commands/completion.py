@@ -150,12 +150,12 @@ def goal_ids(ctx: typer.Context, incomplete: str) -> Candidates:
     if ctx.params.get("all_") or ctx.params.get("before"):
         return _as_begun(_types_by_name(ctx, "action"), incomplete)
     from turtleact.commands import graph
-    from turtleact.commands.held_goals import held_goals, served_actions
+    from turtleact.commands.held_goals import held_goals
 
     found: dict[str, str] = {}
 
     async def look(node: Node) -> int:
-        goals, _ = await held_goals(node, served_actions(node, None))
+        goals, _ = await held_goals(node)
         for goal in reversed(goals):
             found[goal.goal_id.hex()] = f"{goal.action} {goal.status.name}"
         return 0

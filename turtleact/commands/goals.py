@@ -35,15 +35,16 @@ from turtleact.commands.options import (
     value,
     whole,
 )
-from turtleact.commands.settings import Place, Reach, WrongOptions, quoted
+from turtleact.commands.settings import Reach, WrongOptions, quoted
 from turtleact.errors import InvalidName
 
 if TYPE_CHECKING:
+    from turtleact.commands.goal_printer import View
+    from turtleact.commands.held_goals import Change
     from turtleact.commands.message_text import Style
-    from turtleact.commands.transcript import View
     from turtleact.node import Node
 
-__all__ = ["action", "app", "journal", "moment"]
+__all__ = ["action", "app", "moment"]
 
 _GOAL_ID = re.compile(r"[0-9a-f]{4,32}")
 _HEXADECIMAL = re.compile(r"[0-9a-fA-F-]+")
@@ -97,7 +98,6 @@ _PAUSING = """\
 
 app = typer.Typer(**SETTINGS)
 action = new_group("action")
-journal = new_group("journal", VERBS["journal"])
 
 
 def _written(reach: Reach, interfaces: Path | None) -> str:
@@ -191,21 +191,26 @@ def send_goal(
         raise WrongOptions(
             "--reattach is for servers in other processes, not for an embedded world"
         )
-    place = Place(
-        1.0 if speed is None else speed_or_max(speed),
-        seed or 0,
-        None if is_embedded else reach,
-        folder(interfaces),
-        _written(reach, interfaces),
-    )
     from turtleact.commands.interface_search import make_known
     from turtleact.commands.message_text import GoalText
-    from turtleact.commands.send_goal import Order, run
+    from turtleact.commands.send_goal import GoalRequest, GoalSender
 
     text = GoalText.read(goal, stdin=stdin, path=folder(goal_file))
-    make_known(place.interfaces)
-    view: View = "json" if json else _view(plain=plain)
-    return run(Order(name, type_name, text, place, feedback, timeout, view, reattach))
+    make_known(folder(interfaces))
+    request = GoalRequest(
+        name,
+        type_name,
+        text,
+        None if is_embedded else reach,
+        1.0 if speed is None else speed_or_max(speed),
+        seed or 0,
+        _written(reach, interfaces),
+        feedback,
+        timeout,
+        "json" if json else _view(plain=plain),
+        reattach,
+    )
+    return GoalSender(request).run()
 
 
 verb(app, "send-goal", cls=MessageVerb, help=VERBS["send-goal"], epilog=EXAMPLES)(send_goal)
@@ -233,10 +238,10 @@ def goals(
 ) -> int:
     """``goals``."""
     if journal is not None:
-        from turtleact.commands import journaled_goals
+        from turtleact.commands.journal import print_goals
 
         first = 0 if since is None else _since(since)
-        return journaled_goals.print_goals(journal, name, first, as_json=json)
+        return print_goals(journal, name, first, as_json=json)
     if since is not None:
         raise WrongOptions("--since needs --journal: servers forget goals soon after their end")
     from turtleact.commands import graph, held_goals
@@ -264,16 +269,8 @@ def cancel(
 ) -> int:
     """``cancel``."""
     only_one("which goals are meant", all=all_, before=before is not None)
-    is_many = all_ or before is not None
-    given = _given(what, "--all and --before take" if is_many else "")
     until = 0 if before is None else moment(before)
-    from turtleact.commands import graph, held_goals
-
-    if is_many:
-        name = given[0] if given else None
-        return graph.run(reach, lambda node: held_goals.cancel_many(node, name, until))
-    ids = [_watched(text) for text in given]
-    return graph.run(reach, lambda node: held_goals.cancel(node, ids))
+    return _change(reach, what, "cancel", is_many=all_, before=until)
 
 
 @verb(app, help=VERBS["pause"], epilog=_PAUSING)
@@ -290,47 +287,34 @@ def pause(
     ] = 5.0,
 ) -> int:
     """``pause``."""
-    return _switch(reach, what, is_all=all_, is_paused=True, timeout=timeout)
+    return _change(reach, what, "pause", is_many=all_, timeout=timeout)
 
 
 @verb(app, help=VERBS["resume"])
 def resume(reach: Reach, what: Ids = None, *, all_: AllPaused = False) -> int:
     """``resume``."""
-    return _switch(reach, what, is_all=all_, is_paused=False, timeout=0.0)
+    return _change(reach, what, "resume", is_many=all_)
 
 
-def _switch(
-    reach: Reach, what: list[str] | None, *, is_all: bool, is_paused: bool, timeout: float
+def _change(
+    reach: Reach,
+    what: list[str] | None,
+    change: Change,
+    *,
+    is_many: bool,
+    before: int = 0,
+    timeout: float = 0.0,
 ) -> int:
-    """Pause or resume goals, selected by their ids or by their action."""
-    given = _given(what, "--all takes" if is_all else "")
-    ids = [] if is_all else [_watched(text) for text in given]
+    """Cancel, pause or resume goals, selected by their ids or by their actions."""
     from turtleact.commands import graph, held_goals
+    from turtleact.names import resolve_name
 
-    if is_all:
-        look = partial(held_goals.switch_all, name=given[0] if given else None)
-    else:
-        look = partial(held_goals.switch, wanted=ids)
-    return graph.run(reach, partial(look, is_paused=is_paused, timeout=timeout))
-
-
-def _given(what: list[str] | None, many: str) -> list[str]:
-    """Return the ids and names that the user gave.
-
-    Args:
-        what: The ids and names.
-        many: The options that select many goals, with a verb; empty if none was given.
-
-    Raises:
-        WrongOptions: if there is none without such an option, or more than one with it.
-    """
-    given = what or []
-    if many and len(given) > 1:
-        meant = "they mean" if " and " in many else "it means"
-        raise WrongOptions(f"{many} one action; without one, {meant} all actions")
-    if not many and not given:
+    is_many = is_many or bool(before)
+    if not (is_many or what):
         raise WrongOptions("give the ids of goals, or --all; 'turtleact goals' lists them")
-    return given
+    names = [resolve_name(text) if is_many else _id_or_name(text) for text in what or ()]
+    selected = held_goals.Selection(names, is_many, before)
+    return graph.run(reach, lambda node: held_goals.change(node, selected, change, timeout))
 
 
 @verb(app, help=VERBS["watch"])
@@ -353,7 +337,7 @@ def watch(
         raise WrongOptions(
             "give the id of a goal, or an action with one running goal; 'turtleact goals' lists all"
         )
-    return _follow(reach, interfaces, _watched(what), _view(plain=plain))
+    return _follow(reach, interfaces, _id_or_name(what), _view(plain=plain))
 
 
 @verb(app, help=VERBS["result"])
@@ -373,9 +357,9 @@ def result(
     wanted = _goal_id(goal_id)
     if journal is None:
         return _follow(reach, interfaces, wanted, None)
-    from turtleact.commands import journaled_goals
+    from turtleact.commands.journal import print_result
 
-    return journaled_goals.print_result(journal, wanted, folder(interfaces))
+    return print_result(journal, wanted, folder(interfaces))
 
 
 @verb(action, "list")
@@ -443,26 +427,6 @@ def echo(
     make_known(interfaces if parts is None else None)
     order = event_echo.Order(name, type_name, style, parts or event_echo.PARTS)
     return graph.run(reach, partial(event_echo.echo_action, order=order))
-
-
-@verb(journal)
-def prune(
-    file: Annotated[Path, argument("FILE", "The journal.")],
-    *,
-    keep: Annotated[
-        float,
-        value(
-            "--keep",
-            metavar="TIME",
-            text="Keep the goals that ended within this time, such as 7d, 12h or 30min.",
-            parser=span,
-        ),
-    ],
-) -> int:
-    """Delete goals that ended long ago. A server may be writing the journal meanwhile."""
-    from turtleact.commands.journaled_goals import prune_goals
-
-    return prune_goals(file, round(keep * 1e9))
 
 
 def moment(text: str) -> int:
@@ -540,7 +504,7 @@ def _goal_id(text: str) -> str:
     return digits
 
 
-def _watched(text: str) -> str:
+def _id_or_name(text: str) -> str:
     """Return the text as a goal's id, or as an action's full name, which begins with a slash."""
     from turtleact.names import resolve_name
 

@@ -18,60 +18,38 @@ from __future__ import annotations
 import json
 import sys
 import uuid
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias, cast
 
 import anyio
 
-from turtleact.commands import graph, send_goal
-from turtleact.commands.graph import interface_class, not_served
+from turtleact.commands import graph
+from turtleact.commands.goal_printer import (
+    EXIT_STATUS,
+    Followed,
+    after_return,
+    follow,
+    watch_command,
+)
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import duration, note, say, say_names, say_table
-from turtleact.commands.transcript import Followed, after_return, watch_command
-from turtleact.errors import (
-    PauseRefused,
-    ServerUnavailable,
-    ServiceTimeout,
-    TurtleactError,
-    UsageError,
-)
+from turtleact.commands.send_goal import choose_printer
+from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError, UsageError
 from turtleact.goals.state import CancelCode, GoalStatus, status_of
 from turtleact.goals.wire import PausedGoals, SetPaused, paused_topic, set_paused_service
 from turtleact.graph import types_by_name
-from turtleact.interfaces import (
-    SECOND,
-    Action,
-    Message,
-    nanoseconds,
-    stamp_of,
-)
+from turtleact.interfaces import SECOND, Action, nanoseconds
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, GoalStatusArray
 from turtleact.names import action_names, resolve_name
 from turtleact.tasks.clock import within
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
+    from turtleact.commands.goal_printer import GoalPrinter, View
     from turtleact.commands.settings import Reach
-    from turtleact.commands.transcript import Transcript, View
     from turtleact.node import Node
 
-__all__ = [
-    "STATUS_QOS",
-    "HeldGoal",
-    "cancel",
-    "cancel_many",
-    "find_goal",
-    "find_goals",
-    "follow",
-    "goals_in",
-    "held_goals",
-    "print_goals",
-    "run",
-    "served_actions",
-    "silence",
-    "switch",
-    "switch_all",
-]
+__all__ = ["Change", "HeldGoal", "Selection", "change", "held_goals", "print_goals", "run"]
 
 STATUS_QOS = QoS(depth=100, durability="transient_local")
 """The QoS of subscriptions to the states of goals.
@@ -80,18 +58,41 @@ Each server of an action latches one message. A new subscription may therefore r
 at once.
 """
 
+LATCHED = QoS(depth=1, durability="transient_local")
+
 LATCHED_PATIENCE = 0.5
-"""How long to wait for latched messages (s, by the clock of the graph)."""
+"""How long to wait for latched messages about states (s, by the clock of the graph)."""
+
+PAUSED_PATIENCE = 0.2
+"""How long to wait for latched messages about pauses, which only turtleact sends (s, likewise)."""
 
 ROUND_TRIPS = 5
-"""How many network round trips are added to `LATCHED_PATIENCE`.
+"""How many network round trips are added to each patience.
 
 The node must find the publisher of a latched message, perhaps through a router, and then request
 the message.
 """
 
 ANSWER = 2.0
-"""How long to wait for a server's answer (s, by the clock of the graph)."""
+"""How long a server that works may take to answer, or to offer a service (s, likewise)."""
+
+PATIENCE = 10.0
+"""How long to wait for the answer to a request for a goal (s, likewise)."""
+
+HEADINGS = ("id", "action", "state", "age", "client")
+
+LEGEND = "client: ? means that the action still has a client, gone that it has none any more"
+
+REASONS: Final[dict[int, str]] = {
+    CancelCode.REJECTED: "the server refuses",
+    CancelCode.UNKNOWN_GOAL_ID: "the server does not hold it any more",
+    CancelCode.GOAL_TERMINATED: "it has ended",
+}
+"""Why a server does not cancel a goal, by the code in its answer."""
+
+Change: TypeAlias = Literal["cancel", "pause", "resume"]
+
+CHANGED: Final = {"cancel": "canceled", "pause": "paused", "resume": "resumed"}
 
 
 class HeldGoal(NamedTuple):
@@ -114,141 +115,54 @@ class HeldGoal(NamedTuple):
     is_paused: bool = False
 
 
-def served_actions(node: Node, name: str | None) -> dict[str, str]:
-    """Return the actions on the graph that have a server, with their types.
+class Selection(NamedTuple):
+    """Which goals a user means.
 
-    With ``name``, return only this action.
+    Attributes:
+        names: The beginnings of ids, and the full names of actions, each of which stands for its
+            only running goal. With ``is_many``, names of actions only.
+        is_many: Whether all running goals are meant: those of the actions in ``names`` or, if that
+            is empty, of all actions.
+        before: If this is not 0, only goals accepted up to this time are meant (ns since the epoch,
+            by the servers' clocks).
+    """
+
+    names: list[str]
+    is_many: bool = False
+    before: int = 0
+
+
+async def held_goals(node: Node, name: str | None = None) -> tuple[list[HeldGoal], list[str]]:
+    """Find the goals of all actions or of one, and the servers that do not answer.
+
+    Returns:
+        The goals in the order of their acceptance, and the names of the nodes that do not answer.
 
     Raises:
         InvalidName: if ``name`` breaks ROS 2's rules for names.
         ServerUnavailable: if nobody serves the action ``name``. The error suggests other names.
     """
-    found = types_by_name(node.transport.endpoints(), "action", hidden=True)
-    served = {each: types[0] for each, types in found.items()}
-    if name is None:
-        return served
-    full_name = resolve_name(name)
-    if full_name not in served:
-        raise not_served(full_name, served)
-    return {full_name: served[full_name]}
-
-
-async def held_goals(node: Node, actions: dict[str, str]) -> tuple[list[HeldGoal], list[str]]:
-    """Find the goals of some actions, and the servers that do not answer.
-
-    Args:
-        node: A node on the graph.
-        actions: The names of the actions, with their types.
-
-    Returns:
-        The goals in the order of their acceptance, and the names of the nodes that do not answer.
-    """
+    types = types_by_name(node.transport.endpoints(), "action", hidden=True)
+    if name is not None:
+        name = resolve_name(name)
+        if name not in types:
+            raise graph.not_served(name, types)
+        types = {name: types[name]}
     found: dict[tuple[str, bytes], HeldGoal] = {}
     silent: set[str] = set()
-    patience = LATCHED_PATIENCE + ROUND_TRIPS * node.transport.round_trip
     async with anyio.create_task_group() as asking:
-        for server, action in _servers(node, actions).items():
+        for server, action in _servers(node, types).items():
             asking.start_soon(_ask, node, server, action, silent)
         # The status topics are read for a fixed time, as nobody says which message is the last one.
         # Meanwhile the servers are asked; each question has its own time limit.
-        async with within(patience, node.clock), anyio.create_task_group() as listening:
-            for name, type_name in actions.items():
-                listening.start_soon(_listen, node, name, type_name, found)
+        async with (
+            within(_patience(node, LATCHED_PATIENCE), node.clock),
+            anyio.create_task_group() as listening,
+        ):
+            for action, (type_name, *_) in types.items():
+                listening.start_soon(_listen, node, action, type_name, found)
     goals = sorted(found.values(), key=lambda goal: (goal.stamp, goal.action, goal.goal_id))
     return goals, sorted(silent)
-
-
-def silence(silent: list[str]) -> str:
-    """Return a text that says which servers do not answer."""
-    if len(silent) == 1:
-        return f"server {silent[0]} does not answer"
-    return f"servers {', '.join(silent)} do not answer"
-
-
-def goals_in(message: GoalStatusArray, action: str, type_name: str) -> Iterable[HeldGoal]:
-    """Yield the goals in a status message."""
-    for each in message.status_list:
-        info = each.goal_info
-        status = status_of(each.status)
-        yield HeldGoal(info.goal_id.uuid, action, type_name, status, nanoseconds(info.stamp))
-
-
-def find_goals(goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
-    """Return the goal with an id that begins with ``wanted``; None if there is none.
-
-    Raises:
-        UsageError: if the ids of several goals begin with ``wanted``.
-    """
-    found = [goal for goal in goals if goal.goal_id.hex().startswith(wanted)]
-    if len(found) > 1:
-        shown = ", ".join(goal.goal_id.hex() for goal in found)
-        raise UsageError(f"'{wanted}' is the beginning of several goals: {shown}")
-    return found[0] if found else None
-
-
-async def find_goal(node: Node, wanted: str) -> HeldGoal:
-    """Find the goal on the graph with an id that begins with ``wanted``.
-
-    If ``wanted`` begins with a slash, it is the name of an action, and the action's only running
-    goal is found. If the goal's server does not answer, a note is printed.
-
-    Raises:
-        UsageError: if several goals match ``wanted``.
-        ServerUnavailable: if ``wanted`` is the name of an action that nobody serves.
-        TurtleactError: if no goal matches ``wanted``.
-    """
-    is_name = wanted.startswith("/")
-    goals, silent = await held_goals(node, served_actions(node, wanted if is_name else None))
-    found = _running_goal(goals, wanted) if is_name else find_goals(goals, wanted)
-    if found is None:
-        goal = f"a running goal of {wanted}" if is_name else f"a goal {wanted}"
-        hint = silence(silent) if silent else "'turtleact goals' lists all goals"
-        raise TurtleactError(f"no server in reach holds {goal}; {hint}")
-    stuck = [server for server in _servers(node, {found.action: ""}) if server in silent]
-    if stuck:
-        note(f"{silence(stuck)}; waiting for it")
-    return found
-
-
-def _selected(node: Node, goals: list[HeldGoal], wanted: str) -> HeldGoal | None:
-    """Return the goal that ``wanted`` selects, as for `find_goal`; None if there is none.
-
-    Raises:
-        UsageError: if several goals match ``wanted``.
-        ServerUnavailable: if ``wanted`` is the name of an action that nobody serves.
-    """
-    if not wanted.startswith("/"):
-        return find_goals(goals, wanted)
-    return _running_goal(
-        [each for each in goals if each.action in served_actions(node, wanted)], wanted
-    )
-
-
-def _running_goal(goals: Iterable[HeldGoal], action: str) -> HeldGoal | None:
-    running = [goal for goal in goals if goal.status.is_active]
-    if len(running) > 1:
-        shown = ", ".join(goal.goal_id.hex() for goal in running)
-        raise UsageError(f"action '{action}' has {len(running)} running goals, give one: {shown}")
-    return running[0] if running else None
-
-
-DONE, NOT_DONE, ABORTED, CANCELED = 0, 1, 4, 5
-"""Exit statuses."""
-
-HEADINGS = ("id", "action", "state", "age", "client")
-
-LEGEND = "client: ? means that the action still has a client, gone that it has none any more"
-
-NOBODY = bytes(16)
-"""The id that means every goal in a cancel request."""
-
-PATIENCE = 10.0
-"""How long to wait for the answer to a cancel request (s, by the clock of the graph)."""
-
-SILENT = "the server does not answer"
-
-
-# goals
 
 
 async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
@@ -262,10 +176,9 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
     Raises:
         ServerUnavailable: if nobody serves the action.
     """
-    goals, silent = await held_goals(node, served_actions(node, name))
+    goals, silent = await held_goals(node, name)
     now = node.clock.now()
-    paused = await _paused_goals(node, {each.action for each in goals if each.status.is_active})
-    goals = [goal._replace(is_paused=goal.goal_id in paused) for goal in goals]
+    goals = await _with_pauses(node, goals)
     if as_json:
         say("".join(f"{_as_json(node, goal, now)}\n" for goal in goals))
     elif goals:
@@ -275,100 +188,61 @@ async def print_goals(node: Node, name: str | None, *, as_json: bool) -> int:
     elif not silent:
         note("no server in reach holds a goal")
     if silent:
-        note(f"{silence(silent)}: goals may be missing")
-    return NOT_DONE if silent else DONE
+        note(f"{_silence(silent)}: goals may be missing")
+    return 1 if silent else 0
 
 
-# cancel
+async def change(node: Node, selected: Selection, what: Change, timeout: float = 0.0) -> int:
+    """Cancel, pause or resume goals, print what becomes of each, and return the exit status.
 
-
-async def cancel(node: Node, wanted: Sequence[str]) -> int:
-    """Cancel the goals whose ids begin with the texts in ``wanted``, and print each outcome.
-
-    Raises:
-        UsageError: before any goal is canceled, if several ids begin with the same text in
-            ``wanted``.
-    """
-    goals, silent = await held_goals(node, served_actions(node, None))
-    status = DONE
-    for found, text in [(_selected(node, goals, text), text) for text in wanted]:
-        if found is None:
-            holds_not = "no server in reach holds it"
-            problem: str | None = f"{holds_not}; {silence(silent)}" if silent else holds_not
-        elif found.status.is_terminal:
-            problem = f"it has ended {found.status.name}"
-        else:
-            problem = await _why_not_canceling(node, found)
-        _tell(found.goal_id.hex() if found else text, found.action if found else "", problem)
-        status = NOT_DONE if problem else status
-    return status
-
-
-async def cancel_many(node: Node, name: str | None, before: int) -> int:
-    """Cancel all goals, or only the goals accepted until a given time, and print each outcome.
+    All servers are asked at the same time, so that one that does not answer holds up no other.
 
     Args:
         node: A node on the graph.
-        name: The name of the action; None for all actions.
-        before: The given time (ns since the epoch, by the servers' clocks); 0 for all goals.
+        selected: The goals.
+        what: What to do with them.
+        timeout: How long a server waits for a goal's body to pause (s).
 
     Raises:
-        ServerUnavailable: if nobody serves the action.
+        UsageError: before any server is asked, if a text in ``selected`` fits several goals.
+        ServerUnavailable: if nobody serves an action in ``selected``.
     """
-    goals, silent = await held_goals(node, served_actions(node, name))
-    meant = [
-        goal for goal in goals if goal.status.is_active and (not before or goal.stamp <= before)
-    ]
-    status = DONE
-    for action in sorted({goal.action for goal in meant}):
-        response = await _request(node, action, NOBODY, before)
-        accepted = [] if response is None else response.goals_canceling
-        canceling = {bytes(info.goal_id.uuid) for info in accepted}
-        why = SILENT if response is None else "the server refuses, or it has ended"
-        for goal in meant:
-            if goal.action != action:
-                continue
-            refused = goal.goal_id not in canceling and goal.status is not GoalStatus.CANCELING
-            _tell(goal.goal_id.hex(), action, why if refused else None)
-            status = NOT_DONE if refused else status
-    if silent:
-        note(f"{silence(silent)}: some goals may not be canceled")
-        return NOT_DONE
-    if not meant:
-        note("there is no goal to cancel")
-    return status
+    goals, silent = await held_goals(node)
+    if selected.is_many:
+        meant = _all_of(node, goals, selected)
+        if what == "resume":
+            meant = [goal for goal in await _with_pauses(node, meant) if goal.is_paused]
+        chosen: list[tuple[str, HeldGoal | None]] = [(goal.goal_id.hex(), goal) for goal in meant]
+    else:
+        chosen = [(name, _find(node, goals, name)) for name in selected.names]
+    lacks = "no server in reach holds it"
+    problems = [f"{lacks}; {_silence(silent)}" if silent else lacks] * len(chosen)
 
+    async def ask(number: int, goal: HeldGoal) -> None:
+        problems[number] = await _problem(node, goal, what, timeout)
 
-# watch, result
+    async with anyio.create_task_group() as asking:
+        for number, (_, goal) in enumerate(chosen):
+            if goal is not None:
+                asking.start_soon(ask, number, goal)
+    for (text, goal), problem in zip(chosen, problems, strict=True):
+        who = text if goal is None else f"{goal.goal_id.hex()} of {goal.action}"
+        done = "canceling" if what == "cancel" else CHANGED[what]
+        say_names(f"{who}: {f'not {CHANGED[what]}: {problem}' if problem else done}\n")
+    if selected.is_many and silent:
+        note(f"{_silence(silent)}: some goals may not be {CHANGED[what]}")
+    elif not chosen:
+        note(f"there is no goal to {what}")
+    return 1 if any(problems) or (selected.is_many and silent) else 0
 
 
 def run(reach: Reach, wanted: str, view: View | None, options: str) -> int:
-    """Follow a goal to its end and return the exit status; see `follow`.
-
-    Without a view, only the result is printed.
-    """
-    transcript = send_goal.choose_transcript(
-        view or "plain", wants_feedback=view is not None, wants_feedback_live=False
-    )
-    interrupts = Interrupts()
-    interrupts.restore = transcript.close
-
-    async def look(node: Node) -> int:
-        return await follow(node, wanted, transcript, options)
-
-    try:
-        return graph.run(reach, look, interrupts)
-    finally:
-        transcript.close()
-
-
-async def follow(node: Node, wanted: str, transcript: Transcript, options: str) -> int:
-    """Wait for the end of a goal, print its result, and return the exit status.
+    """Follow a goal to its end, print its result, and return the exit status.
 
     Args:
-        node: A node on the graph.
+        reach: The graph.
         wanted: The beginning of the goal's id, or the full name of an action with one running goal.
-        transcript: The object that prints what happens to the goal.
+        view: How to show the goal; None to print only its result.
         options: The command-line options for the graph and the interfaces, with a space before each
             option. If the server goes away, the error suggests a command with these options.
 
@@ -378,69 +252,95 @@ async def follow(node: Node, wanted: str, transcript: Transcript, options: str) 
         TurtleactError: if no server holds the goal, or this process does not know the action's
             type.
     """
-    goal = await find_goal(node, wanted)
-    action_type = interface_class(Action, goal.type_name, f"action '{goal.action}'")
+    printer = choose_printer(
+        view or "plain", wants_feedback=view is not None, wants_feedback_live=False
+    )
+    interrupts = Interrupts()
+    interrupts.restore = printer.close
+    try:
+        look = lambda node: _follow(node, wanted, printer, options)  # noqa: E731
+        return graph.run(reach, look, interrupts)
+    finally:
+        printer.close()
+
+
+async def _follow(node: Node, wanted: str, printer: GoalPrinter, options: str) -> int:
+    goal = await _find_one(node, wanted)
+    action_type = graph.interface_class(Action, goal.type_name, f"action '{goal.action}'")
     client: Any = node.action_client(cast("Any", action_type), goal.action)
     age = (node.clock.now() - goal.stamp) / SECOND
     try:
         handle = await client.attach(goal.goal_id)
-        transcript.follows(Followed(node, goal.action, action_type, handle, age))
-        outcome = await send_goal.follow(transcript, handle)
+        printer.follows(Followed(node, goal.action, action_type, handle, age))
+        outcome = await follow(printer, handle)
     except ServerUnavailable as error:
         error.hint = after_return(watch_command(goal.goal_id, options))
         raise
-    return {GoalStatus.ABORTED: ABORTED, GoalStatus.CANCELED: CANCELED}.get(outcome.status, DONE)
+    return EXIT_STATUS[outcome.status]
 
 
-async def switch(node: Node, wanted: Sequence[str], *, is_paused: bool, timeout: float) -> int:
-    """Pause or resume the goals whose ids begin with the texts in ``wanted``.
-
-    The outcome for each goal is printed.
-
-    Raises:
-        UsageError: before any goal is paused or resumed, if several ids begin with the same text in
-            ``wanted``.
-    """
-    goals, silent = await held_goals(node, served_actions(node, None))
-    status = DONE
-    for found, text in [(_selected(node, goals, text), text) for text in wanted]:
-        if found is None:
-            problem = "no server in reach holds it"
-            problem = f"{problem}; {silence(silent)}" if silent else problem
-            say_names(f"{text}: {_pause_word(is_paused=is_paused, problem=problem)}\n")
-            status = NOT_DONE
-        elif await _switch(node, found, is_paused=is_paused, timeout=timeout):
-            status = NOT_DONE
-    return status
+async def _find_one(node: Node, wanted: str) -> HeldGoal:
+    """Find the goal that ``wanted`` selects. If its server does not answer, print a note."""
+    goals, silent = await held_goals(node)
+    found = _find(node, goals, wanted)
+    if found is None:
+        goal = f"a running goal of {wanted}" if wanted.startswith("/") else f"a goal {wanted}"
+        hint = _silence(silent) if silent else "'turtleact goals' lists all goals"
+        raise TurtleactError(f"no server in reach holds {goal}; {hint}")
+    stuck = [server for server in _servers(node, [found.action]) if server in silent]
+    if stuck:
+        note(f"{_silence(stuck)}; waiting for it")
+    return found
 
 
-async def switch_all(node: Node, name: str | None, *, is_paused: bool, timeout: float) -> int:
-    """Pause or resume all goals of an action, or of all actions, and print the outcome of each.
-
-    The requests for all goals are sent at the same time.
+def _find(node: Node, goals: Iterable[HeldGoal], wanted: str) -> HeldGoal | None:
+    """Return the goal that an id's beginning or an action's full name selects, if there is one.
 
     Raises:
-        ServerUnavailable: if nobody serves the action.
+        UsageError: if several goals match ``wanted``.
+        ServerUnavailable: if ``wanted`` is the name of an action that nobody serves.
     """
-    goals, silent = await held_goals(node, served_actions(node, name))
-    goals = [goal for goal in goals if goal.status.is_active]
-    if not is_paused:
-        paused = await _paused_goals(node, {goal.action for goal in goals})
-        goals = [goal for goal in goals if goal.goal_id in paused]
-    problems = list[str]()
+    if wanted.startswith("/"):
+        found = _all_of(node, goals, Selection([wanted]))
+        problem = f"action '{wanted}' has {len(found)} running goals, give one"
+    else:
+        found = [goal for goal in goals if goal.goal_id.hex().startswith(wanted)]
+        problem = f"'{wanted}' is the beginning of several goals"
+    if len(found) > 1:
+        raise UsageError(f"{problem}: {', '.join(goal.goal_id.hex() for goal in found)}")
+    return found[0] if found else None
 
-    async def try_to(goal: HeldGoal) -> None:
-        problem = await _switch(node, goal, is_paused=is_paused, timeout=timeout)
-        problems.extend([problem] if problem else [])
 
-    async with anyio.create_task_group() as group:
-        for goal in goals:
-            group.start_soon(try_to, goal)
-    if silent:
-        note(f"{silence(silent)}: goals may be missing")
-    elif not goals:
-        note(f"there is no goal to {'pause' if is_paused else 'resume'}")
-    return NOT_DONE if problems or silent else DONE
+def _all_of(node: Node, goals: Iterable[HeldGoal], selected: Selection) -> list[HeldGoal]:
+    """Return all running goals of the selected actions.
+
+    Raises:
+        ServerUnavailable: if nobody serves one of the actions.
+    """
+    served = types_by_name(node.transport.endpoints(), "action", hidden=True)
+    for name in selected.names:
+        if name not in served:
+            raise graph.not_served(name, served)
+    return [
+        goal
+        for goal in goals
+        if goal.status.is_active
+        and goal.action in (selected.names or served)
+        and (not selected.before or goal.stamp <= selected.before)
+    ]
+
+
+def _silence(silent: list[str]) -> str:
+    if len(silent) == 1:
+        return f"server {silent[0]} does not answer"
+    return f"servers {', '.join(silent)} do not answer"
+
+
+# asking servers
+
+
+def _patience(node: Node, seconds: float) -> float:
+    return seconds + ROUND_TRIPS * node.transport.round_trip
 
 
 async def _listen(
@@ -453,8 +353,10 @@ async def _listen(
     try:
         while servers > 0:
             message = await anext(subscription)
-            for goal in goals_in(message, name, type_name):
-                found[name, goal.goal_id] = goal
+            for each in message.status_list:
+                goal_id, stamp = each.goal_info.goal_id.uuid, nanoseconds(each.goal_info.stamp)
+                goal = HeldGoal(goal_id, name, type_name, status_of(each.status), stamp)
+                found[name, goal_id] = goal
             # A server whose goals change sends more messages, and no message says who sent it.
             # Several servers are therefore heard until the caller ends this.
             if servers == 1:
@@ -463,7 +365,28 @@ async def _listen(
         await subscription.aclose()
 
 
-def _servers(node: Node, actions: dict[str, str]) -> dict[str, str]:
+async def _with_pauses(node: Node, goals: list[HeldGoal]) -> list[HeldGoal]:
+    """Find out which goals are paused."""
+    paused = set[bytes]()
+
+    async def listen(action: str) -> None:
+        subscription = node.subscription(PausedGoals, paused_topic(action), LATCHED)
+        try:
+            message = await anext(subscription)
+            paused.update(bytes(each.uuid) for each in message.goal_ids)
+        finally:
+            await subscription.aclose()
+
+    async with (
+        within(_patience(node, PAUSED_PATIENCE), node.clock),
+        anyio.create_task_group() as listening,
+    ):
+        for action in {goal.action for goal in goals if goal.status.is_active}:
+            listening.start_soon(listen, action)
+    return [goal._replace(is_paused=goal.goal_id in paused) for goal in goals]
+
+
+def _servers(node: Node, actions: Iterable[str]) -> dict[str, str]:
     """Return each node that serves any of these actions, with one action that the node serves."""
     services = {action_names(name).cancel_goal: name for name in actions}
     return {
@@ -478,15 +401,54 @@ async def _ask(node: Node, server: str, action: str, silent: set[str]) -> None:
 
     If the server does not answer, add its name to ``silent``.
     """
-    client = node.service_client(CancelGoal, action_names(action).cancel_goal)
     try:
-        await client.call(CancelGoal.Request(GoalInfo(UUID(uuid.uuid4().bytes))), ANSWER)
+        await _cancel(node, action, uuid.uuid4().bytes, ANSWER)
     except ServiceTimeout:
         silent.add(server)
     except TurtleactError:
         pass  # it has been closed, or answers with an error
+
+
+async def _problem(node: Node, goal: HeldGoal, what: Change, timeout: float) -> str:
+    """Cancel, pause or resume a goal. Return why this failed; empty if it did not."""
+    if goal.status.is_terminal:
+        return f"it has ended {goal.status.name}"
+    try:
+        if what == "cancel":
+            response = await _cancel(node, goal.action, goal.goal_id, PATIENCE)
+            return REASONS.get(response.return_code, "")
+        return await _set_paused(node, goal, is_paused=what == "pause", timeout=timeout)
+    except ServiceTimeout:
+        return "the server does not answer"
+    except ServerUnavailable as error:
+        return error.problem
+
+
+async def _cancel(node: Node, action: str, goal_id: bytes, timeout: float) -> CancelGoal.Response:
+    """Send a cancel request, and return the response. Raises the errors of the service client."""
+    client = node.service_client(CancelGoal, action_names(action).cancel_goal)
+    try:
+        request = CancelGoal.Request(GoalInfo(UUID(goal_id)))
+        response: CancelGoal.Response = await client.call(request, timeout)
+        return response
     finally:
         await client.aclose()
+
+
+async def _set_paused(node: Node, goal: HeldGoal, *, is_paused: bool, timeout: float) -> str:
+    """Pause or resume a goal, and wait until its server has done so. Return why it does not."""
+    client = node.service_client(SetPaused, set_paused_service(goal.action))
+    try:
+        if not await client.wait_for_service(ANSWER):
+            return "its server does not offer that; is it a server of turtleact?"
+        request = SetPaused.Request(UUID(goal.goal_id), is_paused, timeout)
+        response = await client.call(request, timeout + PATIENCE)
+        return "" if response.success else response.message
+    finally:
+        await client.aclose()
+
+
+# the list of goals
 
 
 def _row(node: Node, goal: HeldGoal, now: int) -> tuple[str, ...]:
@@ -523,134 +485,3 @@ def _clients(node: Node, action: str) -> list[str]:
             if each.kind == "client" and each.name == service
         }
     )
-
-
-async def _why_not_canceling(node: Node, goal: HeldGoal) -> str | None:
-    """Ask a server to cancel a goal. Return the reason if the request failed, otherwise None."""
-    response = await _request(node, goal.action, goal.goal_id, 0)
-    if response is None:
-        return SILENT
-    reasons: dict[int, str] = {
-        CancelCode.REJECTED: "the server refuses",
-        CancelCode.UNKNOWN_GOAL_ID: "the server does not hold it any more",
-        CancelCode.GOAL_TERMINATED: "it has ended",
-    }
-    return reasons.get(response.return_code)
-
-
-async def _request(
-    node: Node, action: str, goal_id: bytes, stamp: int
-) -> CancelGoal.Response | None:
-    """Send a cancel request, and return the response; None if the server does not answer."""
-    client = node.service_client(CancelGoal, action_names(action).cancel_goal)
-    info = GoalInfo(UUID(goal_id), stamp_of(stamp))
-    response: CancelGoal.Response | None = None
-    try:
-        response = await _call(client, action, CancelGoal.Request(info), PATIENCE)
-    except ServiceTimeout:
-        pass
-    finally:
-        await client.aclose()
-    return response
-
-
-def _tell(goal_id: str, action: str, problem: str | None) -> None:
-    who = f"{goal_id} of {action}" if action else goal_id
-    say_names(f"{who}: {f'not canceled: {problem}' if problem else 'canceling'}\n")
-
-
-async def _call(client: Any, action: str, request: Message, timeout: float) -> Any:  # noqa: ANN401  # of whatever type
-    """Call a service of an action. If the server goes away, the error names the action."""
-    try:
-        return await client.call(request, timeout)
-    except ServerUnavailable as error:
-        raise ServerUnavailable(action, error.problem) from None
-
-
-async def _switch(node: Node, goal: HeldGoal, *, is_paused: bool, timeout: float) -> str:
-    """Pause or resume a goal, and print the outcome. Return the problem; empty if there is none."""
-    problem = ""
-    if goal.status.is_terminal:
-        problem = f"it has ended {goal.status.name}"
-    else:
-        try:
-            await _set_paused(node, goal.action, goal.goal_id, is_paused=is_paused, timeout=timeout)
-        except PauseRefused as refused:
-            problem = refused.reason
-        except TurtleactError as error:
-            problem = str(error)
-    word = _pause_word(is_paused=is_paused, problem=problem)
-    say_names(f"{goal.goal_id.hex()} of {goal.action}: {word}\n")
-    return problem
-
-
-def _pause_word(*, is_paused: bool, problem: str) -> str:
-    word = "paused" if is_paused else "resumed"
-    return f"not {word}: {problem}" if problem else word
-
-
-PAUSE_ANSWER = 10.0
-"""How long the server may take to answer, in addition to the body's time to pause.
-
-In seconds, by the clock of the graph.
-"""
-
-OFFERED_WITHIN = 2.0
-"""How long a server may take to offer the service (s, by the clock of the graph)."""
-
-TOLD_WITHIN = 0.2
-"""How long to wait for the message with the paused goals (s, by the clock of the graph).
-
-The time for `ROUND_TRIPS` is added. Servers without turtleact do not publish this message.
-"""
-
-LATCHED = QoS(depth=1, durability="transient_local")
-
-
-async def _paused_goals(node: Node, actions: Iterable[str]) -> frozenset[bytes]:
-    """Return the ids of all paused goals of these actions."""
-    found = set[bytes]()
-
-    async def listen(action: str) -> None:
-        subscription = node.subscription(PausedGoals, paused_topic(action), LATCHED)
-        try:
-            message = await anext(subscription)
-            found.update(bytes(each.uuid) for each in message.goal_ids)
-        finally:
-            await subscription.aclose()
-
-    patience = TOLD_WITHIN + ROUND_TRIPS * node.transport.round_trip
-    async with within(patience, node.clock), anyio.create_task_group() as listening:
-        for action in actions:
-            listening.start_soon(listen, action)
-    return frozenset(found)
-
-
-async def _set_paused(
-    node: Node, action: str, goal_id: bytes, *, is_paused: bool, timeout: float
-) -> None:
-    """Pause or resume a goal, and wait until its server has done so.
-
-    Args:
-        node: The node of this process, which sends the request.
-        action: The fully qualified name of the action.
-        goal_id: The id of the goal.
-        is_paused: True to pause the goal, False to resume it.
-        timeout: How long the server waits for the goal's body to pause (s).
-
-    Raises:
-        PauseRefused: if the server refuses, cannot pause goals, or does not answer.
-        ServerUnavailable: if the server goes away.
-    """
-    client = node.service_client(SetPaused, set_paused_service(action))
-    try:
-        if not await client.wait_for_service(OFFERED_WITHIN):
-            raise PauseRefused("its server does not offer that; is it a server of turtleact?")
-        request = SetPaused.Request(UUID(goal_id), is_paused, timeout)
-        response = await client.call(request, timeout + PAUSE_ANSWER)
-    except ServiceTimeout:
-        raise PauseRefused("the server does not answer") from None
-    finally:
-        await client.aclose()
-    if not response.success:
-        raise PauseRefused(response.message)

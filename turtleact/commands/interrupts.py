@@ -15,7 +15,7 @@ import os
 import select
 import signal
 from collections.abc import Callable, Coroutine, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
@@ -65,28 +65,17 @@ class Interrupts:
         Raises:
             BaseException: if the command raised it.
         """
-        try:
-            runner = asyncio.Runner(loop_factory=new_event_loop)
-            # The handlers also cover the closing of the loop, which waits for tasks and threads.
-            with self._handled(runner.get_loop()), runner:
-                return self._run(runner, main)
-        finally:
-            main.close()  # it has not begun if the signal came first
-
-    def _run(self, runner: asyncio.Runner, main: Coroutine[object, object, int]) -> int:
-        try:
-            return runner.run(self._act(main))
-        except asyncio.CancelledError:
-            if not self.received:
-                raise
-            return self.status
-        except SystemExit:
-            # The user's code ends the program. The command cleans up while its tasks still run.
-            self._ask_to_end()
-            with suppress(asyncio.CancelledError):
-                if self._task is not None:
-                    runner.get_loop().run_until_complete(self._task)
-            raise
+        # The handlers also cover the closing of the loop, which waits for tasks and threads.
+        runner = asyncio.Runner(loop_factory=new_event_loop)
+        loop = runner.get_loop()
+        with self._handled(loop), runner:
+            self._task = loop.create_task(main)
+            try:
+                return loop.run_until_complete(self._task)
+            except asyncio.CancelledError:
+                if not self.received:
+                    raise
+                return self.status
 
     def end(self) -> None:
         """Let `wait` return, as if a signal had come."""
@@ -95,10 +84,6 @@ class Interrupts:
     async def wait(self) -> None:
         """Wait for the first signal. Cancelling: safe."""
         await self._first.wait()
-
-    async def _act(self, main: Coroutine[object, object, int]) -> int:
-        self._task = asyncio.current_task()
-        return await main
 
     def _ask_to_end(self) -> None:
         self._first.set()

@@ -1,6 +1,6 @@
 """Shows two live displays on a terminal: one of a goal, and one of a server.
 
-`LiveTranscript` shows a goal while it runs. When the goal ends, the last frame stays on the screen,
+`LivePrinter` shows a goal while it runs. When the goal ends, the last frame stays on the screen,
 and the result follows below it. `Dashboard` shows the world and the goals of a running ``serve``.
 
 The goals, their bodies and the world know nothing of the displays.
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import anyio
 
 from turtleact import render
+from turtleact.commands.goal_printer import GoalPrinter
 from turtleact.commands.screen import Screen, can_read_keys, typed_keys
 from turtleact.commands.trails import (
     POSE,
@@ -28,7 +29,6 @@ from turtleact.commands.trails import (
     pose_topics,
     sends_a_turtle,
 )
-from turtleact.commands.transcript import PlainTranscript
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import to_dict
 from turtleact.interfaces.standard import TurtlePose
@@ -37,7 +37,7 @@ from turtleact.sim.kinematics import SIDE
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
-    from turtleact.commands.transcript import Followed
+    from turtleact.commands.goal_printer import Followed
     from turtleact.goals.state import GoalStatus
     from turtleact.interfaces import Message
     from turtleact.node import ServerGoalHandle
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
     Handle: TypeAlias = ServerGoalHandle[Any, Any, Any]
 
-__all__ = ["Dashboard", "LiveTranscript"]
+__all__ = ["Dashboard", "LivePrinter"]
 
 MOST_LINES = 40
 """At most this many lines of a goal are printed."""
@@ -56,8 +56,8 @@ PAUSE = "p"
 """The key that pauses the goal, and resumes it."""
 
 
-class LiveTranscript(PlainTranscript):
-    """Shows a running goal in a live display, and prints the plain transcript around it.
+class LivePrinter(GoalPrinter):
+    """Shows a running goal in a live display, and prints the plain text around it.
 
     Args:
         wants_feedback: Whether to print each feedback message too, on one line.

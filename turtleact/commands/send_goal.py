@@ -1,7 +1,7 @@
 """Implements ``send-goal``, which sends one goal, follows it, and returns the exit status.
 
-This module decides when a goal is sent, canceled or abandoned. `turtleact.commands.transcript` and
-`turtleact.commands.live` print what happens to the goal.
+This module decides when a goal is sent, canceled or abandoned. A `GoalPrinter` prints what happens
+to the goal.
 
 Source: ros2cli ``ros2action/verb/send_goal.py`` for the order of the output.
 """
@@ -10,58 +10,45 @@ from __future__ import annotations
 
 import sys
 from collections.abc import AsyncIterator
-from contextlib import (
-    AbstractAsyncContextManager,
-    AsyncExitStack,
-    aclosing,
-    asynccontextmanager,
-)
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 
 import anyio
 
 from turtleact.commands import graph
-from turtleact.commands.graph import (
-    no_router,
-    none_in_domain,
-    not_in_world,
-    not_served,
-    world_started,
+from turtleact.commands.goal_printer import (
+    EXIT_STATUS,
+    WAITING,
+    Followed,
+    GoalPrinter,
+    JsonPrinter,
+    after_return,
+    follow,
+    watch_command,
 )
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import leave, say
-from turtleact.commands.transcript import (
-    WAITING,
-    Followed,
-    JsonTranscript,
-    PlainTranscript,
-    Transcript,
-    View,
-    after_return,
-    watch_command,
-)
 from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError, UsageError
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import Action, from_text
 from turtleact.interfaces.standard import GetSimulationState, SimulationState
 from turtleact.names import resolve_name
-from turtleact.tasks import Background
 from turtleact.transports.base import find_server
 
 if TYPE_CHECKING:
     from anyio.abc import TaskGroup
 
+    from turtleact.commands.goal_printer import View
     from turtleact.commands.message_text import GoalText
-    from turtleact.commands.settings import Place, Reach
+    from turtleact.commands.settings import Reach
     from turtleact.goals.body import ActionType
-    from turtleact.goals.client import ClientGoalHandle, Outcome
     from turtleact.interfaces import Message
     from turtleact.node import Node
 
-__all__ = ["Order", "choose_transcript", "embedded_world", "follow", "run"]
+__all__ = ["GoalRequest", "GoalSender", "choose_printer", "embedded_world"]
 
-SUCCEEDED, FAILED, REJECTED, ABORTED, CANCELED, TIMEOUT = 0, 1, 3, 4, 5, 124
-"""Exit statuses."""
+SUCCEEDED, FAILED, REJECTED, TIMEOUT = 0, 1, 3, 124
+"""Exit statuses, besides `EXIT_STATUS`."""
 
 ENDED_WITH_WORLD = "the goal ended together with the embedded world"
 
@@ -86,14 +73,18 @@ The timeout is a little longer than the 5 s that a server gives a body to clean 
 """
 
 
-class Order(NamedTuple):
-    """The goal to send, and how to follow it.
+class GoalRequest(NamedTuple):
+    """The goal to send, where to send it, and how to follow it.
 
     Attributes:
         name: The name of the action.
         type_name: The action's type; None for the type with which the action is served.
         text: The goal, as text.
-        place: Where to send the goal.
+        reach: The graph on which to look for a server first; None to use only an embedded world.
+        speed: The speed of the embedded world; see `turtleact.sim.world_node.open_world`.
+        seed: The seed of the embedded world.
+        options: The command-line options for the graph and the interfaces, with a space before each
+            option. Hints append these options to the commands that they suggest.
         feedback: Whether to print each feedback message.
         timeout: If the goal has not ended this long after its acceptance (s, wall clock), the goal
             is canceled. The command also waits this long for the acceptance, but at least
@@ -107,60 +98,14 @@ class Order(NamedTuple):
     name: str
     type_name: str | None
     text: GoalText
-    place: Place
-    feedback: bool
-    timeout: float | None
-    view: View
+    reach: Reach | None
+    speed: float | str = 1.0
+    seed: int = 0
+    options: str = ""
+    feedback: bool = False
+    timeout: float | None = None
+    view: View = "auto"
     reattach: float = 0.0
-
-
-def run(order: Order) -> int:
-    """Send the goal, follow it to its end, and return the exit status.
-
-    Raises:
-        InvalidName: if the action's name breaks ROS 2's rules.
-        InvalidGoal: if the goal does not fit the action.
-        UnknownInterface: if the type is not known.
-        InvalidInterface: if the type is not an action.
-        ServerUnavailable: if nobody serves the action with this type.
-    """
-    name = resolve_name(order.name)
-    goal = None
-    if order.type_name is not None:
-        goal = _read_goal(graph.interface_class(Action, order.type_name), order.text)
-    if order.view != "json":
-        say(WAITING)
-    transcript = choose_transcript(order.view, wants_feedback=order.feedback)
-    interrupts = Interrupts()
-    interrupts.restore = transcript.close
-    try:
-        return Sending(order, name, goal, transcript, interrupts).run()
-    finally:
-        transcript.close()
-
-
-def choose_transcript(
-    view: View, *, wants_feedback: bool, wants_feedback_live: bool | None = None
-) -> Transcript:
-    """Choose the transcript: JSON if asked for, live on a terminal that can show it, else plain.
-
-    Args:
-        view: The view that the user wants.
-        wants_feedback: Whether to print each feedback message.
-        wants_feedback_live: Whether to print feedback messages on a live display too. If None,
-            ``wants_feedback`` decides.
-    """
-    if view == "json":
-        return JsonTranscript()
-    if view == "auto":
-        from turtleact.commands.screen import can_move
-
-        if can_move(sys.stdout):
-            from turtleact.commands.live import LiveTranscript
-
-            wanted = wants_feedback if wants_feedback_live is None else wants_feedback_live
-            return LiveTranscript(wants_feedback=wanted)
-    return PlainTranscript(wants_feedback=wants_feedback)
 
 
 def embedded_world(speed: float | str, seed: int) -> AbstractAsyncContextManager[Node]:
@@ -173,22 +118,52 @@ def embedded_world(speed: float | str, seed: int) -> AbstractAsyncContextManager
     return open_world(speed=speed, seed=seed)
 
 
-class Sending:
-    """Opens the graph, sends one goal, follows it, and determines the exit status."""
+def choose_printer(
+    view: View, *, wants_feedback: bool, wants_feedback_live: bool | None = None
+) -> GoalPrinter:
+    """Choose the printer: JSON if asked for, live on a terminal that can show it, else plain.
 
-    def __init__(
-        self,
-        order: Order,
-        name: str,
-        goal: Message | None,
-        transcript: Transcript,
-        interrupts: Interrupts,
-    ) -> None:
-        self._order = order
-        self._name = name
-        self._goal = goal
-        self._transcript = transcript
-        self._interrupts = interrupts
+    Args:
+        view: The view that the user wants.
+        wants_feedback: Whether to print each feedback message.
+        wants_feedback_live: Whether to print feedback messages above a live display too. If None,
+            ``wants_feedback`` decides.
+    """
+    if view == "json":
+        return JsonPrinter()
+    if view == "auto":
+        from turtleact.commands.screen import can_move
+
+        if can_move(sys.stdout):
+            from turtleact.commands.live import LivePrinter
+
+            wanted = wants_feedback if wants_feedback_live is None else wants_feedback_live
+            return LivePrinter(wants_feedback=wanted)
+    return GoalPrinter(wants_feedback=wants_feedback)
+
+
+class GoalSender:
+    """Opens the graph, sends one goal, follows it, and determines the exit status.
+
+    Raises:
+        InvalidName: if the action's name breaks ROS 2's rules.
+        InvalidGoal: if the type is given, and the goal does not fit it.
+        UnknownInterface: if the type is not known.
+        InvalidInterface: if the type is not an action.
+    """
+
+    def __init__(self, request: GoalRequest) -> None:
+        self._request = request
+        self._name = resolve_name(request.name)
+        self._goal: Message | None = None
+        if request.type_name is not None:
+            self._goal = self._read_goal(graph.interface_class(Action, request.type_name))
+        if request.view != "json":
+            say(WAITING)
+        self._printer = choose_printer(request.view, wants_feedback=request.feedback)
+        self._interrupts = Interrupts()
+        self._interrupts.restore = self._printer.close
+        self._interrupts.last_words = self._last_words
         self._sent: Followed | None = None
         self._canceled_by: int | None = None
         self._awaits_cancel = False
@@ -196,17 +171,28 @@ class Sending:
         self._is_silent = False
 
     def run(self) -> int:
-        """Open the graph or an embedded world, send the goal, and return the exit status."""
-        self._interrupts.last_words = self._last_words
-        status = self._interrupts.run(self._open_and_send())
+        """Open the graph or an embedded world, send the goal, and return the exit status.
+
+        Raises:
+            InvalidGoal: if the goal does not fit the action.
+            ServerUnavailable: if nobody serves the action with this type.
+        """
+        try:
+            status = self._interrupts.run(self._open_and_send())
+        finally:
+            self._printer.close()
         return self._interrupted() if self._interrupts.received and self._sent is None else status
 
     async def _open_and_send(self) -> int:
         async with self._find_node() as node:
             await _find_served(node, self._name)
             action_type = self._find_action(node)
-            goal = self._goal or _read_goal(action_type, self._order.text)
+            goal = self._goal or self._read_goal(action_type)
             return await self._send(node, action_type, goal)
+
+    def _read_goal(self, action_type: type[Action]) -> Message:
+        text = self._request.text
+        return from_text(action_type.Goal, text.text, root="goal", source=text.source)
 
     @asynccontextmanager
     async def _find_node(self) -> AsyncIterator[Node]:
@@ -217,27 +203,27 @@ class Sending:
                 substitute. With ``--reattach``, the user waits for a server. With a timeout of 0,
                 the goal must outlive this command.
         """
-        order, place, reach = self._order, self._order.place, self._order.place.reach
+        request, reach = self._request, self._request.reach
         why = ""
         async with AsyncExitStack() as stack:
             if reach is not None:
                 there = await self._enter_graph(stack, reach)
-                why = no_router(reach)
+                why = graph.no_router(reach)
                 if there is not None:
                     if reach.connect or await _find_served(there):
                         yield there
                         return
-                    why = await none_in_domain(there.transport, reach, "actions")
+                    why = await graph.none_in_domain(there.transport, reach, "actions")
                     await stack.aclose()
-                if order.reattach:
+                if request.reattach:
                     raise ServerUnavailable(
-                        self._name, f"no server after {order.reattach:g} s", hint=why
+                        self._name, f"no server after {request.reattach:g} s", hint=why
                     )
-                if order.timeout == 0:
+                if request.timeout == 0:
                     raise ServerUnavailable(self._name, "no server is in reach", hint=why)
             self._is_embedded = True
-            node = await stack.enter_async_context(embedded_world(place.speed, place.seed))
-            self._transcript.note(world_started(why))
+            node = await stack.enter_async_context(embedded_world(request.speed, request.seed))
+            self._printer.note(graph.world_started(why))
             yield node
 
     async def _enter_graph(self, stack: AsyncExitStack, reach: Reach) -> Node | None:
@@ -247,7 +233,7 @@ class Sending:
         attempt to connect fails at once. This method therefore repeats the attempt until the time
         of ``--reattach`` has passed.
         """
-        patience = self._order.reattach
+        patience = self._request.reattach
         due = anyio.current_time() + patience
         there, has_told = None, False
         while True:
@@ -258,7 +244,7 @@ class Sending:
                 return there
             if not has_told:
                 waiting = f"waiting for a server for up to {patience:g} s"
-                self._transcript.note(f"nobody serves '{self._name}' yet: {waiting}")
+                self._printer.note(f"nobody serves '{self._name}' yet: {waiting}")
                 has_told = True
             await anyio.sleep(AGAIN)
 
@@ -289,14 +275,14 @@ class Sending:
         """
         actions = node.graph().actions
         if self._name in actions:
-            return _find_class(node, self._name, self._order.type_name)
-        if self._order.place.reach is None:
-            raise not_in_world(self._name, actions)
+            return _find_class(node, self._name, self._request.type_name)
+        if self._request.reach is None:
+            raise graph.not_in_world(self._name, actions)
         where = "in the embedded world" if self._is_embedded else "in reach"
-        raise not_served(self._name, actions, where)
+        raise graph.not_served(self._name, actions, where)
 
     async def _send(self, node: Node, action_type: type[Action], goal: Message) -> int:
-        self._transcript.sending(goal)
+        self._printer.sending(goal)
         client = node.action_client(
             cast("ActionType[Message, Message, Message]", action_type), self._name
         )
@@ -309,10 +295,12 @@ class Sending:
             sending = anyio.CancelScope()
             beside.start_soon(self._heed_signal, beside)
             beside.start_soon(self._heed_silence, sending)
+            if not self._is_embedded:
+                beside.start_soon(self._tell_of_pause, node)
             try:
                 with sending:
                     await client.wait_for_server(PATIENCE)
-                    async with client.send_goal(goal, reattach=self._order.reattach) as handle:
+                    async with client.send_goal(goal, reattach=self._request.reattach) as handle:
                         self._interrupts.cancels = False
                         self._sent = Followed(node, self._name, action_type, handle)
                         status = await self._follow(self._sent, beside)
@@ -321,42 +309,41 @@ class Sending:
             except ServerUnavailable as error:
                 if self._sent is None:
                     raise
-                self._transcript.note(str(error))
+                self._printer.note(str(error))
                 if self._sent.handle.done:
-                    self._transcript.note(self._way_back(self._sent))
+                    self._printer.note(self._way_back(self._sent))
                 status = FAILED if self._canceled_by is None else self._canceled_by
             except GoalRejected as error:
-                self._transcript.rejected(error.reason)
-                self._transcript.note(self._why_rejected(error))
+                self._printer.rejected(error.reason)
+                self._printer.note(self._why_rejected(error))
                 status = REJECTED
             beside.cancel_scope.cancel()
         return self._interrupted() if status is None else status
 
     def _why_rejected(self, error: GoalRejected) -> str:
         """Return the note to print after a rejection."""
-        if self._order.view == "json":
+        if self._request.view == "json":
             return str(error)
         return f"reason: {error.reason}" if error.reason else "the server gave no reason"
 
     async def _follow(self, sent: Followed, beside: TaskGroup) -> int:
-        handle, transcript = sent.handle, self._transcript
-        transcript.accepted(sent)
-        transcript.follows(sent)
-        transcript.status(handle.status)
-        if self._order.timeout == 0:
-            handle.detach()
-            transcript.note(self._way_back(sent))
+        printer = self._printer
+        printer.accepted(sent)
+        printer.follows(sent)
+        if self._request.timeout == 0:
+            sent.handle.detach()
+            printer.note(self._way_back(sent))
             return SUCCEEDED
-        if self._order.timeout is not None:
-            beside.start_soon(self.time_out, sent, self._order.timeout)
-        if not self._is_embedded:
-            beside.start_soon(self._tell_of_pause, sent.node)
-        if self._order.reattach:
+        if self._request.timeout is not None:
+            beside.start_soon(self.time_out, sent, self._request.timeout)
+        if self._request.reattach:
             beside.start_soon(self._tell_of_server, sent)
-        outcome = await follow(transcript, handle)
+        outcome = await follow(printer, sent.handle)
         if outcome.status is GoalStatus.ABORTED:
-            transcript.note(f"the goal was aborted: {outcome.reason or 'no reason given'}")
-        return self._exit_status(outcome)
+            printer.note(f"the goal was aborted: {outcome.reason or 'no reason given'}")
+        if outcome.status is GoalStatus.CANCELED and self._canceled_by is not None:
+            return self._canceled_by
+        return EXIT_STATUS[outcome.status]
 
     async def _tell_of_pause(self, node: Node) -> None:
         """Tell the user if the world is paused: its clock then stands still, and goals wait."""
@@ -371,7 +358,7 @@ class Sending:
         finally:
             await client.aclose()
         if response.state.state in (SimulationState.STATE_PAUSED, SimulationState.STATE_STOPPED):
-            self._transcript.note(f"the world is paused; {RESUMES} resumes it")
+            self._printer.note(f"the world is paused; {RESUMES} resumes it")
 
     async def _tell_of_server(self, sent: Followed) -> None:
         """Tell the user when the goal's server goes away, and when it is back.
@@ -379,21 +366,16 @@ class Sending:
         This method runs only with ``--reattach``. Without that option, the command soon ends with
         an error that says that the server has gone.
         """
-        waits = f"waiting for it for up to {self._order.reattach:g} s"
+        waits = f"waiting for it for up to {self._request.reattach:g} s"
         was_served = True
         while True:
             is_served = graph.is_served(sent.node, sent.name, sent.action_type.type_name)
             if is_served is not was_served:
-                self._transcript.served(is_served=is_served)
+                self._printer.served(is_served=is_served)
                 has = "is back" if is_served else f"has gone: {waits}"
-                self._transcript.note(f"the server of {self._name} {has}")
+                self._printer.note(f"the server of {self._name} {has}")
             was_served = is_served
             await sent.node.transport.wait_for_change()
-
-    def _exit_status(self, outcome: Outcome[Message]) -> int:
-        if outcome.status is GoalStatus.CANCELED:
-            return CANCELED if self._canceled_by is None else self._canceled_by
-        return SUCCEEDED if outcome.status is GoalStatus.SUCCEEDED else ABORTED
 
     # signals, timeouts and servers that do not answer
 
@@ -405,7 +387,7 @@ class Sending:
         """
         await self._interrupts.wait()
         if self._sent is None:
-            self._transcript.note("waiting for the server's answer; Ctrl-C again exits at once")
+            self._printer.note("waiting for the server's answer; Ctrl-C again exits at once")
             await anyio.sleep(CANCEL_TIMEOUT)
             self._is_silent = True
             return
@@ -413,7 +395,7 @@ class Sending:
         beside.start_soon(self._obey, sent, status)
         await anyio.sleep(CANCEL_TIMEOUT)
         what = "the goal has not ended" if self._has_server(sent) else "the server is not back"
-        self._transcript.note(f"{what} within {CANCEL_TIMEOUT:g} s")
+        self._printer.note(f"{what} within {CANCEL_TIMEOUT:g} s")
         self._let_go(sent, status)
 
     async def _heed_silence(self, sending: anyio.CancelScope) -> None:
@@ -421,34 +403,34 @@ class Sending:
 
         If the user gave a timeout, also stop sending the goal.
         """
-        limit = self._order.timeout
+        limit = self._request.timeout
         seconds = max(limit or 0.0, PATIENCE)
         await anyio.sleep(seconds)
         if self._sent is not None or self._interrupts.received:
             return
         if limit:
-            self._transcript.note(f"no answer from the server after {seconds:g} s; giving up")
+            self._printer.note(f"no answer from the server after {seconds:g} s; giving up")
             sending.cancel()
             await anyio.sleep(CANCEL_TIMEOUT)
             self._is_silent = True
         else:
-            self._transcript.note(f"no answer from the server for {seconds:g} s; waiting for it")
+            self._printer.note(f"no answer from the server for {seconds:g} s; waiting for it")
 
     async def _obey(self, sent: Followed, status: int) -> None:
-        self._transcript.canceling()
+        self._printer.canceling()
         awaited = "the goal's end" if self._has_server(sent) else "the server, which has gone"
-        self._transcript.note(f"waiting for {awaited}; Ctrl-C again exits at once")
+        self._printer.note(f"waiting for {awaited}; Ctrl-C again exits at once")
         # Beside the task that waits for the second signal: the server may never answer this.
         if not await self._cancel(sent, status):
-            self._transcript.note("the server refuses to cancel the goal, which goes on")
+            self._printer.note("the server refuses to cancel the goal, which goes on")
 
     async def time_out(self, sent: Followed, seconds: float) -> None:
         """Cancel the goal after ``seconds``, unless the goal has ended by then."""
         await anyio.sleep(seconds)
         if sent.handle.status.is_terminal:  # it ended in the same moment
             return
-        self._transcript.note(f"no result after {seconds:g} s")
-        self._transcript.canceling()
+        self._printer.note(f"no result after {seconds:g} s")
+        self._printer.canceling()
         # A server that agrees to cancel has `PATIENCE` to end the goal. `_send` then cancels this
         # task, which sleeps until then. If the time passes first, the command lets go of the goal.
         with anyio.move_on_after(PATIENCE):  # the server may not answer
@@ -465,19 +447,18 @@ class Sending:
             return True  # the server is gone; the task that waits for the goal raises that too
         self._awaits_cancel = False
         status = sent.handle.status
-        self._transcript.status(status)
         return status is GoalStatus.CANCELING or status.is_terminal
 
     def _let_go(self, sent: Followed, status: int) -> NoReturn:
-        self._transcript.close()
-        self._transcript.note(self._way_back(sent))
+        self._printer.close()
+        self._printer.note(self._way_back(sent))
         leave(status)
 
     def _way_back(self, sent: Followed) -> str:
         """Return a sentence that says whether the goal goes on and how to follow it again."""
         if self._is_embedded:
             return ENDED_WITH_WORLD
-        command = watch_command(sent.handle.goal_id, self._order.place.options)
+        command = watch_command(sent.handle.goal_id, self._request.options)
         if not self._has_server(sent):
             return after_return(command)
         if self._awaits_cancel:
@@ -495,7 +476,7 @@ class Sending:
 
     def _interrupted(self) -> int:
         how = "interrupted" if self._interrupts.received else "given up"
-        self._transcript.note(f"{how} before the goal was accepted; {self._rest()}")
+        self._printer.note(f"{how} before the goal was accepted; {self._rest()}")
         return self._interrupts.status if self._interrupts.received else TIMEOUT
 
     def _rest(self) -> str:
@@ -509,21 +490,6 @@ class Sending:
         if self._sent is None:
             return f"turtleact: interrupted before the goal was accepted; {self._rest()}\n"
         return f"turtleact: {self._way_back(self._sent)}\n"
-
-
-async def follow(
-    transcript: Transcript, handle: ClientGoalHandle[Message, Message]
-) -> Outcome[Message]:
-    """Show a goal to its end. The display has ended when its result is printed."""
-    async with aclosing(Background(transcript.animate(), "the display")):
-        await anyio.lowlevel.checkpoint()  # the display begins, however soon the goal ends
-        if transcript.wants_feedback:
-            async for feedback in handle:
-                transcript.feedback(feedback)
-                transcript.status(handle.status)
-        outcome = await handle.outcome()
-    transcript.ended(outcome)
-    return outcome
 
 
 async def _find_served(node: Node, name: str | None = None) -> bool:
@@ -559,7 +525,3 @@ def _find_class(node: Node, name: str, type_name: str | None) -> type[Action]:
             name, f"it is served as {' and '.join(types)}, not as {found.type_name}"
         )
     return found
-
-
-def _read_goal(action_type: type[Action], text: GoalText) -> Message:
-    return from_text(action_type.Goal, text.text, root="goal", source=text.source)

@@ -25,7 +25,6 @@ __all__ = [
     "LogFormat",
     "Override",
     "Page",
-    "Place",
     "Placing",
     "Policies",
     "Reach",
@@ -87,25 +86,6 @@ class Reach(NamedTuple):
         from turtleact.commands.locks import Locks, read_locks
 
         return Locks() if self.config is None else read_locks(self.config)
-
-
-class Place(NamedTuple):
-    """Where to send a goal: to a server on a graph, or to an embedded world.
-
-    Attributes:
-        speed: The speed of the embedded world; see `turtleact.sim.world_node.open_world`.
-        seed: The seed of the embedded world.
-        reach: The graph on which to look for a server first; None to use only the embedded world.
-        interfaces: A folder with more interface files.
-        options: The command-line options for ``reach`` and ``interfaces``, with a space before each
-            option. Hints append these options to the commands that they suggest.
-    """
-
-    speed: float | str = 1.0
-    seed: int = 0
-    reach: Reach | None = None
-    interfaces: str | None = None
-    options: str = ""
 
 
 class Fleet(NamedTuple):

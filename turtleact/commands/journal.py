@@ -10,22 +10,20 @@ import json
 import time
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from turtleact.commands.output import duration, note, say, say_table
+from turtleact.commands import VERBS
+from turtleact.commands.app import new_group, verb
+from turtleact.commands.options import argument, span, value
+from turtleact.commands.output import counted, duration, note, say, say_table
 from turtleact.errors import InvalidMessage, TurtleactError, UsageError
-from turtleact.goals.state import GoalStatus
-from turtleact.journal.database import find_goals, prune, read_goals
 from turtleact.names import resolve_name
 
 if TYPE_CHECKING:
     from turtleact.goals.records import GoalRecord
     from turtleact.interfaces import Message
 
-__all__ = ["print_goals", "print_result", "prune_goals"]
-
-DONE, ABORTED, CANCELED = 0, 4, 5
-"""Exit statuses."""
+__all__ = ["app", "print_goals", "print_result"]
 
 SECOND = 10**9
 """The number of nanoseconds in a second."""
@@ -34,6 +32,30 @@ HEADINGS = ("id", "action", "state", "age", "took", "reason")
 
 BLOCK = 1000
 """How many goals are printed at a time. A journal may hold more goals than fit in memory."""
+
+app = new_group("journal", VERBS["journal"])
+
+
+@verb(app)
+def prune(
+    file: Annotated[Path, argument("FILE", "The journal.")],
+    *,
+    keep: Annotated[
+        float,
+        value(
+            "--keep",
+            metavar="TIME",
+            text="Keep the goals that ended within this time, such as 7d, 12h or 30min.",
+            parser=span,
+        ),
+    ],
+) -> int:
+    """Delete goals that ended long ago. A server may be writing the journal meanwhile."""
+    from turtleact.journal import database
+
+    count = database.prune(file, time.time_ns() - round(keep * 1e9))
+    say(f"deleted {counted(count, 'goal')}\n")
+    return 0
 
 
 def print_goals(path: Path, name: str | None, since: int, *, as_json: bool) -> int:
@@ -50,6 +72,8 @@ def print_goals(path: Path, name: str | None, since: int, *, as_json: bool) -> i
         JournalError: if the journal cannot be read.
         InvalidName: if the name breaks ROS 2's rules.
     """
+    from turtleact.journal.database import read_goals
+
     action = None if name is None else resolve_name(name)
     found = (goal for goal in read_goals(path, since) if action in (None, goal.action))
     now, is_empty = time.time_ns(), True
@@ -64,7 +88,7 @@ def print_goals(path: Path, name: str | None, since: int, *, as_json: bool) -> i
         is_empty = False
     if is_empty and not as_json:
         note("the journal has no such goal" if action or since else "the journal has no goals")
-    return DONE
+    return 0
 
 
 def print_result(path: Path, wanted: str, interfaces: str | None) -> int:
@@ -81,14 +105,16 @@ def print_result(path: Path, wanted: str, interfaces: str | None) -> int:
         TurtleactError: if there is no such goal, if the goal has not ended, or if the action's type
             is unknown or has changed.
     """
+    from turtleact.journal.database import find_goals
+
     goals = find_goals(path, wanted)
     if len(goals) > 1:
         shown = ", ".join(goal.id.hex() for goal in goals)
         raise UsageError(f"'{wanted}' is the beginning of several goals: {shown}")
     if not goals:
         raise TurtleactError(f"journal '{path}' has no goal {wanted}")
+    from turtleact.commands.goal_printer import EXIT_STATUS, result_text
     from turtleact.commands.interface_search import make_known
-    from turtleact.commands.transcript import result_text
     from turtleact.goals.client import Outcome
 
     (goal,) = goals
@@ -101,18 +127,7 @@ def print_result(path: Path, wanted: str, interfaces: str | None) -> int:
     say(result_text(Outcome(goal.status, _result(goal))))
     if goal.reason:
         note(f"the goal was aborted: {goal.reason}")
-    return {GoalStatus.ABORTED: ABORTED, GoalStatus.CANCELED: CANCELED}.get(goal.status, DONE)
-
-
-def prune_goals(path: Path, keep: int) -> int:
-    """Delete the goals that ended more than ``keep`` ns ago, and return the exit status.
-
-    Raises:
-        JournalError: if the journal cannot be written.
-    """
-    count = prune(path, time.time_ns() - keep)
-    say(f"deleted {count} {'goal' if count == 1 else 'goals'}\n")
-    return DONE
+    return EXIT_STATUS[goal.status]
 
 
 def _result(goal: GoalRecord) -> Message:

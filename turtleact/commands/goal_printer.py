@@ -1,4 +1,4 @@
-"""Prints what happens to a goal, in the format of ``ros2 action send_goal`` or as JSON.
+"""Follows a goal, and prints what happens to it as ``ros2 action send_goal`` does, or as JSON.
 
 Stdout is flushed after each block of text, so that a program that reads it through a pipe gets the
 block at once.
@@ -9,25 +9,31 @@ from __future__ import annotations
 import json
 import sys
 import textwrap
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from contextlib import aclosing
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+
+import anyio
 
 from turtleact.commands.output import note, say
+from turtleact.goals.client_handle import FeedbackReceived, StatusChanged
+from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import to_json, to_yaml
+from turtleact.tasks import Background
 
 if TYPE_CHECKING:
-    from turtleact.goals.client import ClientGoalHandle, Outcome
-    from turtleact.goals.state import GoalStatus
+    from turtleact.goals.client_handle import ClientGoalHandle, Event, Outcome
     from turtleact.interfaces import Action, Message
     from turtleact.node import Node
 
 __all__ = [
+    "EXIT_STATUS",
     "WAITING",
     "Followed",
-    "JsonTranscript",
-    "PlainTranscript",
-    "Transcript",
+    "GoalPrinter",
+    "JsonPrinter",
     "View",
     "after_return",
+    "follow",
     "result_text",
     "watch_command",
 ]
@@ -36,6 +42,9 @@ View = Literal["auto", "plain", "json"]
 """The ways to show a goal. ``auto`` is live on a terminal."""
 
 WAITING = "Waiting for an action server to become available...\n"
+
+EXIT_STATUS: Final = {GoalStatus.SUCCEEDED: 0, GoalStatus.ABORTED: 4, GoalStatus.CANCELED: 5}
+"""The exit status for each final state of a goal."""
 
 
 class Followed(NamedTuple):
@@ -56,54 +65,7 @@ class Followed(NamedTuple):
     age: float = 0.0
 
 
-class Transcript:
-    """Tells the user what happens to a goal. This one prints only notes.
-
-    Attributes:
-        wants_feedback: Whether to call `feedback` with each feedback message.
-    """
-
-    wants_feedback = False
-
-    def sending(self, goal: Message) -> None:
-        """Called when the goal is about to be sent."""
-
-    def rejected(self, reason: str) -> None:
-        """Called when the server has rejected the goal. `note` is called with the reason, too."""
-
-    def accepted(self, goal: Followed) -> None:
-        """Called when the server has accepted the goal."""
-
-    def follows(self, goal: Followed) -> None:
-        """Called when the goal can be followed, also if somebody else has sent the goal."""
-
-    def served(self, *, is_served: bool) -> None:
-        """Called when the goal's server has gone or has come back. The caller also calls `note`."""
-
-    async def animate(self) -> None:
-        """Animate the display. When the goal ends, the caller cancels this coroutine."""
-
-    def feedback(self, feedback: Message) -> None:
-        """Called with each feedback message."""
-
-    def status(self, status: GoalStatus) -> None:
-        """Called with the goal's status, which may be the same as before."""
-
-    def canceling(self) -> None:
-        """Called when the server is asked to cancel the goal."""
-
-    def ended(self, outcome: Outcome[Message]) -> None:
-        """Called when the goal has ended, and the display too."""
-
-    def note(self, text: str) -> None:
-        """Print a message that is not an event of the goal, such as a warning."""
-        note(text)
-
-    def close(self) -> None:
-        """Restore the terminal. A signal handler may call this."""
-
-
-class PlainTranscript(Transcript):
+class GoalPrinter:
     """Prints what ``ros2 action send_goal`` prints, but indents each line of YAML.
 
     ROS 2 indents only the first line below ``Feedback:`` and ``Result:``, so its output is not
@@ -113,10 +75,13 @@ class PlainTranscript(Transcript):
         wants_feedback: Whether to print each feedback message.
         most_lines: The maximum number of lines to print for the goal. If the goal has more lines,
             the lines in the middle are left out.
+
+    Attributes:
+        wants_events: Whether to call `show`.
     """
 
     def __init__(self, *, wants_feedback: bool, most_lines: int = sys.maxsize) -> None:
-        self.wants_feedback = wants_feedback
+        self.wants_events = wants_feedback
         self._most_lines = most_lines
 
     def sending(self, goal: Message) -> None:
@@ -129,12 +94,26 @@ class PlainTranscript(Transcript):
         say("\n".join(("Sending goal:", *lines, "\n")))
 
     def rejected(self, reason: str) -> None:  # noqa: ARG002  # ros2 does not print it here
-        """Print that the server has rejected the goal."""
+        """Print that the server has rejected the goal. `note` is called with the reason."""
         say("Goal was rejected.\n")
 
     def accepted(self, goal: Followed) -> None:
         """Print that the server has accepted the goal with this id."""
         say(f"Goal accepted with ID: {goal.handle.goal_id.hex()}\n\n")
+
+    def follows(self, goal: Followed) -> None:
+        """Called when the goal can be followed, also if somebody else has sent the goal."""
+
+    def served(self, *, is_served: bool) -> None:
+        """Called when the goal's server has gone or has come back. The caller also calls `note`."""
+
+    async def animate(self) -> None:
+        """Animate the display. When the goal ends, the caller cancels this coroutine."""
+
+    def show(self, event: Event[Message, Message]) -> None:
+        """Print an event of the goal. Plain text tells of feedback alone."""
+        if isinstance(event, FeedbackReceived):
+            self.feedback(event.feedback)
 
     def feedback(self, feedback: Message) -> None:
         """Print a feedback message."""
@@ -145,62 +124,83 @@ class PlainTranscript(Transcript):
         say("Canceling goal...\n\n")
 
     def ended(self, outcome: Outcome[Message]) -> None:
-        """Print the result and the final status of the goal."""
+        """Print the result and the final status of the goal, once the display has ended."""
         say(result_text(outcome))
 
+    def note(self, text: str) -> None:
+        """Print a message that is not an event of the goal, such as a warning."""
+        note(text)
 
-class JsonTranscript(Transcript):
+    def close(self) -> None:
+        """Restore the terminal. A signal handler may call this."""
+
+
+class JsonPrinter(GoalPrinter):
     """Prints each event of a goal as a JSON object on a line of its own.
 
     The member ``event`` is ``accepted``, ``rejected``, ``status``, ``feedback`` or ``result``.
     """
 
-    wants_feedback = True
-
     def __init__(self) -> None:
+        super().__init__(wants_feedback=True)
         self._goal_id = ""
-        self._status: GoalStatus | None = None
+
+    def sending(self, goal: Message) -> None:
+        """Print nothing: the event ``accepted`` has the goal."""
+
+    def canceling(self) -> None:
+        """Print nothing: the events ``status`` tell of it."""
 
     def rejected(self, reason: str) -> None:
         """Print the event ``rejected``, with an empty goal id."""
-        self._tell("rejected", reason=json.dumps(reason, ensure_ascii=False))
+        self._print("rejected", reason=_json(reason))
 
     def accepted(self, goal: Followed) -> None:
         """Print the event ``accepted``."""
         self._goal_id = goal.handle.goal_id.hex()
         request = goal.handle.request
-        self._tell(
+        self._print(
             "accepted",
-            name=json.dumps(goal.name),
-            type=json.dumps(goal.action_type.type_name),
+            name=_json(goal.name),
+            type=_json(goal.action_type.type_name),
             stamp=to_json(goal.handle.stamp),
             goal="null" if request is None else to_json(request),
         )
 
-    def feedback(self, feedback: Message) -> None:
-        """Print the event ``feedback``."""
-        self._tell("feedback", feedback=to_json(feedback))
-
-    def status(self, status: GoalStatus) -> None:
-        """Print the event ``status``, if the status has changed."""
-        if status is not self._status:
-            self._status = status
-            self._tell("status", status=json.dumps(status.name))
+    def show(self, event: Event[Message, Message]) -> None:
+        """Print the events ``feedback`` and ``status``."""
+        if isinstance(event, FeedbackReceived):
+            self._print("feedback", feedback=to_json(event.feedback))
+        elif isinstance(event, StatusChanged):
+            self._print("status", status=_json(event.status.name))
 
     def ended(self, outcome: Outcome[Message]) -> None:
-        """Print the event ``result``, after an event ``status`` if the status has changed."""
-        self.status(outcome.status)
-        self._tell(
+        """Print the event ``result``."""
+        self._print(
             "result",
-            status=json.dumps(outcome.status.name),
+            status=_json(outcome.status.name),
             result=to_json(outcome.result),
-            reason=json.dumps(outcome.reason, ensure_ascii=False),
+            reason=_json(outcome.reason),
         )
 
-    def _tell(self, event: str, **values: str) -> None:
+    def _print(self, event: str, **values: str) -> None:
         """Print an event. The texts in ``values`` must be JSON."""
-        pairs = {"event": json.dumps(event), "goal_id": json.dumps(self._goal_id), **values}
+        pairs = {"event": _json(event), "goal_id": _json(self._goal_id), **values}
         say("{" + ", ".join(f'"{name}": {value}' for name, value in pairs.items()) + "}\n")
+
+
+async def follow(
+    printer: GoalPrinter, handle: ClientGoalHandle[Message, Message]
+) -> Outcome[Message]:
+    """Show a goal to its end. The display has ended when its result is printed."""
+    async with aclosing(Background(printer.animate(), "the display")):
+        await anyio.lowlevel.checkpoint()  # the display begins, however soon the goal ends
+        if printer.wants_events:
+            async for event in handle.events():
+                printer.show(event)
+        outcome = await handle.outcome()
+    printer.ended(outcome)
+    return outcome
 
 
 def watch_command(goal_id: bytes, options: str) -> str:
@@ -219,10 +219,14 @@ def after_return(command: str) -> str:
 
 
 def result_text(outcome: Outcome[Message]) -> str:
-    """The last lines of a transcript: the result and the final status."""
+    """Return the last lines that are printed of a goal: the result and the final status."""
     result = _indented(outcome.result, 4)
     return f"Result:\n{result}\nGoal finished with status: {outcome.status.name}\n"
 
 
 def _indented(message: Message, columns: int) -> str:
     return textwrap.indent(to_yaml(message), " " * columns)
+
+
+def _json(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from turtleact.commands import journaled_goals
+from turtleact.commands import journal
 from turtleact.goals.records import GoalChange, GoalRecord
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import WireFormat, type_hash
@@ -163,7 +163,7 @@ def test_each_goal_is_a_json_object(turtleact, file):
 
 def test_a_long_list_is_printed_in_parts(turtleact, file, monkeypatch):
     whole = turtleact("goals", "--journal", str(file))
-    monkeypatch.setattr(journaled_goals, "BLOCK", 1)
+    monkeypatch.setattr(journal, "BLOCK", 1)
     parts = turtleact("goals", "--journal", str(file))
     assert [row[:3] for row in rows(parts)] == [row[:3] for row in rows(whole)]
 
