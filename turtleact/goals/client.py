@@ -32,10 +32,11 @@ from turtleact.goals.client_handle import (
     ClientGoalHandle,
     Event,
     FeedbackReceived,
-    GoalReader,
+    HandleServices,
     Outcome,
     ResultReceived,
     StatusChanged,
+    leave_goal,
 )
 from turtleact.goals.goal_server import GoalServer, OffersGoals
 from turtleact.goals.ids import goal_id_bytes, new_goal_id
@@ -113,6 +114,7 @@ class ActionClient(Generic[G, R, F]):
         self._cancel_timeout = cancel_timeout
         self._home = home.of(f"the client of action '{self.name}'")
         self._tasks = tasks
+        self._services = HandleServices(self._home, tasks, self._cancel_soon)
         self._remote = RemoteActionServer(endpoints, tasks, self.observers)
         self._server: GoalServer | None = None
         self._canceling: dict[bytes, Background] = {}
@@ -383,24 +385,20 @@ class ActionClient(Generic[G, R, F]):
             goal.log.on_feedback = partial(copy_context().run, on_feedback)
         return server, goal
 
-    async def _enter(self, request: GoalRequest) -> GoalReader:
+    async def _enter(self, request: GoalRequest) -> ClientGoalHandle[R, F]:
         """Send a goal and wait until it is accepted."""
         request.is_streamed = True
         server, goal = await self._send_to_server(request)
         await self._wait(server, goal, partial(server.wait_for_acceptance, goal))
-        return self._read(server, goal, is_sender=True)
+        return ClientGoalHandle(server, goal, self._services, is_sender=True)
 
-    async def _attach(self, goal_id: bytes) -> GoalReader:
+    async def _attach(self, goal_id: bytes) -> ClientGoalHandle[R, F]:
         """Attach to a goal that somebody else sent."""
         server = self._known_server() or await self._find_server()
         goal = await server.attach(goal_id)
         if goal is None:
             raise UnknownGoal(f"'{self.name}' holds no goal {goal_id.hex()}")
-        return self._read(server, goal, is_sender=False)
-
-    def _read(self, server: GoalServer, goal: Goal, *, is_sender: bool) -> GoalReader:
-        home, tasks, cancel_soon = self._home, self._tasks, self._cancel_soon
-        return GoalReader(server, goal, home, tasks, cancel_soon, is_sender=is_sender)
+        return ClientGoalHandle(server, goal, self._services, is_sender=False)
 
     def _cancel_soon(self, server: GoalServer, goal: Goal) -> None:
         """Cancel a goal in a task, unless such a task runs already. A failure is logged."""
@@ -452,7 +450,7 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
     _request: GoalRequest | None
     _code: CodeType
     _offset: int
-    _reader: GoalReader | None = None
+    _handle: ClientGoalHandle[R, F] | None = None
     _calling: Coroutine[object, object, R] | None = None
 
     def __repr__(self) -> str:
@@ -493,8 +491,8 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
 
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
         client = self._client
-        self._reader = await client._send(self._take_request(), client._enter)
-        return ClientGoalHandle(self._reader)
+        self._handle = await client._send(self._take_request(), client._enter)
+        return self._handle
 
     async def __aexit__(
         self,
@@ -502,12 +500,11 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        reader = self._reader
-        if reader is None or reader.goal.ended:
+        if self._handle is None or self._handle.done:
             return
-        await reader.leave(self._client._cancel_timeout)
-        if reader.is_detached:
-            self._client.observers.noted(reader.goal, Detached())
+        detached = await leave_goal(self._handle, self._client._cancel_timeout)
+        if detached is not None:
+            self._client.observers.noted(detached, Detached())
         # The wait above is shielded, so a cancellation may have arrived meanwhile. Deliver it now,
         # unless the block already ends with an exception.
         if error is None:
@@ -584,7 +581,7 @@ class Attach(msgspec.Struct, Generic[R, F], eq=False):
         return self.__aenter__().__await__()
 
     async def __aenter__(self) -> ClientGoalHandle[R, F]:
-        return ClientGoalHandle(await self._client._attach(self._goal_id))
+        return await self._client._attach(self._goal_id)
 
     async def __aexit__(
         self,

@@ -9,7 +9,7 @@ Source: rclpy ``action/client.py`` for names and behaviour.
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
 from threading import get_ident
 from typing import Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, cast
 
@@ -26,10 +26,11 @@ __all__ = [
     "ClientGoalHandle",
     "Event",
     "FeedbackReceived",
-    "GoalReader",
+    "HandleServices",
     "Outcome",
     "ResultReceived",
     "StatusChanged",
+    "leave_goal",
 ]
 
 R = TypeVar("R", bound=Message)
@@ -104,7 +105,7 @@ class ResultReceived(msgspec.Struct, Generic[R], frozen=True):
 Event: TypeAlias = Accepted | StatusChanged | FeedbackReceived[F] | ResultReceived[R]
 
 
-class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
+class ClientGoalHandle(Generic[R, F]):
     """A client's handle of a goal.
 
     ``async for feedback in handle`` gives each feedback message once, in order, and ends when the
@@ -118,27 +119,52 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     Callers that cannot await use `done`, `status`, `last_feedback` and `cancel_nowait`.
     """
 
-    _reader: GoalReader
+    __slots__ = (
+        "_goal",
+        "_guard",
+        "_hurried",
+        "_is_detached",
+        "_is_sender",
+        "_iterations",
+        "_missed",
+        "_next",
+        "_server",
+        "_services",
+    )
+
+    def __init__(
+        self, server: GoalServer, goal: Goal, services: HandleServices, *, is_sender: bool
+    ) -> None:
+        self._server = server
+        self._goal = goal
+        self._guard = services.guard
+        self._services = services
+        self._is_sender = is_sender
+        self._is_detached = False
+        self._missed = 0
+        self._next = 0 if is_sender else goal.log.dropped  # the index of the next unread message
+        self._iterations = 0
+        self._hurried = 0
 
     @property
     def goal_id(self) -> bytes:
         """The goal's id, 16 bytes."""
-        return self._reader.goal.id
+        return self._goal.id
 
     @property
     def stamp(self) -> Time:
         """When the server accepted the goal."""
-        return stamp_of(self._reader.goal.stamp)
+        return stamp_of(self._goal.stamp)
 
     @property
     def request(self) -> Message | None:
         """The goal message; None if another client sent it to a server in another process."""
-        return cast("Message | None", self._reader.goal.request)
+        return cast("Message | None", self._goal.request)
 
     @property
     def status(self) -> GoalStatus:
         """The goal's state, as far as the client knows."""
-        return self._reader.goal.status
+        return self._goal.status
 
     @property
     def accepted(self) -> bool:
@@ -151,25 +177,43 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
     @property
     def done(self) -> bool:
         """Whether the goal has ended."""
-        return self._reader.goal.ended != 0
+        return self._goal.ended != 0
 
     @property
     def last_feedback(self) -> F | None:
         """The newest feedback message, whether or not it was read; None before the first."""
-        return cast("F | None", self._reader.goal.log.last)
+        return cast("F | None", self._goal.log.last)
 
     @property
     def missed(self) -> int:
         """How many feedback messages were dropped before this handle read them."""
-        return self._reader.missed
+        return self._missed
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether the goal is paused.
+
+        ROS 2 has no state for pauses, so `status` stays EXECUTING.
+        """
+        return self._server.pauses.is_paused(self._goal)
+
+    @property
+    def is_resumed(self) -> bool:
+        """Whether the goal began in an earlier process, and this process resumed it.
+
+        This is always False if the server is in another process.
+        """
+        return self._goal.id in self._server.resumed
+
+    # feedback
 
     def __aiter__(self) -> AsyncIterator[F]:
-        self._reader.start_iteration()
-        return _Feedback(self._reader)
+        self._start_iteration()
+        return _Feedback(self)
 
     def __anext__(self) -> Coroutine[object, object, F]:
-        self._reader.check_home()
-        return _Reading(self._reader).read()
+        self._guard.check()
+        return _Reading(self).read()
 
     def events(self) -> AsyncIterator[Event[F, R]]:
         """Iterate over the goal's events, from its acceptance to its result.
@@ -179,8 +223,37 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         This loop shares the feedback with ``async for feedback in handle``: each message appears in
         only one of the two loops.
         """
-        self._reader.start_iteration()
-        return _Events(self._reader)
+        self._start_iteration()
+        return _Events(self)
+
+    def _start_iteration(self) -> None:
+        """Begin an iteration. If this client sent the goal, unread feedback is kept from now on."""
+        self._guard.check()
+        self._iterations += 1
+        if self._is_sender:
+            self._goal.log.read = self._next
+            self._goal.log.hurried = self._hurried
+
+    def _end_iteration(self, thread: int) -> None:
+        """Record that an iterator, which was made in ``thread``, is gone. Any thread may call this.
+
+        Reading stops only when the last iterator is gone. The late end of an abandoned loop
+        therefore does not stop a newer loop.
+        """
+        if get_ident() != thread:
+            self._services.tasks.from_anywhere(lambda: self._end_iteration(thread))
+            return
+        self._iterations -= 1
+        if not self._iterations:
+            self._stop_reading()
+
+    def _stop_reading(self) -> None:
+        """From now on, the goal's body does not wait for the sender to read the feedback."""
+        if self._is_sender:
+            self._goal.log.read = None
+            self._goal.log.relieve()
+
+    # the end
 
     async def result(self) -> R:
         """Wait for the result, and return it. Cancelling the call is safe: the goal continues.
@@ -190,7 +263,7 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
             GoalCanceled: if the goal was canceled.
             ServerUnavailable: if the server goes away before the goal has ended.
         """
-        goal = await self._reader.wait_for_end()
+        goal = await self._wait_for_end()
         if goal.status is GoalStatus.SUCCEEDED:
             return goal.result  # type: ignore[return-value]  # the server checked it
         raise failure(goal)
@@ -201,37 +274,49 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
         Raises:
             ServerUnavailable: if the server goes away before the goal has ended.
         """
-        goal = await self._reader.wait_for_end()
+        goal = await self._wait_for_end()
         if goal.error is not None:
             raise goal.error
         return Outcome(goal.status, cast("R", goal.result), goal.reason)
 
+    async def _wait_for_end(self) -> Goal:
+        """Wait for the goal's end.
+
+        Until then, the goal's body does not wait for the goal's sender to read the feedback.
+        """
+        self._guard.check()
+        self._hurry(1)
+        try:
+            await self._goal.wait_for_end()
+        finally:
+            self._hurry(-1)
+        return self._goal
+
+    def _hurry(self, change: int) -> None:
+        """Add ``change`` to the number of callers that wait for the goal's end.
+
+        If any caller waits, the goal's body does not wait for the sender to read the feedback.
+        """
+        if self._is_sender:
+            self._hurried += change
+            self._goal.log.hurried = self._hurried
+            self._goal.log.relieve()
+
+    # requests
+
     async def cancel(self) -> CancelGoal.Response:
         """Ask the server to cancel the goal, and return the server's answer."""
-        return await self._reader.cancel()
+        self._guard.check()
+        return await self._server.cancel(self._goal.id, 0)
 
     def cancel_nowait(self) -> None:
         """Ask the server to cancel the goal, without waiting for the server's answer.
 
         If the server agrees, `status` becomes CANCELING.
         """
-        self._reader.cancel_nowait()
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether the goal is paused.
-
-        ROS 2 has no state for pauses, so `status` stays EXECUTING.
-        """
-        return self._reader.is_paused
-
-    @property
-    def is_resumed(self) -> bool:
-        """Whether the goal began in an earlier process, and this process resumed it.
-
-        This is always False if the server is in another process.
-        """
-        return self._reader.is_resumed
+        self._guard.check()
+        if not self._goal.ended:
+            self._services.cancel_soon(self._server, self._goal)
 
     async def pause(self, timeout: float = 5.0) -> None:
         """Pause the goal, and return once its body has paused.
@@ -247,7 +332,8 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
                 the reason.
             ServerUnavailable: if the server goes away.
         """
-        await self._reader.pause(timeout)
+        self._guard.check()
+        await self._server.pauses.pause(self._goal, timeout)
 
     async def resume(self) -> None:
         """Let a paused goal continue. Resuming a goal that is not paused does nothing.
@@ -256,182 +342,46 @@ class ClientGoalHandle(msgspec.Struct, Generic[R, F], eq=False):
             PauseRefused: if the server's ``on_resume`` fails, so that the goal stays paused.
             ServerUnavailable: if the server goes away.
         """
-        await self._reader.resume()
+        self._guard.check()
+        await self._server.pauses.resume(self._goal)
 
     def detach(self) -> None:
         """Let the goal continue after the ``async with`` block of this handle."""
-        self._reader.is_detached = True
+        self._is_detached = True
 
 
-class GoalReader:
-    """Reads one goal for one handle, and passes the handle's requests on to the server.
-
-    Args:
-        server: The server that holds the goal.
-        goal: The goal.
-        home: The client's event loop.
-        tasks: The functions for tasks in the client's event loop.
-        cancel_soon: Starts a task that cancels a goal.
-        is_sender: Whether this client sent the goal.
+class HandleServices(msgspec.Struct):
+    """What a client lends to the handles of its goals.
 
     Attributes:
-        goal: The goal that is read.
-        missed: How many feedback messages were dropped before this reader read them.
-        is_detached: Whether the goal continues after the ``async with`` block of its handle.
+        guard: The client's event loop.
+        tasks: The functions for tasks in the client's event loop.
+        cancel_soon: Starts a task that cancels a goal.
     """
 
-    __slots__ = (
-        "_cancel_soon",
-        "_home",
-        "_hurried",
-        "_is_sender",
-        "_iterations",
-        "_next",
-        "_server",
-        "_tasks",
-        "goal",
-        "is_detached",
-        "missed",
-    )
+    guard: LoopGuard
+    tasks: Tasks
+    cancel_soon: Callable[[GoalServer, Goal], None]
 
-    def __init__(
-        self,
-        server: GoalServer,
-        goal: Goal,
-        home: LoopGuard,
-        tasks: Tasks,
-        cancel_soon: Callable[[GoalServer, Goal], None],
-        *,
-        is_sender: bool,
-    ) -> None:
-        self.goal = goal
-        self.missed = 0
-        self.is_detached = False
-        self._server = server
-        self._home = home
-        self._tasks = tasks
-        self._cancel_soon = cancel_soon
-        self._is_sender = is_sender
-        self._next = 0 if is_sender else goal.log.dropped
-        self._iterations = 0
-        self._hurried = 0
 
-    @property
-    def is_paused(self) -> bool:
-        """Whether the goal is paused."""
-        return self._server.pauses.is_paused(self.goal)
+async def leave_goal(handle: ClientGoalHandle[R, F], timeout: float) -> Goal | None:
+    """Stop reading a goal's feedback; unless the goal is detached, cancel it and wait for its end.
 
-    @property
-    def is_resumed(self) -> bool:
-        """Whether the server, in this process, has the goal from an earlier process."""
-        return self.goal.id in self._server.resumed
+    Args:
+        handle: The handle.
+        timeout: How long to wait at most for the goal's end (s, event loop time).
 
-    def check_home(self) -> None:
-        """Raise an error if the caller is not in the client's event loop."""
-        self._home.check()
-
-    # feedback
-
-    async def wait_for_change(self) -> None:
-        """Wait for the goal's next change. Cancelling: safe."""
-        await self.goal.changed.wait()
-
-    @property
-    def next_unread(self) -> int | None:
-        """The index (from 0) of the next unread feedback message; None if no message is unread."""
-        log = self.goal.log
-        return None if self._next >= log.count or not log.items else max(self._next, log.dropped)
-
-    def start_iteration(self) -> None:
-        """Begin an iteration. If this client sent the goal, unread feedback is kept from now on."""
-        self._home.check()
-        self._iterations += 1
-        if self._is_sender:
-            self.goal.log.read = self._next
-            self.goal.log.hurried = self._hurried
-
-    def end_iteration(self, thread: int) -> None:
-        """Record that an iterator is gone. Any thread may call this method.
-
-        Reading stops only when the last iterator is gone. The late end of an abandoned loop
-        therefore does not stop a newer loop.
-
-        Args:
-            thread: The id of the thread in which the iterator was made.
-        """
-        if get_ident() != thread:
-            self._tasks.from_anywhere(lambda: self.end_iteration(thread))
-            return
-        self._iterations -= 1
-        if not self._iterations:
-            self._stop_reading()
-
-    def _stop_reading(self) -> None:
-        """From now on, the goal's body does not wait for the sender to read the feedback."""
-        if self._is_sender:
-            self.goal.log.read = None
-            self.goal.log.relieve()
-
-    # the end
-
-    async def wait_for_end(self) -> Goal:
-        """Wait for the goal's end.
-
-        Until then, the goal's body does not wait for the goal's sender to read the feedback.
-        """
-        self._home.check()
-        goal = self.goal
-        if goal.ended:
-            return goal
-        if not self._is_sender:
-            await goal.wait_for_end()
-            return goal
-        self._hurry(1)
-        try:
-            await goal.wait_for_end()
-        finally:
-            self._hurry(-1)
+    Returns:
+        The goal, if it goes on without its client.
+    """
+    goal = handle._goal
+    if goal.ended:
+        return None
+    handle._stop_reading()
+    if handle._is_detached:
         return goal
-
-    def _hurry(self, change: int) -> None:
-        """Add ``change`` to the number of callers that wait for the goal's end.
-
-        If any caller waits, the goal's body does not wait for the sender to read the feedback.
-        """
-        self._hurried += change
-        self.goal.log.hurried = self._hurried
-        self.goal.log.relieve()
-
-    def cancel(self) -> Awaitable[CancelGoal.Response]:
-        """Ask the server to cancel the goal."""
-        self._home.check()
-        return self._server.cancel(self.goal.id, 0)
-
-    async def pause(self, timeout: float) -> None:
-        """Pause the goal."""
-        self._home.check()
-        await self._server.pauses.pause(self.goal, timeout)
-
-    async def resume(self) -> None:
-        """Let the goal go on."""
-        self._home.check()
-        await self._server.pauses.resume(self.goal)
-
-    def cancel_nowait(self) -> None:
-        """Ask the server to cancel the goal, without waiting for the server's answer."""
-        self._home.check()
-        if not self.goal.ended:
-            self._cancel_soon(self._server, self.goal)
-
-    async def leave(self, timeout: float) -> None:
-        """Stop reading. Unless the goal is detached, cancel the goal and wait for its end.
-
-        Args:
-            timeout: How long to wait at most for the goal's end (s, event loop time).
-        """
-        self._stop_reading()
-        if not self.is_detached:
-            await self._server.abandon(self.goal, timeout)
+    await handle._server.abandon(goal, timeout)
+    return None
 
 
 class _Reading:
@@ -440,10 +390,10 @@ class _Reading:
     Iterators use `read` itself as their ``__anext__``, to save a function call for each message.
     """
 
-    __slots__ = ("_reader",)
+    __slots__ = ("_handle",)
 
-    def __init__(self, reader: GoalReader) -> None:
-        self._reader = reader
+    def __init__(self, handle: ClientGoalHandle[Any, Any]) -> None:
+        self._handle = handle
 
     async def read(self) -> Any:  # noqa: ANN401  # the action's own class
         """Return the next feedback message.
@@ -452,20 +402,20 @@ class _Reading:
         """
         # Messages in the log come first, even if the goal has ended. Checking the log and starting
         # to wait happen in one step of the task, so no signal can fire in between and be lost.
-        reader = self._reader
-        goal = reader.goal
+        handle = self._handle
+        goal = handle._goal
         log = goal.log
         while True:
             items = log.items
-            at = reader._next - log.count + len(items)
+            at = handle._next - log.count + len(items)
             if at < 0:
-                reader.missed -= at
-                reader._next -= at
+                handle._missed -= at
+                handle._next -= at
                 at = 0
             if at < len(items):
-                reader._next += 1
-                if reader._is_sender and log.read is not None:
-                    log.read = reader._next
+                handle._next += 1
+                if handle._is_sender and log.read is not None:
+                    log.read = handle._next
                     if log.drained is not None:
                         log.relieve()
                 return items[at]
@@ -492,12 +442,12 @@ class _Iteration(_Reading):
 
     __slots__ = ("_thread",)
 
-    def __init__(self, reader: GoalReader) -> None:
-        self._reader = reader
+    def __init__(self, handle: ClientGoalHandle[Any, Any]) -> None:
+        self._handle = handle
         self._thread = get_ident()
 
     def __del__(self) -> None:
-        self._reader.end_iteration(self._thread)
+        self._handle._end_iteration(self._thread)
 
 
 class _Feedback(_Iteration, Generic[F]):
@@ -516,8 +466,8 @@ class _Events(_Iteration, Generic[F, R]):
 
     __slots__ = ("_step", "_told")
 
-    def __init__(self, reader: GoalReader) -> None:
-        super().__init__(reader)
+    def __init__(self, handle: ClientGoalHandle[Any, Any]) -> None:
+        super().__init__(handle)
         self._step: Literal["accepted", "under way", "ended", "over"] = "accepted"
         self._told = 0  # how many states of the goal's history were given
 
@@ -525,8 +475,8 @@ class _Events(_Iteration, Generic[F, R]):
         return self
 
     async def __anext__(self) -> Event[F, R]:
-        reader = self._reader
-        goal = reader.goal
+        handle = self._handle
+        goal = handle._goal
         if self._step == "accepted":
             self._step = "under way"
             return Accepted(goal.id, stamp_of(goal.stamp))
@@ -534,30 +484,38 @@ class _Events(_Iteration, Generic[F, R]):
             status = self._next_status()
             if status is not None:
                 return StatusChanged(status)
-            if reader.next_unread is not None:
+            if self._next_unread is not None:
                 return FeedbackReceived(await self.read())
             if goal.error is not None:
                 raise goal.error
             if goal.ended:
                 self._step = "ended"
                 return StatusChanged(goal.status)
-            await reader.wait_for_change()
+            await goal.changed.wait()
         if self._step == "ended":
             self._step = "over"
             return ResultReceived(Outcome(goal.status, cast("R", goal.result), goal.reason))
         raise StopAsyncIteration
+
+    @property
+    def _next_unread(self) -> int | None:
+        """The index (from 0) of the next unread feedback message; None if no message is unread."""
+        handle, log = self._handle, self._handle._goal.log
+        if handle._next >= log.count or not log.items:
+            return None
+        return max(handle._next, log.dropped)
 
     def _next_status(self) -> GoalStatus | None:
         """Return the next state in the goal's history, or None.
 
         None means that no state is left, or that earlier feedback must be read first.
         """
-        history = self._reader.goal.log.history
+        history = self._handle._goal.log.history
         if self._told == len(history):
             return None
         status: GoalStatus
         status, count = history[self._told]
-        unread = self._reader.next_unread
+        unread = self._next_unread
         if unread is not None and unread < count:
             return None
         self._told += 1
