@@ -154,13 +154,15 @@ class Calls(GoalObserver):
 
     def __init__(self) -> None:
         self.ended: list[tuple[bytes | None, type[BaseException] | None]] = []
+        self._tokens: dict[GoalRequest, Token[str]] = {}
 
     def enter_call(self, order: GoalRequest) -> None:
         order.goal_id = order.goal_id or ID
-        SENDING.set("a goal")
+        self._tokens[order] = SENDING.set("a goal")
 
     def leave_call(self, order: GoalRequest, error: BaseException | None) -> None:
         assert SENDING.get() == "a goal"
+        SENDING.reset(self._tokens.pop(order))
         self.ended.append((order.goal_id, None if error is None else type(error)))
 
 
@@ -169,7 +171,7 @@ async def show_sending(request: Count.Goal) -> Count.Result:
 
 
 @pytest.mark.parametrize("where", ["here", "elsewhere"])
-async def test_an_observer_prepares_the_sending_of_a_goal_in_a_context_of_its_own(where):
+async def test_an_observer_prepares_the_context_in_which_a_goal_is_sent(where):
     async with clients(where, show_sending) as (client, other):
         client.observers.add(calls := Calls())
         assert await client.send_goal(goal()) == result(1)

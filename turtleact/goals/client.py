@@ -18,7 +18,7 @@ from contextvars import copy_context
 from functools import partial
 from inspect import CO_COROUTINE
 from types import CodeType, TracebackType
-from typing import TYPE_CHECKING, Any, Final, Generic, NoReturn, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, NoReturn, TypeAlias, TypeVar
 
 import anyio
 import anyio.lowlevel
@@ -314,13 +314,8 @@ class ActionClient(Generic[G, R, F]):
     def _send(
         self, request: GoalRequest, send: Callable[[GoalRequest], _Sending[T]]
     ) -> _Sending[T]:
-        """Send a goal with ``send``, which is `_run` or `_enter`.
-
-        If an observer wants reports about calls, send the goal in a copy of the caller's context.
-        """
-        if not self.observers.want_calls:
-            return send(request)
-        return _InOwnContext(self._send_observed(request, send))
+        """Send a goal with ``send``, which is `_run` or `_enter`, and tell observers of calls."""
+        return self._send_observed(request, send) if self.observers.want_calls else send(request)
 
     async def _send_observed(
         self, request: GoalRequest, send: Callable[[GoalRequest], _Sending[T]]
@@ -537,38 +532,6 @@ class SendGoal(_Calling[R], Generic[G, R, F]):
 
 
 Coroutine.register(SendGoal)
-
-
-class _InOwnContext(Coroutine[object, object, T]):
-    """Runs a coroutine in the caller's task, but in a copy of that task's context.
-
-    The coroutine therefore never changes the caller's context. Resetting context variables with
-    their tokens would not be enough, because a coroutine may be closed in another context.
-    """
-
-    __slots__ = ("_context", "_running")
-
-    def __init__(self, running: _Sending[T]) -> None:
-        self._context = copy_context()
-        self._running = running
-
-    def send(self, value: object) -> object:
-        return self._context.run(self._running.send, value)
-
-    def throw(self, error: Any, *_: object) -> object:  # noqa: ANN401  # no type and traceback
-        return self._context.run(self._running.throw, error)
-
-    def close(self) -> None:
-        self._context.run(self._running.close)
-
-    def __await__(self) -> Generator[object, object, T]:
-        return self
-
-    def __iter__(self) -> Self:
-        return self
-
-    def __next__(self) -> object:
-        return self.send(None)
 
 
 class Attach(msgspec.Struct, Generic[R, F], eq=False):

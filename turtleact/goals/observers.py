@@ -101,11 +101,10 @@ class GoalObserver:
         """Called before a body starts, in the body's context, to set context variables."""
 
     def enter_call(self, request: GoalRequest) -> None:
-        """Called before a client sends a goal, in a copy of the sender's `contextvars` context.
+        """Called before a client sends a goal, in the sender's `contextvars` context.
 
-        The client sends the goal in the copied context, in which the observer may set context
-        variables. The observer may also set the goal's id in ``request``, to recognise the goal
-        later.
+        The observer may set context variables, and resets them in `leave_call`. It may also set the
+        goal's id in ``request``, to recognise the goal later.
         """
 
     def leave_call(self, request: GoalRequest, error: BaseException | None) -> None:

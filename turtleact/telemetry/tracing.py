@@ -28,6 +28,7 @@ Source: W3C Trace Context; OpenTelemetry's semantic conventions 1.44, "RPC".
 
 from __future__ import annotations
 
+from contextvars import Token
 from importlib.metadata import version
 from time import time_ns
 from typing import Final
@@ -320,6 +321,7 @@ class _ClientSpans(GoalObserver):
         self._observers = client.observers
         self._has_begun = False
         self._sending: dict[GoalRequest, _Record] = {}
+        self._entered: dict[GoalRequest, tuple[Token[Context], Token[str]]] = {}
         self._tracer = tracer
         self._attributes = attributes
         self._transport = node.transport
@@ -334,10 +336,11 @@ class _ClientSpans(GoalObserver):
         span = self._tracer.start_span(self._name, context, kind, self._attributes)
         if not span.get_span_context().is_valid:  # without an SDK
             return
-        contexts.attach(trace.set_span_in_context(span, context))
-        is_recorded = span.is_recording()
+        is_recorded, note = span.is_recording(), REQUEST_NOTE.get()
         if is_recorded or not is_near:  # the server must know of a goal that is not sampled, too
-            REQUEST_NOTE.set(_note(span, is_detached=NEW_TRACES.get()))
+            note = _note(span, is_detached=NEW_TRACES.get())
+        attached = contexts.attach(trace.set_span_in_context(span, context))
+        self._entered[request] = attached, REQUEST_NOTE.set(note)
         if is_recorded:
             request.goal_id = request.goal_id or new_goal_id()
             if not self._has_begun:  # it would cost each goal something, so there is none before
@@ -346,10 +349,14 @@ class _ClientSpans(GoalObserver):
             self._sending[request] = self._spans.begin(span, request.goal_id)
 
     def leave_call(self, request: GoalRequest, error: BaseException | None) -> None:
-        """End the goal's span if the goal was not accepted.
+        """Restore the context, and end the goal's span if the goal was not accepted.
 
         The span of an accepted goal ends when the goal ends.
         """
+        entered = self._entered.pop(request, None)
+        if entered is not None:
+            contexts.detach(entered[0])
+            REQUEST_NOTE.reset(entered[1])
         record = self._sending.pop(request, None)
         if record is None or record.is_accepted or not record.span.is_recording():
             return
