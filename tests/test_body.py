@@ -179,44 +179,19 @@ def test_what_cannot_be_a_body_is_refused_where_it_is_declared(execute, problem)
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (
-            (plain,),
-            r"the type and the name of the action are missing: write @turtleact.action\(TYPE",
-        ),
-        ((Count,), r"name of the action is missing: write @turtleact.action\(Count, 'NAME'\)$"),
-        ((Count, 5), "the name of the action is 5, which is not a string"),
-        (("count", Count), r"first the type, then the name: write \(Count, 'count'\)"),
+        ((plain,), "missing 1 required positional argument: 'name'"),
+        ((Count,), "missing 1 required positional argument: 'name'"),
         (
             ("Count", "count"),
             r"not 'Count': give the class, for example turtleact.get_action\(TYPE",
         ),
         ((Count.Goal, "count"), "not Count.Goal: give Count itself"),
+        ((None, "count"), "expected a subclass of turtleact.Action, not None"),
     ],
 )
 def test_wrong_arguments_of_a_declaration_are_refused_at_once(arguments, problem):
     with pytest.raises(TypeError, match=problem):
         action(*arguments)
-
-
-def test_arguments_of_a_declaration_may_be_given_by_name():
-    assert action(action_type=Count, name="count")(plain).name == "count"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "problem"),
-    [
-        ({"action_type": Count, "name": 5}, "the name of the action is 5, which is not a string"),
-        ({"name": "count"}, r"the type of the action is missing: write \(TYPE, 'count'\)$"),
-        (
-            {"action_type": None, "name": "count"},
-            "expected a subclass of turtleact.Action, not None",
-        ),
-        ({}, r"the type and the name of the action are missing: write \(TYPE, 'NAME'\)$"),
-    ],
-)
-def test_wrong_arguments_by_name_are_refused(arguments, problem):
-    with pytest.raises(TypeError, match=problem):
-        action(**arguments)
 
 
 def test_a_wrong_name_in_a_declaration_is_refused_at_once():
@@ -340,19 +315,6 @@ def test_what_cannot_run_in_the_background_is_refused(function, shown):
     said = f"@turtleact.background needs {needs}, not {shown}"
     with pytest.raises(TypeError, match=f"^{re.escape(said)}"):
         background(function)
-
-
-def test_the_decorator_for_the_background_is_written_without_parentheses():
-    declare: Any = background
-    with pytest.raises(TypeError, match=r"^write @turtleact\.background without \(\)$"):
-        declare()
-
-
-def test_an_error_about_other_arguments_names_the_decorator():
-    with pytest.raises(TypeError, match=r"^background\(\) got an unexpected keyword argument"):
-        background(name="x")  # type: ignore[call-arg]  # meant
-    with pytest.raises(TypeError, match=r"^action\(\) got multiple values for argument 'name'"):
-        action(Count, "x", name="y")  # type: ignore[misc]  # meant
 
 
 async def test_a_background_function_can_be_called_like_the_function_itself():

@@ -241,61 +241,6 @@ class Declare(Protocol[G, R, F]):
     ) -> ActionDeclaration[[G, H], Coroutine[Any, Any, R]]: ...
 
 
-def _checked(
-    check: Callable[[Mapping[str, object]], None],
-) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Make a decorator that calls ``check`` with a function's arguments before the function.
-
-    Python reports a missing argument, too, but does not say what to write. A default in the
-    function itself would hide the mistake from type checkers.
-    """
-
-    def decorate(function: Callable[P, T]) -> Callable[P, T]:
-        signature = inspect.signature(function)
-
-        @functools.wraps(function)
-        def call(*args: P.args, **kwargs: P.kwargs) -> T:
-            try:
-                given = signature.bind_partial(*args, **kwargs).arguments
-            except TypeError:
-                return function(*args, **kwargs)  # raises the error that names the function
-            check(given)
-            return function(*args, **kwargs)
-
-        return call
-
-    return decorate
-
-
-def _check_action(given: Mapping[str, object]) -> None:
-    """Check the arguments of `action`, so that a mistake is reported at the decorator's line."""
-    name = given.get("name", "")
-    if "action_type" not in given:
-        missing = "type" if name else "type and the name"
-        verb, shown = ("is", repr(name)) if name else ("are", "'NAME'")
-        raise TypeError(f"the {missing} of the action {verb} missing: write (TYPE, {shown})")
-    action_type = given["action_type"]
-    if inspect.isfunction(action_type):  # the decorator was written without arguments
-        call = f"@turtleact.action(TYPE, '{action_type.__name__}')"
-        raise TypeError(f"the type and the name of the action are missing: write {call}")
-    if isinstance(action_type, str) and isinstance(name, type):
-        raise TypeError(f"first the type, then the name: write ({name.__name__}, {action_type!r})")
-    expect_interface(Action, action_type)
-    if name == "":
-        call = f"@turtleact.action({getattr(action_type, '__name__', 'TYPE')}, 'NAME')"
-        raise TypeError(f"the name of the action is missing: write {call}")
-    if not isinstance(name, str):
-        raise TypeError(f"the name of the action is {name!r}, which is not a string")
-    validate_name(name)
-
-
-def _check_background(given: Mapping[str, object]) -> None:
-    """Check that `background` was written without parentheses."""
-    if not given:
-        raise TypeError("write @turtleact.background without ()")
-
-
-@_checked(_check_action)
 def action(
     action_type: ActionType[G, R, F], name: str, **options: Unpack[ServerOptions]
 ) -> Declare[G, R, F]:
@@ -307,11 +252,13 @@ def action(
         **options: See `Node.action_server`.
 
     Raises:
-        TypeError: if ``action_type`` is not an action, or the name is missing or not a string.
+        TypeError: if ``action_type`` is not an action.
         InvalidName: if the name breaks ROS 2's rules.
         InvalidBody: if the function is neither a coroutine function nor an async generator, or does
             not take one or two parameters.
     """
+    expect_interface(Action, action_type)
+    validate_name(name)
 
     def declare(execute: Callable[P, T]) -> ActionDeclaration[P, T]:
         return ActionDeclaration(action_type, name, execute, options)
@@ -340,7 +287,6 @@ class BackgroundDeclaration(Generic[H]):
         return self.run(node)
 
 
-@_checked(_check_background)
 def background(run: Callable[[H], Coroutine[Any, Any, object]], /) -> BackgroundDeclaration[H]:
     """Run an ``async def`` in the background while ``turtleact serve`` serves its module.
 
