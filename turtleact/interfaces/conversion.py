@@ -24,7 +24,7 @@ from turtleact.interfaces.definition import (
     zero,
 )
 from turtleact.interfaces.standard.builtin_interfaces.msg import Time
-from turtleact.interfaces.types import Message, fields, nested_classes
+from turtleact.interfaces.types import Message, constructor, fields, nested_classes
 from turtleact.interfaces.values import FLOAT32_LIMIT, converter, describe
 
 if TYPE_CHECKING:
@@ -187,13 +187,13 @@ def compiled(cls: type[M], root: str) -> Callable[[M], M]:
 
     source = Source("m")
     source.names |= {"cls": cls, "adapt": functools.partial(adapted, cls), "fail": fail}
-    source.names["InvalidMessage"] = InvalidMessage
+    source.names |= {"make": constructor(cls), "InvalidMessage": InvalidMessage}
     source.add("try:")
     source.depth += 1
     source.add("if type(m) is not cls: m = adapt(m)")
     pairs = zip(fields(cls), nested_classes(cls), strict=True)
     values = [add_field(source, field, nested) for field, nested in pairs]
-    source.add(f"return cls({', '.join(values)})")
+    source.add(f"return make({', '.join(values)})")
     source.depth -= 1
     source.add("except InvalidMessage as inner: raise fail(inner) from None")
     return source.function()  # type: ignore[return-value]  # the text is made to be so

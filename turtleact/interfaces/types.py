@@ -25,6 +25,7 @@ from typing import (
     Any,
     ClassVar,
     TypeAlias,
+    TypeVar,
     cast,
     dataclass_transform,
     get_args,
@@ -227,6 +228,8 @@ class Registry:
 #: finders, nothing that belongs to a node or event loop. `Registry.isolated` resets it.
 REGISTRY = Registry()
 
+M = TypeVar("M", bound="Message")
+
 
 @dataclass_transform(field_specifiers=(msgspec.field,))
 class MessageMeta(msgspec.StructMeta):
@@ -254,7 +257,7 @@ class MessageMeta(msgspec.StructMeta):
             base = super().__new__(mcls, name, bases, namespace, gc=False)
             base._shape = Shape()
             return base
-        if name == "Goal":
+        if name == "Goal" and not type_name:  # a part of an action
             mcls = GoalMeta
         namespace.setdefault("__qualname__", name)
         if bases != (Message,):
@@ -290,6 +293,11 @@ class GoalMeta(MessageMeta):
                 raise
             hint = did_you_mean(unknown, fields) or f"; it has {', '.join(fields) or 'none'}"
             raise TypeError(f"{cls.__qualname__} has no field '{unknown}'{hint}") from None
+
+
+def constructor(cls: type[M]) -> Callable[..., M]:
+    """Return a function that makes messages of a class without the check of `GoalMeta`."""
+    return cast("Callable[..., M]", msgspec.StructMeta.__call__.__get__(cls))
 
 
 class Message(msgspec.Struct, metaclass=MessageMeta):
