@@ -18,7 +18,6 @@ with atheris.instrument_imports(include=["turtleact", "yaml", "json"]):
     from tests.fuzz import properties as fuzz
     from tests.fuzz.seeds import seeds
     from turtleact.interfaces import cdr, classes, conversion, values
-    from turtleact.interfaces.cdr import decoding, encoding, layout
 
 SLOW = 1.0
 MEMORY = 2**30
@@ -73,7 +72,7 @@ def instrument_generated() -> None:
 
 def forget_classes() -> None:
     """Drops what is kept of each class, as those of the fuzzer are many."""
-    for module in (cdr, classes, conversion, values, decoding, encoding, layout):
+    for module in (cdr, classes, conversion, values):
         for each in vars(module).values():
             if callable(clear := getattr(each, "cache_clear", None)):
                 clear()

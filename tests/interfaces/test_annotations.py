@@ -64,10 +64,6 @@ def test_each_primitive_has_an_annotation(name):
     assert read(SCALARS[name], HERE).field_type == FieldType(name)
 
 
-def test_bytes_are_noted():
-    assert read(bytes, HERE).is_bytes
-
-
 class Nameless(Message):
     x: int32 = 0
 

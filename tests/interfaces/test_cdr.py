@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 
 from turtleact.errors import InvalidMessage, InvalidOption
 from turtleact.interfaces import (
-    cdr,
     decode,
     encode,
     from_dict,
@@ -26,9 +25,8 @@ from turtleact.interfaces import (
     known_interfaces,
     load_interfaces,
 )
-from turtleact.interfaces.cdr import decoding, encoding
 from turtleact.interfaces.definition import INTEGER_RANGES, ArrayForm
-from turtleact.interfaces.standard import UUID, GoalInfo, Point, Time, Vector3
+from turtleact.interfaces.standard import UUID, GoalInfo, Point, Time
 from turtleact.interfaces.types import (
     REGISTRY,
     Action,
@@ -165,22 +163,6 @@ class Fixed(Message, type_name="example_msgs/msg/Fixed"):
     ranks: array[list[int32], 2] = [0] * 2
 
 
-Large: Any = MessageMeta(
-    "Large",
-    (Message,),
-    {"__annotations__": {"name": string, **{f"v{i}": int16 for i in range(80)}}},
-    type_name="example_msgs/msg/Large",
-)
-
-
-class Around(Message, type_name="example_msgs/msg/Around"):
-    """Its messages are too large to be read in line."""
-
-    first: Large = Large()
-    others: list[Large] = []
-    last: Large = Large()
-
-
 class Behind(Message, type_name="example_msgs/msg/Behind"):
     """Where its numbers stand is known in part only: by the sequences before them."""
 
@@ -197,7 +179,7 @@ class Behind(Message, type_name="example_msgs/msg/Behind"):
     last: float64 = 0.0
 
 
-OWN = [Nothing, Scalars, Numbers, Texts, Pair, Messages, Uneven, Fixed, Around, Behind, GoalInfo]
+OWN = [Nothing, Scalars, Numbers, Texts, Pair, Messages, Uneven, Fixed, Behind, GoalInfo]
 ARRAYS = ["list", "array", "numpy"]
 
 
@@ -397,17 +379,6 @@ def test_any_message_is_read_in_either_byte_order(message, order, arrays):
     assert encode(read) == encode(message)
 
 
-@given(ANY_MESSAGE, st.sampled_from(["little", "big"]))
-def test_a_message_that_is_read_equals_the_one_that_was_written(message, order):
-    assert decode(type(message), by_the_book(message, order=order)) == message
-
-
-@given(ANY_MESSAGE, st.binary(max_size=9))
-def test_what_follows_a_message_is_ignored(message, rest):
-    data = encode(message)
-    assert encode(decode(type(message), data + rest)) == data
-
-
 @given(ANY_MESSAGE, st.data())
 def test_a_message_that_is_cut_off_is_refused_wherever_it_is_cut(message, data):
     whole = encode(message)
@@ -425,11 +396,6 @@ def test_changed_bytes_are_read_or_refused(message, data):
         place = data.draw(st.integers(4, max(4, len(changed) - 1)))
         changed[place : place + 1] = data.draw(st.sampled_from([b"", b"\0", b"\xff", b"\x02"]))
     read_or_refuse(type(message), bytes(changed))
-
-
-@given(st.sampled_from([*OWN, *SHIPPED]), st.sampled_from([data_of(""), bytes(4)]), st.binary())
-def test_random_bytes_are_read_or_refused(cls, header, body):
-    read_or_refuse(cls, header + body)
 
 
 def read_or_refuse(cls: type[Message], data: bytes) -> None:
@@ -467,30 +433,6 @@ def read_or_refuse(cls: type[Message], data: bytes) -> None:
 def test_each_value_stands_at_a_multiple_of_its_size_behind_the_header(message, body):
     assert encode(message) == data_of(body)
     assert decode(type(message), data_of(body)) == message
-
-
-@pytest.mark.parametrize("name", ["", "a", "ab", "abc", "abcd", "abcde", "abcdef", "abcdefg"])
-def test_padding_follows_a_text_of_any_length(name):
-    message = Texts(names=[name, name], pair=[name, ""], few=[name[:4]], from_=-1)
-    assert encode(message) == by_the_book(message)
-    assert decode(Texts, encode(message)) == message
-
-
-@pytest.mark.parametrize("name", ["", "a", "ab", "abc", "abcd", "abcde", "abcdef", "abcdefg"])
-def test_messages_in_a_sequence_are_padded_each_by_its_place(name):
-    pairs, keys = [Pair(1, 2), Pair(3, 4)], [GoalInfo(stamp=Time(sec=5)), GoalInfo()]
-    message = Uneven(pairs, name, keys, pairs, pairs)
-    assert encode(message) == by_the_book(message)
-    assert decode(Uneven, encode(message)) == message
-
-
-def test_nothing_is_left_out_before_the_elements_of_an_empty_sequence():
-    class Doubles(Message):
-        values: list[float64] = []
-        last: uint8 = 0
-
-    assert encode(Doubles(last=7)) == data_of("00000000 07")
-    assert encode(Doubles([0.0], 7)) == data_of("01000000 00000000 0000000000000000 07")
 
 
 def test_what_padding_holds_is_ignored():
@@ -552,7 +494,6 @@ COUNTED: list[tuple[type[Message], str, int]] = [
     (Messages, "points", 0),
     (Messages, "infos", 56),
     (Messages, "pairs", 108),
-    (Around, "others", 164),
 ]
 
 
@@ -595,30 +536,17 @@ def test_a_refusal_names_path_and_place(cls, body, text):
 
 
 @pytest.mark.parametrize(
-    ("member", "value", "text"),
+    ("longer", "text"),
     [
-        ("q", "abcd", "q: at most 3 characters, got 4"),
-        ("r", "abcd", "r: at most 3 characters, got 4"),
+        (Scalars(q="abcd"), "q: at most 3 characters, got 4"),
+        (Scalars(r="abcd"), "r: at most 3 characters, got 4"),
+        (Numbers(c=[0] * 6), "c: at most 5 elements, got 6"),
+        (Numbers(j=[0] * 4), "j: at most 3 elements, got 4"),
     ],
 )
-def test_text_beyond_its_bound_is_refused(member, value, text):
-    longer = Scalars()
-    setattr(longer, member, value)
+def test_what_is_beyond_its_bound_is_not_read(longer, text):
     with pytest.raises(InvalidMessage, match=f"^message.{text}$"):
-        encode(longer)
-    with pytest.raises(InvalidMessage, match=f"^message.{text}$"):
-        decode(Scalars, by_the_book(longer))
-
-
-def test_sequences_beyond_their_bound_are_refused():
-    for member, value in {"c": [0] * 6, "j": [0] * 4}.items():
-        longer = Numbers()
-        setattr(longer, member, value)
-        text = f"^message.{member}: at most {len(value) - 1} elements, got {len(value)}$"
-        with pytest.raises(InvalidMessage, match=text):
-            encode(longer)
-        with pytest.raises(InvalidMessage, match=text):
-            decode(Numbers, by_the_book(longer))
+        decode(type(longer), by_the_book(longer))
 
 
 @pytest.mark.parametrize(
@@ -640,12 +568,6 @@ def test_the_last_two_bytes_of_the_header_are_ignored():
     assert decode(Time, bytes.fromhex("0001ffff 01000000 02000000")) == Time(1, 2)
 
 
-def test_a_fault_of_the_decoder_itself_is_not_hidden(monkeypatch):
-    monkeypatch.setattr(cdr, "locate", lambda cls, data, order: None)
-    with pytest.raises(struct.error):
-        decode(Time, data_of(""))
-
-
 # --- what is written ------------------------------------------------------------------------
 
 
@@ -653,37 +575,26 @@ def test_a_fault_of_the_decoder_itself_is_not_hidden(monkeypatch):
 @pytest.mark.parametrize(
     ("message", "text"),
     [
-        (Scalars(h=2**31), "h: 2147483648 is out of range for int32"),
         (Scalars(a=unchecked(1)), "a: expected true or false (bool), got 1"),
         (Scalars(m=1e39), "m: 1e+39 is out of range for float32"),
-        (Scalars(n=unchecked("abc")), "n: expected a number (float64), got 'abc'"),
-        (Scalars(o=unchecked(b"abc")), "o: expected text (string), got b'abc'"),
         (Scalars(o="\ud800"), "o: character 0 is half a surrogate pair"),
         (Scalars(p="\ud800"), "p: character 0 is half a surrogate pair"),
+        (Scalars(q="abcd"), "q: at most 3 characters, got 4"),
         (Numbers(a=unchecked([1])), "a[0]: expected true or false (bool), got 1"),
-        (Numbers(h=unchecked("ab")), "h: expected a list of int32, got 'ab'"),
-        (Numbers(e=unchecked(5)), "e: expected a list of uint8, got 5"),
+        (Numbers(c=[0] * 6), "c: at most 5 elements, got 6"),
         (Numbers(e=unchecked({1: 2})), "e: expected a list of uint8, got {1: 2}"),
         (Numbers(e=[256]), "e[0]: 256 is out of range for uint8"),
         (Numbers(three=[1.0]), "three: exactly 3 elements, got 1"),
-        (Numbers(octets=[1] * 4), "octets: exactly 3 elements, got 4"),
         (Numbers(key=b"ab"), "key: exactly 3 elements, got 2"),
         (
             Numbers(n=unchecked(np.zeros((2, 2)))),
             "n: expected a list of float64, got an array of 2",
         ),
         (Texts(names=unchecked("ab")), "names: expected a list of string, got 'ab'"),
-        (Texts(pair=["a"]), "pair: exactly 2 elements, got 1"),
         (Texts(few=["abcde"]), "few[0]: at most 4 characters, got 5"),
         (Messages(points=unchecked([Time()])), "points[0]: expected geometry_msgs/msg/Point, not "),
-        (Messages(pairs=unchecked([5])), "pairs[0]: expected a message (example_msgs/msg/Pair)"),
         (Messages(nothing=unchecked(None)), "nothing: expected a message"),
-        (
-            Messages(points=unchecked([Vector3()])),
-            "points[0]: expected geometry_msgs/msg/Point, not ",
-        ),
         (Uneven(first=unchecked([Twin()])), "first[0]: expected example_msgs/msg/Pair, not "),
-        (Around(first=unchecked(Time())), "first: expected example_msgs/msg/Large, not "),
     ],
 )
 def test_what_does_not_fit_is_told_with_its_path(message, text):
@@ -723,12 +634,9 @@ ALL = from_dict(
 )
 
 
-@pytest.mark.parametrize("byteorder", ["little", "big"])
 @pytest.mark.parametrize("arrays", ["array", "numpy"])
-def test_arrays_are_written_as_lists_are(arrays, byteorder, monkeypatch):
-    held = decode(Numbers, encode(ALL), arrays=arrays)
-    monkeypatch.setattr(encoding.sys, "byteorder", byteorder)  # type: ignore[attr-defined]  # sys
-    assert encode(held) == encode(ALL)
+def test_arrays_are_written_as_lists_are(arrays):
+    assert encode(decode(Numbers, encode(ALL), arrays=arrays)) == encode(ALL)
 
 
 @pytest.mark.parametrize(
@@ -743,12 +651,6 @@ def test_any_array_that_fits_is_written(values):
 
 def test_an_array_of_wider_integers_is_written_as_bytes():
     assert encode(Numbers(e=unchecked(np.array([1, 2], "u2")))) == encode(Numbers(e=[1, 2]))
-
-
-def test_on_a_big_endian_machine_no_array_is_copied_as_it_is(monkeypatch):
-    monkeypatch.setattr(encoding.sys, "byteorder", "big")  # type: ignore[attr-defined]  # sys
-    with pytest.raises(TypeError, match="of other elements"):
-        encoding.copied("d", numbers("d", [1.0]))
 
 
 # --- what is read ---------------------------------------------------------------------------
@@ -800,19 +702,9 @@ def test_any_bytes_are_read(kind):
     assert decode(UUID, kind(encode(UUID(bytes(range(16)))))).uuid == bytes(range(16))
 
 
-def test_text_is_no_data():
-    with pytest.raises(TypeError, match="bytes-like"):
-        decode(Time, unchecked("0001"))
-
-
 def test_arrays_of_no_known_sort_are_refused():
     with pytest.raises(InvalidOption, match="'arrays': expected one of list, array, numpy, got 1"):
         decode(Time, encode(Time()), arrays=unchecked(1))
-
-
-def test_no_class_is_compiled_twice():
-    assert decoding.decoder(Time, "<", "list") is decoding.decoder(Time, "<", "list")
-    assert encoding.encoder(Time) is encoding.encoder(Time)
 
 
 def test_numpy_is_imported_when_it_is_asked_for_and_the_codec_when_it_is_used():

@@ -28,20 +28,6 @@ def message(*fields: Field, name: str = "example_msgs/msg/Sample") -> MessageDef
 
 
 @pytest.mark.parametrize(
-    ("field_type", "text"),
-    [
-        (INT32, "int32"),
-        (FieldType("int32", None, ArrayForm.FIXED, 5), "int32[5]"),
-        (FieldType("int32", None, ArrayForm.BOUNDED, 5), "int32[<=5]"),
-        (FieldType("string", 10, ArrayForm.UNBOUNDED), "string<=10[]"),
-        (POINT, "geometry_msgs/msg/Point"),
-    ],
-)
-def test_a_type_prints_as_in_a_msg(field_type, text):
-    assert str(field_type) == text
-
-
-@pytest.mark.parametrize(
     ("field_type", "value"),
     [
         (INT32, 0),
@@ -117,10 +103,6 @@ def test_a_word_in_other_letters_is_alike():
     assert did_you_mean("X", ["y", "x"]) == ", did you mean 'x'?"
 
 
-def test_nothing_alike_gives_no_hint():
-    assert did_you_mean("zebra", ["int32"]) == ""
-
-
 @pytest.mark.parametrize("value", ["a\nb", "a\rb", "ends in \\", "\"'\\"])
 def test_a_default_that_no_text_can_say_is_refused(value):
     with pytest.raises(InvalidInterface, match="cannot be written in the text"):
@@ -132,17 +114,6 @@ def test_text_says_messages_as_short_as_ros_does():
     fields = [Field(f"f{index}", FieldType(name)) for index, name in enumerate(names)]
     text = "geometry_msgs/Point f0\nOther f1\nmy_example_msgs/Other f2"
     assert definition_text(message(*fields)) == text
-
-
-@pytest.mark.parametrize(
-    ("kind", "text"),
-    [
-        ("srv", "int32 x 5\n---\nbool y true"),
-        ("action", "int8 LIMIT=3\n---\n---\nfloat64[2] z [0.5, 1e+16]"),
-    ],
-)
-def test_parts_are_separated(kind, text):
-    assert definition_text(parse(text, f"example_msgs/{kind}/Sample")) == text
 
 
 texts = st.text(st.characters(exclude_characters="\\\n\r", exclude_categories=["Cs"]))

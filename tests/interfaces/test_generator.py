@@ -15,7 +15,7 @@ import pytest
 from turtleact.errors import InvalidInterface
 from turtleact.interfaces import get_interface, load_interfaces, type_hash
 from turtleact.interfaces.generator import generate
-from turtleact.interfaces.types import REGISTRY, constants, definition, fields
+from turtleact.interfaces.types import REGISTRY, definition, fields
 
 from ..tables import together
 
@@ -108,11 +108,6 @@ def test_generated_modules_pass_mypy(golden):
     command = [sys.executable, "-m", "mypy", "--strict", "--no-incremental", "-p", "recorded"]
     ran = subprocess.run(command, cwd=golden, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stdout
-
-
-def test_the_same_text_gives_the_same_module():
-    texts = {"a_msgs/msg/B": "c_msgs/D d", "c_msgs/msg/D": "int8 x"}
-    assert generate(texts) == generate(dict(reversed(texts.items())))
 
 
 def test_a_module_says_which_command_generated_it():
@@ -218,14 +213,6 @@ def test_comments_above_and_behind_a_member_are_its_docstring():
     assert '    x: int8 = 0\n    """above\n    behind\n    and below\n    """\n\n    y' in text
 
 
-def test_comments_on_each_member_are_no_docstring_of_the_message():
-    text = body("# first\nint8 x\n# second\nint8 y\n")
-    assert text.startswith(
-        '    """The message ``example_msgs/msg/Sample``."""\n\n    x: int8 = 0\n'
-    )
-    assert '"""first"""' in text
-
-
 def test_each_part_has_its_comment():
     text = body(
         "# Go.\n\n# Where to.\nint8 x\n---\n# What came of it.\nint8 y\n---\n", kind="action"
@@ -242,12 +229,6 @@ def test_each_part_has_its_comment():
 def test_any_comment_makes_a_module_that_can_be_imported(comment):
     cls = imported(f"# {comment}\n\n# {comment}\nint8 x # {comment}\nint8 y\n# {comment}\n")
     assert [field.name for field in fields(cls)] == ["x", "y"]
-
-
-def test_constants_bounds_and_defaults_survive():
-    cls = imported("int8 MOST=3\nstring<=4 name 'abc'\nfloat32[2] gains [1, 0.5]\n")
-    assert (cls.MOST, cls().name, cls().gains) == (3, "abc", [1.0, 0.5])
-    assert [(each.name, each.value) for each in constants(cls)] == [("MOST", 3)]
 
 
 def test_a_malformed_text_is_told_with_its_line():

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from turtleact import interfaces
 from turtleact.errors import InvalidInterface, UnknownInterface
-from turtleact.interfaces import from_dict, from_text, implied, snapshot, to_dict, to_yaml
+from turtleact.interfaces import from_dict, from_text, snapshot, to_dict, to_yaml
 from turtleact.interfaces.definition import (
     PRIMITIVES,
     ArrayForm,
@@ -39,8 +39,8 @@ from turtleact.interfaces.loading import (
     package_texts,
 )
 from turtleact.interfaces.parse import parse
-from turtleact.interfaces.standard import UUID, CancelGoal, Fibonacci, Point, Time
-from turtleact.interfaces.types import Message, Service, definition, fields, int32, nested_classes
+from turtleact.interfaces.standard import Fibonacci, Point, Time
+from turtleact.interfaces.types import Message, definition, fields, nested_classes
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -74,10 +74,6 @@ def test_an_interface_is_found_by_package_and_name(name, full):
     assert get_interface(name).type_name == full
 
 
-def test_the_same_class_is_given_every_time():
-    assert get_interface("std_msgs/msg/Header") is get_interface("std_msgs/Header")
-
-
 def test_a_file_uses_the_classes_that_ship():
     assert nested_classes(get_message("std_msgs/msg/Header"))[0] is Time
 
@@ -106,74 +102,6 @@ def test_a_similar_package_alone_is_no_reason_to_suggest_its_interface():
 def test_what_is_no_interface_is_unknown(name):
     with pytest.raises(UnknownInterface):
         get_interface(name)
-
-
-@pytest.mark.parametrize(
-    ("name", "names"),
-    [
-        ("SendGoal_Request", ["goal_id", "goal"]),
-        ("SendGoal_Response", ["accepted", "stamp"]),
-        ("GetResult_Request", ["goal_id"]),
-        ("GetResult_Response", ["status", "result"]),
-        ("FeedbackMessage", ["goal_id", "feedback"]),
-        ("Feedback", ["partial_sequence"]),
-    ],
-)
-def test_an_action_implies_messages(name, names):
-    cls = get_message(f"{Fibonacci.type_name}_{name}")
-    assert [field.name for field in fields(cls)] == names
-
-
-@pytest.mark.parametrize("name", ["SendGoal", "GetResult"])
-def test_an_action_implies_services(name):
-    full = f"{Fibonacci.type_name}_{name}"
-    service = get_interface(full)
-    assert issubclass(service, Service)
-    assert get_interface(f"{full}_Request") is service.Request
-
-
-def test_implied_types_are_built_on_the_actions_own():
-    assert nested_classes(implied(Fibonacci).send_goal.Request) == (UUID, Fibonacci.Goal)
-
-
-def test_implied_types_are_made_once():
-    assert implied(Fibonacci) is implied(Fibonacci)
-
-
-def test_a_service_implies_its_parts():
-    assert get_interface("action_msgs/srv/CancelGoal_Response") is CancelGoal.Response
-
-
-def test_implied_types_follow_a_changed_action():
-    def declare(name: str) -> Any:
-        return load_interface(f"int32 {name}\n---\n---", type_name="example_msgs/action/Go")
-
-    declare("x")
-    get_interface("example_msgs/action/Go_SendGoal")
-    changed = declare("y")
-    request = get_message("example_msgs/action/Go_SendGoal_Request")
-    assert nested_classes(request)[1] is changed.Goal
-
-
-def test_a_message_may_have_the_name_of_a_part():
-    class Odd(Message, type_name="example_msgs/msg/Odd_Part"):
-        x: int32
-
-    assert get_interface("example_msgs/msg/Odd_Part") is Odd
-
-
-def test_the_names_that_ship_are_known():
-    assert {"std_msgs/msg/Header", Fibonacci.type_name} <= set(known_interfaces())
-
-
-def test_implied_names_are_not_listed():
-    get_interface(f"{Fibonacci.type_name}_SendGoal")
-    assert not [name for name in known_interfaces() if "_" in name.split("/")[2]]
-
-
-def test_a_text_is_loaded():
-    order: Any = load_interface("int32 count 3", type_name="example_msgs/msg/Order")
-    assert order().count == 3
 
 
 def test_a_loaded_interface_is_known():
@@ -243,18 +171,6 @@ def test_all_interfaces_of_ros_can_be_had():
     assert all(get_interface(name).type_name == name for name in names if name != missing)
     with pytest.raises(InvalidInterface, match="unknown interface 'test_msgs/msg/BasicTypes'"):
         get_interface(missing)
-
-
-def test_a_folder_that_says_the_same_leaves_the_class(tmp_path):
-    write(tmp_path, "geometry_msgs/msg/Point", "float64 x\nfloat64 y\nfloat64 z")
-    load_interfaces(tmp_path)
-    assert get_interface("geometry_msgs/msg/Point") is Point
-
-
-def test_a_folder_that_says_something_else_takes_the_name_over(tmp_path):
-    write(tmp_path, "geometry_msgs/msg/Point", "float64 x")
-    load_interfaces(tmp_path)
-    assert len(fields(get_message("geometry_msgs/msg/Point"))) == 1
 
 
 def test_a_folder_must_be_there(tmp_path):
@@ -403,13 +319,6 @@ def test_what_is_no_prefix_is_passed_over(tmp_path, monkeypatch):
         get_interface("stray_msgs/msg/Order")
 
 
-def test_a_mistake_in_an_installed_file_names_it(tmp_path):
-    write(tmp_path / "share", "example_msgs/msg/Order", "float46 x")
-    load_workspace(tmp_path)
-    with pytest.raises(InvalidInterface, match=r"Order.msg:1:1: unknown type 'float46'"):
-        get_interface("example_msgs/msg/Order")
-
-
 def test_the_source_of_an_interface_is_the_installed_one_if_it_says_the_same(tmp_path):
     assert interface_source("std_msgs/Bool") == "bool data\n"
     write(tmp_path / "share", "std_msgs/msg/Bool", "# Yes or no.\nbool data")
@@ -548,13 +457,6 @@ def test_a_typed_getter_prefers_its_own_kind():
         get_action("example_interfaces/Fibonacci").type_name
         == "example_interfaces/action/Fibonacci"
     )
-
-
-def test_a_typed_getter_knows_implied_types():
-    action = get_action("example_interfaces/action/Fibonacci")
-    assert interfaces.get_message(f"{action.type_name}_Goal") is action.Goal
-    service: type[Service] = get_service(f"{action.type_name}_SendGoal")
-    assert service is implied(action).send_goal
 
 
 def test_the_texts_of_a_package_come_with_those_of_packages_that_do_not_ship(tmp_path):

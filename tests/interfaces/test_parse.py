@@ -16,7 +16,6 @@ from turtleact.interfaces.definition import (
     Field,
     FieldType,
     MessageDefinition,
-    ServiceDefinition,
 )
 from turtleact.interfaces.parse import parse
 
@@ -119,12 +118,6 @@ def test_line_ends_of_any_system_are_taken():
     assert len(message("\ufeffint32 a\r\nint32 b\rint32 c\n").fields) == 3
 
 
-def test_a_service_has_two_parts():
-    service = parse("int32 a\n--- # the answer\nint32 b\nint32 c", "example_msgs/srv/Sample")
-    assert isinstance(service, ServiceDefinition)
-    assert (len(service.request.fields), len(service.response.fields)) == (1, 2)
-
-
 def test_an_action_has_three_parts():
     action = parse("int32 a\n---\n---\nOther b", "example_msgs/action/Sample")
     assert isinstance(action, ActionDefinition)
@@ -205,23 +198,7 @@ def test_an_action_has_two_separators(text, problem):
         parse(text, "example_msgs/action/Sample", source="sample")
 
 
-def test_the_name_is_checked_first():
-    with pytest.raises(InvalidInterface, match="is not a full interface name"):
-        parse("", "Sample")
-
-
 @given(st.text())
 def test_no_text_breaks_the_parser(text):
-    with contextlib.suppress(InvalidInterface):
-        message(text)
-
-
-words = st.sampled_from(
-    ["int32", "string", "<=3", "[", "]", "[2]", " ", " x", " X", "=", "'", '"', "#", "\\", "1", ","]
-)
-
-
-@given(st.lists(words).map("".join))
-def test_no_jumble_of_its_words_breaks_the_parser(text):
     with contextlib.suppress(InvalidInterface):
         message(text)

@@ -75,7 +75,7 @@ class WireFormat:
             problem = f"expected {self._classes[0].type_name}, not {got}"
             raise InvalidMessage("message", problem)
         try:
-            return self._encoded(message, self._header)
+            return self._encoded(message)
         except self._cdr.UNFIT:
             data: bytes = self._cdr.encode(message)  # converts the value, or raises a clear error
             return data
@@ -110,17 +110,13 @@ class WireFormat:
         return self._header[:2]
 
     @cached_property
-    def _encoded(self) -> Callable[[object, bytes], bytes]:
-        found: Callable[[object, bytes], bytes] = self._cdr.writer_behind(
-            self._classes[0], len(self._header)
-        )
+    def _encoded(self) -> Callable[[object], bytes]:
+        found: Callable[[object], bytes] = self._cdr.encoder(self._classes[0])
         return found
 
     @cached_property
     def _decoded(self) -> Callable[[bytes], Message]:
-        found: Callable[[bytes], Message] = self._cdr.reader_behind(
-            self._classes[1], len(self._header)
-        )
+        found: Callable[[bytes], Message] = self._cdr.decoder(self._classes[1])
         return found
 
     @cached_property
@@ -189,14 +185,12 @@ class FeedbackFormat(WireFormat):
 
     @cached_property
     def _write(self) -> Callable[[object, bytes], bytes]:
-        found: Callable[[object, bytes], bytes] = self._cdr.writer_behind(
-            self._feedback, GOAL_ID.stop
-        )
+        found: Callable[[object, bytes], bytes] = self._cdr.encoder(self._feedback)
         return found
 
     @cached_property
     def _read(self) -> Callable[[bytes], Message]:
-        found: Callable[[bytes], Message] = self._cdr.reader_behind(self._feedback, GOAL_ID.stop)
+        found: Callable[[bytes], Message] = self._cdr.decoder(self._feedback, place=GOAL_ID.stop)
         return found
 
 
@@ -274,8 +268,5 @@ class EventFormat(WireFormat):
 
     @cached_property
     def _write_request(self) -> Callable[[object, bytes], bytes]:
-        place = _EVENT.size + len(_ONE)
-        found: Callable[[object, bytes], bytes] = self._cdr.writer_behind(
-            self._service.Request, place
-        )
+        found: Callable[[object, bytes], bytes] = self._cdr.encoder(self._service.Request)
         return found

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from turtleact.interfaces.cdr import HEADER, UNFIT, writer_behind
-from turtleact.interfaces.wire_format import GOAL_ID
+from turtleact.interfaces.cdr import HEADER, UNFIT, encoder
 from turtleact.names import action_names
 from turtleact.rclpy.impl.calls import CallEnd
 from turtleact.rclpy.impl.connection import RequestHandler, Sender
@@ -61,9 +60,7 @@ class ActionKind:
         self._type: Anything = action_type
         full = node.resolve_service_name(f"{name}/_action/send_goal")
         self.names = action_names(full.removesuffix("/_action/send_goal"))
-        self._write: Callable[[object, bytes], bytes] = writer_behind(
-            action_type.Feedback, GOAL_ID.stop
-        )
+        self._write: Callable[[object, bytes], bytes] = encoder(action_type.Feedback)
         self._info: Callable[..., Anything] = maker(interface_class("action_msgs/msg/GoalInfo"))
         self._time: Callable[..., Anything] = maker(interface_class("builtin_interfaces/msg/Time"))
 

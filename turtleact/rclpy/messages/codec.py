@@ -13,10 +13,7 @@ from typing import cast
 
 from turtleact.errors import InvalidMessage
 from turtleact.interfaces import get_interface, type_hash
-from turtleact.interfaces.cdr import HEADER, MISREAD, UNFIT
-from turtleact.interfaces.cdr.decoding import decoder
-from turtleact.interfaces.cdr.encoding import encoder
-from turtleact.interfaces.cdr.layout import BYTE_ORDERS
+from turtleact.interfaces.cdr import BYTE_ORDERS, HEADER, MISREAD, UNFIT, decoder, encoder
 from turtleact.interfaces.definition import INTEGER_RANGES, ArrayForm, Field, FieldType
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import maker, shape_of
