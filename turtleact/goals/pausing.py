@@ -21,8 +21,8 @@ Source: VDA 5050 ``startPause`` and ``stopPause``, for what users expect of a pa
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
 from contextvars import Context
 from functools import partial
 from typing import Any, cast
@@ -89,7 +89,7 @@ class Pauses(GoalObserver):
         self._on_pause: Callback | None = options.get("on_pause")
         self._on_resume: Callback | None = options.get("on_resume")
         self._stands = server.spec.body.is_generator or options.get("pausable", False)
-        self._switching: dict[Goal, anyio.Lock] = {}
+        self._locks: dict[Goal, anyio.Lock] = {}
         self._orphans: list[Background] = []
         self._requests: dict[Goal, PauseRequest] = {}  # also those of goals that were resumed
         self._start = server.start
@@ -128,7 +128,7 @@ class Pauses(GoalObserver):
             PauseRefused: if the goal cannot be paused within ``timeout``. In this case, the goal
                 continues.
         """
-        async with _Switch(self._switching, goal):
+        async with self._switching(goal):
             if self.is_paused(goal):
                 return
             self._check(goal)
@@ -145,7 +145,7 @@ class Pauses(GoalObserver):
         Raises:
             PauseRefused: if ``on_resume`` fails, and the goal therefore stays paused.
         """
-        async with _Switch(self._switching, goal):
+        async with self._switching(goal):
             request = self._requests.get(goal)
             if request is None or request.since is None:
                 return
@@ -154,6 +154,18 @@ class Pauses(GoalObserver):
             self._end_pause(goal, request)
             self._withdraw(goal, request)
         await self._free(request.children)
+
+    @asynccontextmanager
+    async def _switching(self, goal: Goal) -> AsyncIterator[None]:
+        """Let only one task at a time pause or resume a goal."""
+        lock = self._locks.setdefault(goal, anyio.Lock())
+        try:
+            async with lock:
+                yield
+        finally:
+            # A released lock belongs to its next waiter at once, so an unlocked one has none.
+            if not lock.locked():
+                self._locks.pop(goal, None)
 
     def hold(self, goal: Goal) -> None:
         """Pause a goal whose body has not started, so that the body starts only after `resume`."""
@@ -385,30 +397,3 @@ def _is_ending(goal: Goal) -> bool:
     """Whether a goal has ended, or is being canceled by a client or its server."""
     is_decided = goal.is_ending or goal.ended != 0
     return is_decided or bool(goal.reason) or goal.status > GoalStatus.EXECUTING
-
-
-class _Switch:
-    """Lets only one task at a time pause or resume a goal.
-
-    The goal's lock is deleted as soon as no task holds the lock or waits for it.
-    """
-
-    def __init__(self, locks: dict[Goal, anyio.Lock], goal: Goal) -> None:
-        self._locks = locks
-        self._goal = goal
-        self._lock = locks.setdefault(goal, anyio.Lock())
-
-    async def __aenter__(self) -> None:
-        try:
-            await self._lock.acquire()
-        finally:
-            self._drop_if_unused()
-
-    async def __aexit__(self, *_: object) -> None:
-        self._lock.release()
-        self._drop_if_unused()
-
-    def _drop_if_unused(self) -> None:
-        # A released lock belongs to its next waiter at once, so an unlocked one has none.
-        if not self._lock.locked():
-            self._locks.pop(self._goal, None)
