@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 from turtleact.errors import InvalidMessage, InvalidOption
 from turtleact.interfaces.conversion import Source, snapshot
 from turtleact.interfaces.definition import BYTE_TYPES, ArrayForm
-from turtleact.interfaces.types import Message, fields, nested_classes
+from turtleact.interfaces.types import Message, constructor, fields, nested_classes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -459,7 +459,7 @@ class Parser:
         values = [self.field(cls, field, nested) for field, nested in members(cls)]
         if not values:
             self.pending.append(Item(EMPTY))
-        return f"{self.source.hold(cls)}({', '.join(values)})"
+        return f"{self.source.hold(constructor(cls))}({', '.join(values)})"
 
     def field(self, cls: type[Message], field: Field, nested: type[Message] | None) -> str:
         """Add code that reads one field."""
