@@ -157,7 +157,7 @@ async def print_memory(node: turtleact.Node, group: TaskGroup) -> None:
     await server.aclose()
     print(
         f"an idle goal: a task {floor:,.0f} bytes, anyio {peer:,.0f} ({peer / floor:.2f}x),"
-        f" turtleact {ours:,.0f} ({ours / floor:.2f}x, {verdict(ours / floor, 2.0)})"
+        f" turtleact {ours:,.0f} ({ours / floor:.2f}x, {verdict(ours / floor, 2.5)})"
     )
 
 
