@@ -2,13 +2,16 @@
 
 The layers, each built on those below it::
 
-    cli, commands               the command line
-    web, rclpy, mcp             a page and rosbridge; rclpy without ROS; tools for language models
-    sim, actions                the turtles; fibonacci, go_to, patrol
-    node                        one participant's topics, services, actions and parameters
-    goals                       goal states; servers that run goals; clients that send them
+    cli                         the command line
+    app, render, testing        a world with its actions; output in a terminal; virtual time
+    actions, sim                fibonacci, go_to, patrol; the turtles
+    node                        one participant's topics, services and actions
+    server, client              accept, run and cancel goals; send them and read their results
+    body, topics, services      declared actions; publishers and subscriptions; services
     transports                  delivery of messages
-    tasks                       tasks, wake-ups and clocks of the event loop
+    clock, tasks                time; tasks and wake-ups of the event loop
+    slot, goal, feedback        the choice of goals to run; goal states; recent feedback
+    parameters                  parameter types and ranges
     interfaces                  messages, services and actions as classes
     names, geometry, errors
 
@@ -38,6 +41,7 @@ if TYPE_CHECKING:
         InvalidOption,
         InvalidParameter,
         InvalidTransition,
+        NotLearned,
         PauseRefused,
         Reject,
         ServerUnavailable,
@@ -78,10 +82,11 @@ if TYPE_CHECKING:
     )
     from turtleact.journal import Journal, JournalError, open_journal
     from turtleact.node import ActionServer, Node, ServerGoalHandle, Tick, Timer, open_node
+    from turtleact.node.learning import learn_interface
     from turtleact.node.parameter_rules import parameter
     from turtleact.node.parameters import Parameter
-    from turtleact.node.services import ServiceClient, ServiceServer
     from turtleact.node.topics import Publisher, Subscription
+    from turtleact.services import ServiceClient, ServiceServer
     from turtleact.sim.world_node import WorldNode, open_world
     from turtleact.transports import QoS, open_zenoh
 
@@ -138,6 +143,7 @@ __all__ = [
     "get_action",
     "get_message",
     "get_service",
+    "learn_interface",
     # errors
     "TurtleactError",
     "GoalError",
@@ -160,6 +166,7 @@ __all__ = [
     "InvalidParameter",
     "InvalidTransition",
     "UnknownInterface",
+    "NotLearned",
     "SimError",
     "UsageError",
     "Verdict",
@@ -197,9 +204,10 @@ _HOMES = {
     ),
     "journal": ("Journal", "JournalError", "open_journal"),
     "node": ("ActionServer", "Node", "ServerGoalHandle", "Tick", "Timer", "open_node"),
+    "node.learning": ("learn_interface",),
     "node.parameters": ("Parameter",),
     "node.parameter_rules": ("parameter",),
-    "node.services": ("ServiceClient", "ServiceServer"),
+    "services": ("ServiceClient", "ServiceServer"),
     "node.topics": ("Publisher", "Subscription"),
     "transports": ("QoS", "open_zenoh"),
 }

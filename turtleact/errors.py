@@ -7,6 +7,7 @@
     │   └── InvalidGoalId      a goal id is malformed
     ├── InvalidInterface       the text of a .msg, .srv or .action, or a class, is malformed
     ├── UnknownInterface       no interface of that name is known
+    │   └── NotLearned         … and no node describes it
     ├── InvalidMessage         a value does not fit its field's type
     │   └── InvalidGoal        … in the goal of an action
     ├── InvalidBody            a function cannot be the body of an action
@@ -59,6 +60,7 @@ __all__ = [
     "InvalidOption",
     "InvalidParameter",
     "InvalidTransition",
+    "NotLearned",
     "PauseRefused",
     "Reject",
     "ServerUnavailable",
@@ -147,6 +149,22 @@ class UnknownInterface(TurtleactError):
     def __str__(self) -> str:
         hint = f", did you mean '{self.suggestion}'?" if self.suggestion else ""
         return f"unknown interface '{self.type_name}'{hint}"
+
+
+class NotLearned(UnknownInterface):
+    """The interface is not known, and it could not be learned from the nodes that use it.
+
+    Attributes:
+        problem: Why it could not be learned.
+    """
+
+    def __init__(self, type_name: str, problem: str) -> None:
+        super().__init__(type_name)
+        self.args = (type_name, problem)
+        self.problem = problem
+
+    def __str__(self) -> str:
+        return f"{self.type_name} is not known here, and cannot be learned: {self.problem}"
 
 
 class InvalidMessage(TurtleactError):

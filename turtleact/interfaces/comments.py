@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from turtleact.errors import TurtleactError
 from turtleact.interfaces.definition import part_lines
 from turtleact.interfaces.loading import authored_text, interface_source
-from turtleact.interfaces.types import PARTS, Action, Message, Service, definition
+from turtleact.interfaces.types import PARTS, REGISTRY, Action, Message, Service, definition
 
 if TYPE_CHECKING:
     from turtleact.interfaces.types import Interface
@@ -55,7 +55,9 @@ def comments(cls: type[Message]) -> dict[str, str]:
     index = SECTIONS.get(part)
     if index is None or whole.count("/") != 2:
         whole, index = cls.type_name, 0
-    return _in_docstring(cls) | dict(_in_file(whole)[index])
+    text = REGISTRY.texts.get(cls)
+    found = _in_file(whole) if text is None else _in_text(text)
+    return _in_docstring(cls) | dict(found[index])
 
 
 SECTIONS = {"Goal": 0, "Result": 1, "Feedback": 2, "Request": 0, "Response": 1}
@@ -142,14 +144,19 @@ def _in_docstring(cls: type[Message]) -> dict[str, str]:
 
 @cache
 def _in_file(type_name: str) -> tuple[dict[str, str], ...]:
-    """Return the comments in an interface's file, in three dicts: one for each part.
+    """Return the comments in an interface's file; see `_in_text`."""
+    try:
+        return _in_text(interface_source(type_name))
+    except TurtleactError:  # the class was made by hand
+        return _in_text("")
+
+
+@cache
+def _in_text(text: str) -> tuple[dict[str, str], ...]:
+    """Return the comments in the text of an interface, in three dicts: one for each part.
 
     If the interface has fewer than three parts, the remaining dicts are empty.
     """
-    try:
-        text = interface_source(type_name)
-    except TurtleactError:  # the class was made by hand
-        text = ""
     sections = re.split(r"^---\s*$", text, flags=re.MULTILINE)[:3]
     notes = [_in_section(section) for section in sections]
     return (*notes, *({} for _ in range(3 - len(notes))))

@@ -287,11 +287,14 @@ def interface_source(type_name: str) -> str:
 def authored_text(cls: Interface) -> str:
     """Return the text of an interface as its author wrote it.
 
-    The text is empty if the interface has no file with the same definition.
+    The text is empty if the interface has no file with the same definition. The text of a learned
+    class came with it.
 
     Raises:
         InvalidInterface: if a file of this name is malformed.
     """
+    if cls in REGISTRY.texts:
+        return REGISTRY.texts[cls]
     said, name = definition(cls), cls.type_name
     found = [finder.find(name) for finder in REGISTRY.finders]
     own = [file for file in found if file is not None and not isinstance(file, type)]

@@ -19,9 +19,13 @@ from turtleact.interfaces.definition import ArrayForm, FieldType, check_type_nam
 from turtleact.interfaces.types import Action, Service, fields, nested_classes
 
 if TYPE_CHECKING:
+    from turtleact.interfaces.standard.type_description_interfaces.msg import (
+        IndividualTypeDescription,
+        TypeDescription,
+    )
     from turtleact.interfaces.types import Interface
 
-__all__ = ["type_hash"]
+__all__ = ["structure_hash", "type_hash"]
 
 #: The number of each type; a ``char`` is a uint8 in ROS 2.
 TYPE_IDS = {
@@ -91,16 +95,36 @@ def type_hash(cls: Interface) -> str:
 @functools.cache
 def hashed(cls: Interface) -> str:
     """Compute the type hash of an interface."""
+    check_type_name(cls.type_name)
+    others = referenced(cls)
+    return digest(description(cls), [description(others[name]) for name in sorted(others)])
+
+
+def structure_hash(described: TypeDescription) -> str:
+    """Return the hash of a description that a node has sent."""
+    others = described.referenced_type_descriptions
+    return digest(plain(described.type_description), [plain(each) for each in others])
+
+
+def digest(whole: dict[str, object], others: list[dict[str, object]]) -> str:
+    """Return the hash of a type's description and of those of the types in it."""
     import json  # only this function needs these two, which are slow to import
     from hashlib import sha256
 
-    check_type_name(cls.type_name)
-    others = referenced(cls)
-    said = {
-        "type_description": description(cls),
-        "referenced_type_descriptions": [description(others[name]) for name in sorted(others)],
-    }
+    said = {"type_description": whole, "referenced_type_descriptions": others}
     return f"RIHS01_{sha256(json.dumps(said).encode()).hexdigest()}"
+
+
+def plain(described: IndividualTypeDescription) -> dict[str, object]:
+    """Return the part of a type's description that the hash covers."""
+    rows = [
+        {
+            "name": field.name,
+            "type": {name: getattr(field.type, name) for name in field.type.__struct_fields__},
+        }
+        for field in described.fields
+    ]
+    return {"type_name": described.type_name, "fields": rows}
 
 
 def referenced(cls: Interface) -> dict[str, Interface]:

@@ -152,11 +152,16 @@ class Registry:
 
     Attributes:
         finders: The places, in order. `look_in` replaces them.
+        learned: The classes that were learned from other nodes, by type name and hash, each with
+            the node whose defaults it has, if any. `get` returns none of them.
+        texts: The text of each learned class, also for the parts of a service or action.
     """
 
     def __init__(self) -> None:
         self._known: dict[str, tuple[Interface, Definition]] = {}
         self.finders = Finders()
+        self.learned: dict[tuple[str, str], tuple[Interface, str]] = {}
+        self.texts: dict[object, str] = {}
 
     def look_in(self, finders: Finders) -> None:
         """Replace the finders, and look again for interfaces that the last one has found."""

@@ -11,7 +11,7 @@ import math
 from collections import defaultdict
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AbstractContextManager, ExitStack
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, Unpack, cast, overload
 
 from turtleact.errors import TurtleactError
@@ -33,9 +33,9 @@ from turtleact.goals.policies import Slots
 from turtleact.goals.server import LocalActionServer, ServerSpec
 from turtleact.goals.server_endpoints import ActionEndpoints
 from turtleact.goals.server_handle import GoalHandle
-from turtleact.goals.service_server import LocalServiceServer, closed_on_error, service_events
 from turtleact.goals.slots import PlaceRequest
 from turtleact.goals.state import Goal, GoalStatus
+from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.interfaces.types import expect_interface
 from turtleact.names import (
@@ -47,17 +47,23 @@ from turtleact.names import (
 )
 from turtleact.node.conflicts import OnConflict, Rivals, ServedName, check_on_conflict
 from turtleact.node.resources import Resources
-from turtleact.node.services import ServiceClient, ServiceServer, ServiceType
 from turtleact.node.timers import Timer
 from turtleact.node.topics import Matching, Publisher, Subscription
 from turtleact.node.type_descriptions import SERVICE as DESCRIBE
 from turtleact.node.type_descriptions import offer_descriptions
 from turtleact.opening import opening
+from turtleact.services import (
+    LocalServiceServer,
+    ServiceClient,
+    ServiceServer,
+    ServiceType,
+    closed_on_error,
+    service_events,
+)
 from turtleact.tasks import LoopGuard, current_tasks
 from turtleact.tasks.clock import Clock, check_timeout
 from turtleact.transports import MemoryTransport, QoS, Transport
 from turtleact.transports.base import CallObserver, Closeable, Endpoint, EndpointKind
-from turtleact.transports.graph import Graph, graph_of
 
 __all__ = [
     "ActionServer",
@@ -71,7 +77,8 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:  # few nodes have parameters or introspection; the modules import slowly
-    from turtleact.goals.introspection import Introspection
+    from turtleact.introspection import Introspection
+    from turtleact.node.learning import Learner
     from turtleact.node.parameter_rules import Bounds, ParameterDeclaration, Value
     from turtleact.node.parameters import NodeParameters, Parameter
 
@@ -90,8 +97,8 @@ class Node:
     Methods that open something raise `TurtleactError` if the node is closed. They raise TypeError
     if you pass a wrong class, for example a message class as ``action_type``.
 
-    With ``on_demand=True``, an endpoint stays hidden from other processes until one of those
-    processes opens an endpoint of the same name, which saves work if most endpoints are never used.
+    With ``on_demand=True``, an endpoint stays hidden from other processes until one of them opens
+    an endpoint of the same name.
 
     With ``introspection="contents"``, requests and responses are published on the topics
     ``SERVICE/_service_event``, as in ROS 2. "metadata" leaves out the contents of requests and
@@ -135,6 +142,13 @@ class Node:
     def fully_qualified_name(self) -> str:
         """The namespace and the name, for example ``/lab/arm``."""
         return f"{self.namespace.rstrip('/')}/{self.name}"
+
+    @cached_property
+    def learner(self) -> Learner:
+        """Learns types from other nodes; see `turtleact.learn_interface`."""
+        from turtleact.node.learning import Learner  # few programs need it
+
+        return Learner(self)
 
     @property
     def is_open(self) -> bool:
@@ -186,28 +200,25 @@ class Node:
             execute: The body: an async generator function or a coroutine function. It takes the
                 goal and, if it has a second parameter, the `ServerGoalHandle`.
             on_demand: See `Node`.
-            on_conflict: What to do if another node serves the name, in this process or in another
-                process that discovery has found. "refuse" raises `ActionConflict`. "wait" begins to
-                serve when no other node serves the name. "withdraw" is for built-in actions: the
-                server withdraws while another node serves the name. When the name is free again, a
-                new server with the same arguments replaces the withdrawn one.
+            on_conflict: What to do if another node serves the name. "refuse" raises
+                `ActionConflict`. "wait" begins to serve when no other node serves the name.
+                "withdraw" is for built-in actions: the server withdraws while another node serves
+                the name, and a new one replaces it when the name is free again.
             **options: ``goal_callback(goal)`` returns a `GoalResponse` or raises
-                `turtleact.Reject`. ``cancel_callback(handle)`` returns a `CancelResponse`. These
-                two callbacks may be coroutine functions. ``policy`` decides what happens to a new
-                goal while another goal runs: "parallel", "reject", "queue" or "preempt". Under
-                "parallel", at most ``max_active`` goals run at a time, and further goals wait. At
-                most ``queue_limit`` goals may wait. Servers of this node with the same ``slot``
-                apply their policy together, like one server. ``result_timeout`` is how long a
-                result is kept after the goal's end (s, 10 by default; None keeps it for ever).
+                `turtleact.Reject`; ``cancel_callback(handle)`` returns a `CancelResponse`. Both may
+                be coroutine functions. ``policy`` decides what happens to a new goal while another
+                one runs: "parallel" (at most ``max_active`` at a time), "reject", "queue" or
+                "preempt". At most ``queue_limit`` goals wait. Servers of this node with the same
+                ``slot`` apply their policy together. ``result_timeout`` is how long a result is
+                kept after the goal's end (s, 10 by default; None keeps it for ever).
                 ``on_client_lost`` is "keep", or "cancel" to cancel a client's goals when the client
                 closes. When the server closes, a cancelled body has ``grace`` seconds to clean up
                 (event loop time, 5 by default; see `ActionServer.aclose`). ``journal`` keeps the
-                goals on disk (see `turtleact.open_journal`). ``on_restart`` says what to do with
-                goals in the journal that an earlier process did not end: "abort" or "resume".
-                Set ``pausable=True`` if a coroutine body awaits ``handle.checkpoint()``. The body
-                can be paused at these calls. The coroutine functions ``on_pause(handle)`` and
-                ``on_resume(handle)`` stop and restart the robot when a goal is paused and resumed.
-                For ``introspection``, see `Node`.
+                goals on disk (see `turtleact.open_journal`); ``on_restart`` says what to do with
+                goals that an earlier process did not end: "abort" or "resume". Set
+                ``pausable=True`` if a coroutine body awaits ``handle.checkpoint()``, where it can
+                be paused. The coroutine functions ``on_pause(handle)`` and ``on_resume(handle)``
+                stop and restart the robot. For ``introspection``, see `Node`.
 
         Raises:
             ActionConflict: if this node already serves the name with the same type, or if
@@ -262,8 +273,8 @@ class Node:
     def on_transition(self, hook: Transition) -> None:
         """Call ``hook(goal, old, new)`` when a goal that this node serves changes its state.
 
-        The hook is called in the event loop, in the order of the changes. For a new goal, ``old``
-        is UNKNOWN. An exception that the hook raises is logged and has no other effect.
+        The hook is called in the event loop. For a new goal, ``old`` is UNKNOWN. An exception that
+        the hook raises is logged.
 
         Args:
             hook: Takes the goal's `ServerGoalHandle`, the old `GoalStatus` and the new one.
@@ -287,9 +298,8 @@ class Node:
             action_type: The action, a subclass of `turtleact.Action`.
             name: The action's name. A relative name is resolved in the node's namespace.
             cancel_timeout: How long a task waits for the end of a goal after canceling the goal (s,
-                event loop time; None for no limit). The client cancels a goal if the task that
-                waits for the goal is cancelled, or leaves the goal's ``async with`` block before
-                the goal's end.
+                event loop time; None for no limit). A goal is canceled if its task is cancelled, or
+                leaves the goal's ``async with`` block early.
             introspection: See `Node`.
 
         Raises:
@@ -318,7 +328,7 @@ class Node:
         Args:
             message_type: The class of the messages.
             topic: The topic's name. A relative name is resolved in the node's namespace.
-            qos: Quality of service. If left out, the defaults of `QoS` apply.
+            qos: Quality of service.
             on_demand: See `Node`. This argument has no effect on a latched publisher.
             on_matched: Called when the topic gets its first reader and when the last reader has
                 left. The first call may come before this method returns. Do not use this argument
@@ -365,8 +375,8 @@ class Node:
             service_type: The service, a subclass of `turtleact.Service`.
             name: The service's name. A relative name is resolved in the node's namespace.
             handler: A function or coroutine function that takes a request and returns the response.
-                Each request is handled in its own task, and these tasks run at the same time. If
-                the handler raises an exception, the caller gets `ServiceError`.
+                Each request has its own task. If the handler raises, the caller gets
+                `ServiceError`.
             on_demand: See `Node`.
             introspection: See `Node`.
 
@@ -439,9 +449,7 @@ class Node:
     ) -> Parameter[Any]:
         """Declare a parameter, or find a declared one.
 
-        The first declaration opens the six parameter services of the node and a publisher on
-        ``/parameter_events``, so ``param list`` and programs in ROS 2 see the parameter. A node
-        without parameters opens them when another process asks for one of these services.
+        The first declaration opens the node's six parameter services.
 
         Args:
             name: The parameter's name. If you give only a name, this method finds a declared
@@ -473,9 +481,8 @@ class Node:
     async def aclose(self) -> None:
         """Close everything opened on the node. Running goals end ABORTED with reason "shutdown".
 
-        All action servers close first, at the same time, and their bodies can use everything else
-        while they clean up. Then the services close, then the rest, beginning with the newest. A
-        body or handler must not await this method.
+        All action servers close first, and their bodies can use everything else while they clean
+        up; then the services, then the rest. A body or handler must not await this method.
         """
         self._home.check()
         try:
@@ -613,8 +620,8 @@ class ActionServer(Generic[G, R, F]):
         Running goals end ABORTED, and waiting clients get the results. With
         ``on_restart="resume"``, running goals continue after a restart, and waiting clients get
         `ServerUnavailable`. If a body ignores its cancellation for ``grace`` seconds, its goal ends
-        anyway, and the log names the line at which the body waits. On asyncio, the body's task is
-        then abandoned. trio cannot abandon a task, so on trio this method waits for the body.
+        anyway, and the log names the line at which it waits. asyncio then abandons the body's task;
+        trio cannot, so this method waits there.
 
         Args:
             reason: The reason that clients get for goals that end now.
@@ -658,8 +665,7 @@ async def open_node(
     Args:
         name: The node's name.
         namespace: The namespace in which the node resolves relative names.
-        transport: The graph that the node joins. Without ``transport``, the node opens a new graph
-            inside the process. Nodes with the same transport see each other.
+        transport: The graph that the node joins; by default, a new one inside the process.
 
     Raises:
         InvalidName: if the name or the namespace breaks ROS 2's rules.

@@ -14,13 +14,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import Any, Final
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final
 
 from turtleact.errors import TurtleactError
-from turtleact.interfaces import WireFormat, get_interface, interface_source
+from turtleact.interfaces import Message, WireFormat, fields, get_interface, interface_text
+from turtleact.interfaces.classes import owner_and_part, part_of
+from turtleact.interfaces.loading import authored_text
+from turtleact.interfaces.types import REGISTRY
 from turtleact.transports.base import Closeable, Endpoint, Reply, ServiceHandler, Transport
 
-__all__ = ["GET_TYPE_DESCRIPTION", "SERVICE", "TYPE_HASH", "offer_descriptions"]
+if TYPE_CHECKING:
+    from turtleact.interfaces.types import Interface
+
+__all__ = ["GET_TYPE_DESCRIPTION", "SERVICE", "TYPE_HASH", "describe", "offer_descriptions"]
 
 GET_TYPE_DESCRIPTION: Final = "type_description_interfaces/srv/GetTypeDescription"
 
@@ -67,19 +74,16 @@ class _Describer(ServiceHandler):
         found = self._find(request.type_hash)
         if found is None:
             return Reply(response(failure_reason="Type not currently in use by this node"))
-        return Reply(_described(found, has_sources=request.include_type_sources))
+        return Reply(describe(found, has_sources=request.include_type_sources))
 
-    def _find(self, wanted: str) -> Any:  # noqa: ANN401  # a class, loaded on demand
+    def _find(self, wanted: str) -> Interface | None:
         """Return the class with this hash that the node uses; None if there is none."""
         from turtleact.interfaces.type_hash import type_hash
 
         for name in self._candidates(wanted):
-            try:
-                found = get_interface(name)
-            except TurtleactError:  # the node passes messages on without knowing their class
-                continue
-            if type_hash(found) == wanted:
-                return found
+            for found in _classes(name):
+                if type_hash(found) == wanted:
+                    return found
         return None
 
     def _candidates(self, wanted: str) -> Iterator[str]:
@@ -97,32 +101,55 @@ class _Describer(ServiceHandler):
         )
 
 
-def _described(found: Any, *, has_sources: bool) -> object:  # noqa: ANN401  # a class
-    from turtleact.interfaces.type_hash import description, referenced
+def _classes(type_name: str) -> Iterator[Interface]:
+    """Yield all classes of this name: the one of `get_interface`, and those that were learned."""
+    with suppress(TurtleactError):  # a node may pass messages on without knowing their class
+        yield get_interface(type_name)
+    yield from _learned(type_name)
+
+
+def _learned(type_name: str) -> Iterator[Interface]:
+    yield from (held for (name, _), (held, _) in REGISTRY.learned.items() if name == type_name)
+    owner, part = owner_and_part(type_name)
+    found = (part_of(each, part) for each in _learned(owner)) if owner else ()
+    yield from (each for each in found if each is not None)
+
+
+def describe(found: Interface, *, has_sources: bool) -> Any:  # noqa: ANN401  # as below
+    """Return the answer that describes a class, with the texts of all its types if asked for."""
+    from turtleact.interfaces.type_hash import referenced
 
     others = referenced(found)
     types = [found, *(others[name] for name in sorted(others))]
-    described = [_individual(description(each)) for each in types]
+    described = [_individual(each) for each in types]
     return _made("srv/GetTypeDescription").Response(
         successful=True,
         type_description=_made("msg/TypeDescription")(described[0], described[1:]),
-        type_sources=[_source(each.type_name) for each in types] if has_sources else [],
+        type_sources=[_source(each) for each in types] if has_sources else [],
     )
 
 
-def _individual(said: Any) -> object:  # noqa: ANN401  # a dict, as it is hashed
-    fields = [
-        _made("msg/Field")(name=each["name"], type=_made("msg/FieldType")(**each["type"]))
+def _individual(cls: Interface) -> object:
+    from turtleact.interfaces.type_hash import description
+
+    said: Any = description(cls)
+    own = fields(cls) if issubclass(cls, Message) else ()
+    defaults = {each.name: str(each.default) for each in own if each.default is not None}
+    rows = [
+        _made("msg/Field")(
+            each["name"], _made("msg/FieldType")(**each["type"]), defaults.get(each["name"], "")
+        )
         for each in said["fields"]
     ]
-    return _made("msg/IndividualTypeDescription")(type_name=said["type_name"], fields=fields)
+    return _made("msg/IndividualTypeDescription")(cls.type_name, rows)
 
 
-def _source(name: str) -> object:
+def _source(cls: Interface) -> object:
+    name = cls.type_name
     _package, kind, last = name.split("/")
     if "_" in last:  # no name in an interface file has one
         return _made("msg/TypeSource")(name, "implicit", "")
-    return _made("msg/TypeSource")(name, kind, interface_source(name))
+    return _made("msg/TypeSource")(name, kind, authored_text(cls) or interface_text(cls))
 
 
 def _made(name: str) -> Any:  # noqa: ANN401  # a class

@@ -1,0 +1,388 @@
+"""Learns types from the nodes that use them, so that this machine needs none of their files.
+
+A node of ROS 2 describes its types on the service ``NODE/get_type_description``, by their hash. The
+endpoints on the graph have the hashes of topics and services. An action has none there, so learning
+takes two steps: first the types of its three endpoints, which hold the goal, the result and the
+feedback; then, by the hash of the action itself, its text.
+
+Whatever a node says is checked: the class made from a description must have the hash that was asked
+for. Learned classes stand in ``REGISTRY.learned`` by name and hash, and in the user's cache.
+
+Source: rcl ``node_type_cache.c`` and ``type_description_service``; REP 2016.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from itertools import product
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+
+import anyio
+
+from turtleact.errors import (
+    InvalidInterface,
+    InvalidMessage,
+    NotLearned,
+    TurtleactError,
+    UnknownInterface,
+)
+from turtleact.graph import ENDPOINTS, Kind
+from turtleact.interfaces import Action, Message, WireFormat, get_interface, implied, type_hash
+from turtleact.interfaces.type_hash import structure_hash
+from turtleact.interfaces.types import REGISTRY
+from turtleact.names import action_names, resolve_name
+from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION, SERVICE, TYPE_HASH
+from turtleact.tasks.clock import check_timeout
+from turtleact.transports.base import Endpoint, EndpointKind, Target, Transport
+
+if TYPE_CHECKING:
+    from turtleact.interfaces.learned import LearnedTypes
+    from turtleact.interfaces.types import Interface
+    from turtleact.node.type_cache import Known
+
+__all__ = ["Learner", "Use", "learn_interface", "uses_of"]
+
+logger = logging.getLogger("turtleact.learning")
+
+QUESTION: Final = 2.0
+"""How long one question to a node may take (s, event loop time)."""
+
+LARGEST: Final = 4_000_000
+"""The most bytes of an answer. A larger one is refused before it is decoded."""
+
+HASH: Final = re.compile("RIHS01_[0-9a-f]{64}")
+
+LONGEST_REASON: Final = 200
+"""The most characters of a node's own words that an error shows."""
+
+NO_ANSWER: Final = "does not answer; a node whose only thread runs a goal cannot"
+
+PARTS: Final = ("_SendGoal", "_GetResult", "_FeedbackMessage")
+"""The suffixes of the types of an action's endpoints."""
+
+
+class Participant(Protocol):
+    """What learning needs of a node."""
+
+    name: str
+    namespace: str
+    transport: Transport
+
+    @property
+    def fully_qualified_name(self) -> str:
+        """The namespace and the name."""
+
+    @property
+    def learner(self) -> Learner:
+        """What learns types for the node."""
+
+
+class Use(NamedTuple):
+    """A type that is used under a name on the graph.
+
+    Attributes:
+        kind: What the name belongs to: an action, a service or a topic.
+        type_name: The name of the type.
+        hashes: The hash of the type. For an action, the hashes of the services ``send_goal`` and
+            ``get_result`` and of the topic ``feedback``.
+    """
+
+    kind: Kind
+    type_name: str
+    hashes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"{self.kind} of {self.type_name} ({', '.join(self.hashes)})"
+
+    def is_of(self, found: Interface) -> bool:
+        """Whether a class has these hashes. A hash that the graph does not know fits any class."""
+        parts: list[Any] = [found]
+        if self.kind == "action":
+            if not issubclass(found, Action):
+                return False
+            types = implied(found)
+            parts = [types.send_goal, types.get_result, types.feedback_message]
+        return all(
+            not HASH.fullmatch(wanted) or type_hash(part) == wanted
+            for part, wanted in zip(parts, self.hashes, strict=True)
+        )
+
+
+def uses_of(
+    transport: Transport, name: str, kind: Kind | None = None, *, but: str = ""
+) -> dict[Use, list[str]]:
+    """Return the types that a name has on the graph, each with the nodes that use it.
+
+    Args:
+        transport: The transport to the graph.
+        name: The full name of an action, a service or a topic.
+        kind: Which of the three; None for any.
+        but: A node whose endpoints do not count.
+    """
+    found = defaultdict[Use, list[str]](list)
+    for each in (kind,) if kind else ENDPOINTS:
+        for use, node in _uses(transport, name, each):
+            if node != but and node not in found[use]:
+                found[use].append(node)
+    return {use: nodes for use, nodes in found.items() if nodes}
+
+
+def _uses(transport: Transport, name: str, kind: Kind) -> Iterator[tuple[Use, str]]:
+    names = action_names(name)
+    if kind != "action":
+        for end in transport.endpoints(name):
+            if end.kind in ENDPOINTS[kind]:
+                yield Use(kind, end.type_name, (end.type_hash,)), end.node
+        return
+
+    def hashes(of: str, kind: EndpointKind, node: str) -> list[str]:
+        ends = [each for each in transport.endpoints(of) if (each.kind, each.node) == (kind, node)]
+        return sorted({each.type_hash for each in ends}) or [""]
+
+    for end in transport.endpoints(names.send_goal):
+        if end.kind == "service":
+            results = hashes(names.get_result, "service", end.node)
+            feedbacks = hashes(names.feedback, "publisher", end.node)
+            for each in product([end.type_hash], results, feedbacks):
+                yield Use(kind, end.type_name.removesuffix(PARTS[0]), each), end.node
+
+
+async def learn_interface(
+    node: Participant, name: str, kind: Kind | None = None, timeout: float | None = None
+) -> Interface:
+    """Return the class of an action, a service or a topic on the graph, whatever its type.
+
+    If this process does not know the type, or knows another definition of it, the type is learned
+    from the nodes that use it. `get_interface` does not return a learned class. Cancelling: safe.
+
+    Args:
+        node: A node on the graph.
+        name: The name of the action, service or topic. A relative name is resolved in the node's
+            namespace.
+        kind: ``"action"``, ``"service"`` or ``"topic"``; None for the one that has this name.
+        timeout: How long to wait for the name, and for nodes that do not answer (s, event loop
+            time). If left out, the name is awaited without a limit, and each node gets 2 s.
+
+    Raises:
+        NotLearned: if no node describes the type, or a description cannot be used.
+        TurtleactError: if nobody uses the name within ``timeout``, or if the name has several types
+            or kinds. The error lists them.
+    """
+    check_timeout(timeout)
+    full_name = resolve_name(name, node.namespace, node.name)
+    deadline = None if timeout is None else anyio.current_time() + timeout
+    found: dict[Use, list[str]] = {}
+    with anyio.move_on_after(timeout):
+        while not (found := uses_of(node.transport, full_name, kind)):
+            await node.transport.wait_for_change()
+    if not found:
+        what = kind or "action, service or topic"
+        raise TurtleactError(f"the graph has no {what} '{full_name}'")
+    if len(found) > 1:
+        listed = "; ".join(sorted(f"{use}, used by {ends[0]}" for use, ends in found.items()))
+        raise TurtleactError(f"'{full_name}' has several types: {listed}")
+    [(use, nodes)] = found.items()
+    return await node.learner.learn(use, nodes, deadline)
+
+
+class Learner:
+    """Learns types for one node; see `Node.learner`.
+
+    Attributes:
+        note: Called with each line that the user should read, once.
+    """
+
+    def __init__(self, node: Participant) -> None:
+        self._node = node
+        self._noted: set[str] = set()
+        self._locks = defaultdict[str, anyio.Lock](anyio.Lock)
+        self.note: Callable[[str], object] = logger.warning
+
+    async def learn(self, use: Use, nodes: list[str], deadline: float | None = None) -> Interface:
+        """Return the class of a type: from this process, from the cache, or from a node.
+
+        Args:
+            use: The type.
+            nodes: The nodes that use it.
+            deadline: Until when to ask again nodes that do not answer (event loop time); None to
+                ask each node once.
+
+        Raises:
+            NotLearned: if no node describes the type, or a description cannot be used.
+        """
+        found = known_class(use, nodes)
+        if found is not None:
+            return found
+        from turtleact.node.type_cache import cached, keep  # a known type needs no cache
+
+        if not all(map(HASH.fullmatch, filter(None, use.hashes))) or not use.hashes[0]:
+            problem = f"node {nodes[0]} sends no type hash, as in ROS 2 Humble"
+            raise NotLearned(use.type_name, problem)
+        self._note_difference(use, nodes[0])
+        held = next((each for each in cached(use.type_name) if use.is_of(each.interface)), None)
+        if held is not None and not held.has_own_defaults:
+            return _remembered(held)
+        try:
+            known = await self._ask_all(use, nodes, deadline)
+        except NotLearned as error:
+            if held is None:
+                raise
+            # The hash does not cover defaults, so those of another day or node may be wrong.
+            self._tell(f"the fields of {use.type_name} start with zeros: {error.problem}")
+            return held.interface
+        keep(known)
+        return _remembered(known)
+
+    async def _ask_all(self, use: Use, nodes: list[str], deadline: float | None) -> Known:
+        """Ask one node after another, and those that do not answer again until the deadline."""
+        while True:
+            problems = []
+            for holder in nodes:
+                try:
+                    async with self._locks[holder]:
+                        return await self._ask_for(use, holder)
+                except NotLearned as error:
+                    problems.append(error)
+            silent = next((each for each in problems if NO_ANSWER in each.problem), None)
+            if silent is None or deadline is None or anyio.current_time() >= deadline:
+                raise problems[0]
+            self._tell(f"{silent.problem}; asking again")
+
+    async def _ask_for(self, use: Use, holder: str) -> Known:
+        """Ask one node for a type, then for the texts of the type."""
+        from turtleact.interfaces.learned import LearnedTypes
+        from turtleact.node.type_cache import Known
+
+        described: dict[str, Any] = {}
+        suffixes = PARTS if use.kind == "action" else ("",)
+        for suffix, wanted in zip(suffixes, use.hashes, strict=True):
+            answer = await self._ask(holder, f"{use.type_name}{suffix}", wanted)
+            whole = answer.type_description
+            types = (whole.type_description, *whole.referenced_type_descriptions)
+            described |= {each.type_name: each for each in types}
+        types = tuple(described.values())
+        try:
+            made = LearnedTypes(types).interface(use.type_name)
+            if not use.is_of(made):
+                raise NotLearned(use.type_name, f"the description of node {holder} does not match")
+        except (InvalidInterface, RecursionError) as error:
+            problem = f"node {holder} describes it wrongly: {error}"
+            raise NotLearned(use.type_name, problem) from None
+        found = type_hash(made)
+        sources, learned = await self._with_texts(use.type_name, found, holder, types)
+        made = learned.interface(use.type_name)
+        return Known(made, found, holder, types, sources, learned.has_own_defaults)
+
+    async def _with_texts(
+        self, type_name: str, wanted: str, holder: str, types: tuple[Any, ...]
+    ) -> tuple[tuple[Any, ...], LearnedTypes]:
+        """Ask for the texts of a type. Without them, its constants and comments are missing."""
+        from turtleact.interfaces.learned import LearnedTypes
+
+        try:
+            answer = await self._ask(holder, type_name, wanted, with_texts=True)
+            sources = tuple(answer.type_sources)
+            return sources, LearnedTypes(types, sources)
+        except (NotLearned, InvalidInterface) as error:
+            self._tell(f"the constants and comments of {type_name} are missing: {error.problem}")
+            return (), LearnedTypes(types)
+
+    async def _ask(
+        self, holder: str, type_name: str, wanted: str, *, with_texts: bool = False
+    ) -> Any:  # noqa: ANN401  # a response, of a class that is loaded now
+        """Ask one question, and return the answer.
+
+        Raises:
+            NotLearned: if there is no answer that describes a type of the wanted hash.
+        """
+        service: Any = get_interface(GET_TYPE_DESCRIPTION)
+        transport, own = self._node.transport, self._node.fully_qualified_name
+        end = Endpoint("client", f"{holder}/{SERVICE}", GET_TYPE_DESCRIPTION, own)
+        format = _Answers(service)
+        caller = transport.join(end, format, Target(counts=partial(_matches, format, wanted)))
+        request = service.Request(type_name, wanted, include_type_sources=with_texts)
+        answer: Any = None
+        is_offered = False
+        try:
+            with anyio.move_on_after(QUESTION):
+                while not caller.is_served:
+                    await transport.wait_for_change()
+                is_offered = True
+                answer = (await caller.call(request)).message
+        except TurtleactError as error:
+            raise NotLearned(type_name, f"node {holder}: {error}") from None
+        finally:
+            caller.close()
+        if not is_offered:
+            raise NotLearned(type_name, f"node {holder} offers no {SERVICE}")
+        if answer is None:
+            raise NotLearned(type_name, f"node {holder} {NO_ANSWER}")
+        if not answer.successful:
+            reason = answer.failure_reason[:LONGEST_REASON]
+            raise NotLearned(type_name, f"node {holder} does not describe it: {reason!r}")
+        if structure_hash(answer.type_description) != wanted:
+            problem = f"node {holder} describes a type of another hash"
+            raise NotLearned(type_name, problem)
+        return answer
+
+    def _note_difference(self, use: Use, holder: str) -> None:
+        """Tell the user that the definition that is known here is not used."""
+        try:
+            get_interface(use.type_name)
+        except TurtleactError:
+            return
+        self._tell(f"node {holder} defines {use.type_name} differently; its definition is used")
+
+    def _tell(self, line: str) -> None:
+        if line not in self._noted:
+            self._noted.add(line)
+            self.note(line)
+
+
+def known_class(use: Use, nodes: Iterable[str] = ()) -> Interface | None:
+    """Return the class of a type if this process knows it; None if its hash is not known here.
+
+    A learned class with defaults is used only for the node that sent them.
+    """
+    for (type_name, _), (learned, holder) in REGISTRY.learned.items():
+        if type_name == use.type_name and use.is_of(learned) and holder in ("", *nodes):
+            return learned
+    try:
+        found = get_interface(use.type_name)
+    except UnknownInterface:
+        return None
+    return found if use.is_of(found) else None
+
+
+def _remembered(known: Known) -> Interface:
+    holder = known.node if known.has_own_defaults else ""
+    REGISTRY.learned[known.interface.type_name, known.type_hash] = known.interface, holder
+    return known.interface
+
+
+class _Answers(WireFormat):
+    """The wire format of the questions and answers, which refuses large answers."""
+
+    type_hash: str = TYPE_HASH
+
+    def __init__(self, service: Interface) -> None:
+        super().__init__(service, asks=True)
+
+    def decode(self, data: bytes) -> Message:
+        if len(data) > LARGEST:
+            problem = f"the answer has {len(data):,} bytes, over {LARGEST:,}"
+            raise InvalidMessage("response", problem)
+        return super().decode(data)
+
+
+def _matches(format: _Answers, wanted: str, data: bytes) -> bool:
+    """Whether a reply describes the type that was asked for. Two nodes may have one name."""
+    try:
+        answer: Any = format.decode(data)
+    except InvalidMessage:
+        return False
+    return answer.successful and structure_hash(answer.type_description) == wanted
