@@ -40,9 +40,9 @@ from zenoh.handlers import RingChannel
 import turtleact
 from benchmarks.bench_rclpy import installed
 from turtleact import open_world, recording
+from turtleact.goals.introspection import Introspection
 from turtleact.interfaces import encode, get_message, type_hash
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
-from turtleact.introspection import Introspection
 from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import schema_of

@@ -25,7 +25,6 @@ BANDS: Final = (
     ("What acts", "fill", "sim"),
     ("A participant", "main", "node"),
     ("Goals", "main", "goals"),
-    ("Parts of a node", "fill", "services"),
     ("Between nodes", "main", "transports"),
     ("Time and tasks", "fill", "tasks"),
     ("Data", "pure", "interfaces"),
@@ -36,7 +35,7 @@ OUTSIDE: Final = (
     ("Terminal", "shell, ros2 commands", 0, 0),
     ("Browser", "page, rosbridge clients", 1, 1),
     ("Your program", "bodies, clients, topics", 4, 5),
-    ("Other processes", "turtleact, ROS 2 over Zenoh", 7, 7),
+    ("Other processes", "turtleact, ROS 2 over Zenoh", 6, 6),
 )
 """The things outside the package: a name, a note, and the first and last band that it touches."""
 

@@ -2,16 +2,13 @@
 
 The layers, each built on those below it::
 
-    cli                         the command line
-    app, render, testing        a world with its actions; output in a terminal; virtual time
-    actions, sim                fibonacci, go_to, patrol; the turtles
-    node                        one participant's topics, services and actions
-    server, client              accept, run and cancel goals; send them and read their results
-    body, topics, services      declared actions; publishers and subscriptions; services
+    cli, commands               the command line
+    web, rclpy, mcp             a page and rosbridge; rclpy without ROS; tools for language models
+    sim, actions                the turtles; fibonacci, go_to, patrol
+    node                        one participant's topics, services, actions and parameters
+    goals                       goal states; servers that run goals; clients that send them
     transports                  delivery of messages
-    clock, tasks                time; tasks and wake-ups of the event loop
-    slot, goal, feedback        the choice of goals to run; goal states; recent feedback
-    parameters                  parameter types and ranges
+    tasks                       tasks, wake-ups and clocks of the event loop
     interfaces                  messages, services and actions as classes
     names, geometry, errors
 
@@ -85,8 +82,8 @@ if TYPE_CHECKING:
     from turtleact.node.learning import learn_interface
     from turtleact.node.parameter_rules import parameter
     from turtleact.node.parameters import Parameter
+    from turtleact.node.services import ServiceClient, ServiceServer
     from turtleact.node.topics import Publisher, Subscription
-    from turtleact.services import ServiceClient, ServiceServer
     from turtleact.sim.world_node import WorldNode, open_world
     from turtleact.transports import QoS, open_zenoh
 
@@ -207,7 +204,7 @@ _HOMES = {
     "node.learning": ("learn_interface",),
     "node.parameters": ("Parameter",),
     "node.parameter_rules": ("parameter",),
-    "services": ("ServiceClient", "ServiceServer"),
+    "node.services": ("ServiceClient", "ServiceServer"),
     "node.topics": ("Publisher", "Subscription"),
     "transports": ("QoS", "open_zenoh"),
 }

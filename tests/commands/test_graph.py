@@ -19,7 +19,7 @@ from turtleact import Node, open_node
 from turtleact.commands import graph, listing, topic_reading, user_messages
 from turtleact.commands.message_text import GoalText, Style
 from turtleact.commands.settings import Policies
-from turtleact.graph import names_like
+from turtleact.interfaces.definition import names_like
 from turtleact.interfaces.standard import ExampleFibonacci, Fibonacci
 from turtleact.transports import MemoryTransport
 from turtleact.transports.rmw_zenoh import config

@@ -15,7 +15,7 @@ from turtleact import QoS, TurtleactError
 from turtleact.doctor import gathering
 from turtleact.doctor.checks import Fault, find_faults
 from turtleact.doctor.gathering import take_snapshot
-from turtleact.fault_reports import TOPIC, FaultReports
+from turtleact.goals.fault_reports import TOPIC, FaultReports
 from turtleact.interfaces import Message, get_interface, int32, int64
 from turtleact.interfaces import type_hash as hash_of
 from turtleact.interfaces.standard import Twist

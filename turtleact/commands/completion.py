@@ -21,12 +21,12 @@ import typer
 
 from turtleact.commands.settings import Reach
 from turtleact.errors import TurtleactError, UnknownInterface
-from turtleact.graph import is_hidden_node, types_by_name
+from turtleact.transports.graph import is_hidden_node, types_by_name
 
 if TYPE_CHECKING:
     from turtleact.commands.programs import Program
-    from turtleact.graph import Kind
     from turtleact.node import Node
+    from turtleact.transports.graph import Kind
     from turtleact.transports.rmw_zenoh.keys import Graph
 
 __all__ = [

@@ -25,10 +25,10 @@ from turtleact.errors import (
     UnknownInterface,
     UsageError,
 )
-from turtleact.graph import Kind, is_hidden_node, names_like, types_by_name
 from turtleact.interfaces import get_interface
-from turtleact.interfaces.definition import nearest
+from turtleact.interfaces.definition import names_like, nearest
 from turtleact.node import Node, open_node
+from turtleact.transports.graph import Kind, is_hidden_node, types_by_name
 
 if TYPE_CHECKING:
     from contextlib import AbstractAsyncContextManager

@@ -37,12 +37,12 @@ from turtleact.commands.send_goal import choose_printer
 from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError, UsageError
 from turtleact.goals.state import CancelCode, GoalStatus, status_of
 from turtleact.goals.wire import PausedGoals, SetPaused, paused_topic, set_paused_service
-from turtleact.graph import types_by_name
 from turtleact.interfaces import SECOND, Action, nanoseconds
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo, GoalStatusArray
 from turtleact.names import action_names, resolve_name
 from turtleact.tasks.clock import within
 from turtleact.transports import QoS
+from turtleact.transports.graph import types_by_name
 
 if TYPE_CHECKING:
     from turtleact.commands.goal_printer import GoalPrinter, View

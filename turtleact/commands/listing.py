@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING
 from turtleact.commands.graph import note_differing
 from turtleact.commands.output import note, say_names
 from turtleact.errors import TurtleactError, UnknownInterface
-from turtleact.graph import Kind, is_hidden_node, names_like, types_by_name
 from turtleact.interfaces import get_interface, type_hash
-from turtleact.interfaces.definition import nearest
+from turtleact.interfaces.definition import names_like, nearest
 from turtleact.names import action_names, resolve_name
+from turtleact.transports.graph import Kind, is_hidden_node, types_by_name
 
 if TYPE_CHECKING:
     from turtleact.node import Node

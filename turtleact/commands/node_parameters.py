@@ -22,9 +22,8 @@ from turtleact.commands.message_text import read_text_file
 from turtleact.commands.output import note, say_names
 from turtleact.commands.settings import Override, quoted
 from turtleact.errors import InvalidParameter, TurtleactError, UsageError
-from turtleact.graph import is_hidden_node, names_like, types_by_name
 from turtleact.interfaces import Message
-from turtleact.interfaces.definition import did_you_mean
+from turtleact.interfaces.definition import did_you_mean, names_like
 from turtleact.interfaces.standard import (
     DescribeParameters,
     GetParameters,
@@ -44,6 +43,7 @@ from turtleact.node.parameter_rules import (
     value_of,
 )
 from turtleact.tasks.clock import within
+from turtleact.transports.graph import is_hidden_node, types_by_name
 
 if TYPE_CHECKING:
     import re
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
         ParameterDescriptor,
     )
     from turtleact.node import Node
-    from turtleact.services import ServiceType
+    from turtleact.node.services import ServiceType
 
 __all__ = [
     "BELOW",

@@ -26,7 +26,7 @@ from turtleact.commands.settings import (
 
 if TYPE_CHECKING:
     from turtleact.commands.message_text import Style
-    from turtleact.graph import Kind
+    from turtleact.transports.graph import Kind
 
 __all__ = [
     "BUNDLES",

@@ -29,11 +29,11 @@ from turtleact.commands.targets import Found, Modules
 from turtleact.errors import ActionConflict, InvalidOption, TurtleactError, UsageError
 from turtleact.goals.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.goals.state import GoalStatus
-from turtleact.graph import types_by_name
 from turtleact.interfaces.types import REGISTRY
 from turtleact.node import Node, close_withdrawn, open_node, resources_of
 from turtleact.tasks import GRACE, Background
 from turtleact.transports import open_zenoh
+from turtleact.transports.graph import types_by_name
 
 if TYPE_CHECKING:
     from contextlib import AbstractAsyncContextManager
@@ -209,7 +209,7 @@ async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Inter
             log.say(f"web page, and rosbridge, at {url}")
         (transport, where), *_ = opened
         if service.keeping is not None:
-            from turtleact.fault_reports import watching_disk
+            from turtleact.goals.fault_reports import watching_disk
 
             at, file = node.fully_qualified_name, Path(service.keeping.path)
             check = options["journal"].problem

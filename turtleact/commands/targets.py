@@ -29,7 +29,7 @@ import anyio
 
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.goals.body import ActionDeclaration, BackgroundDeclaration
-from turtleact.graph import names_like
+from turtleact.interfaces.definition import names_like
 from turtleact.node.parameter_rules import ParameterDeclaration
 from turtleact.summaries import summary, syntax_hint
 

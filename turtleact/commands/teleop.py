@@ -25,10 +25,10 @@ from turtleact.commands.screen import Screen, can_move, can_read_keys, cbreak, t
 from turtleact.commands.send_goal import embedded_world
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.goals.state import GoalStatus
-from turtleact.graph import SEND_GOAL
 from turtleact.interfaces.standard import RotateAbsolute, Twist, Vector3
 from turtleact.node import Node, open_node
 from turtleact.transports import QoS
+from turtleact.transports.graph import SEND_GOAL
 
 if TYPE_CHECKING:
     from turtleact import render

@@ -21,14 +21,14 @@ from turtleact.commands.graph import chosen_class, note_differing
 from turtleact.commands.message_text import Style
 from turtleact.commands.output import note, say, say_message, say_names
 from turtleact.errors import TurtleactError, UsageError
-from turtleact.graph import names_like, types_by_name
 from turtleact.interfaces import Message, encode, nanoseconds, type_hash
-from turtleact.interfaces.definition import did_you_mean
+from turtleact.interfaces.definition import did_you_mean, names_like
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
 from turtleact.summaries import summary
 from turtleact.tasks.clock import within
 from turtleact.transports import QoS
+from turtleact.transports.graph import types_by_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,7 +14,6 @@ from turtleact.commands.graph import chosen_class
 from turtleact.commands.message_text import python_text
 from turtleact.commands.output import note, say
 from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError
-from turtleact.graph import types_by_name
 from turtleact.interfaces import Message, Service, from_dict, from_text, stamp_of
 from turtleact.interfaces.definition import nearest
 from turtleact.interfaces.text import Document, tree_of
@@ -22,6 +21,7 @@ from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
 from turtleact.sim.world_services import TakeSnapshot
 from turtleact.tasks.clock import within
+from turtleact.transports.graph import types_by_name
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from turtleact.commands.message_text import GoalText
     from turtleact.commands.settings import Policies
     from turtleact.node import Node
+    from turtleact.node.services import ServiceType
     from turtleact.node.topics import Publisher
-    from turtleact.services import ServiceType
     from turtleact.transports.base import EndpointKind
 
 __all__ = ["Order", "call", "publish", "take"]

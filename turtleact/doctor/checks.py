@@ -14,9 +14,9 @@ from typing import Final
 import msgspec
 
 from turtleact.doctor.snapshot import EndpointSeen, Fields, Snapshot
-from turtleact.graph import SEND_GOAL, Policy, is_hidden_node, misfits
 from turtleact.names import EVENT_SUFFIX
 from turtleact.transports.base import Endpoint
+from turtleact.transports.graph import SEND_GOAL, Policy, is_hidden_node, misfits
 
 __all__ = ["CLOCKS_APART", "HASHED", "Fault", "differing_definitions", "find_faults"]
 

@@ -35,7 +35,7 @@ from turtleact.doctor.snapshot import (
     own_fields,
 )
 from turtleact.errors import TurtleactError
-from turtleact.fault_reports import ADVICE, TOPIC, UNTIL
+from turtleact.goals.fault_reports import ADVICE, TOPIC, UNTIL
 from turtleact.interfaces import WireFormat, get_interface, type_hash
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.interfaces.standard.diagnostic_msgs.msg import DiagnosticArray

@@ -88,7 +88,7 @@ class Answer(msgspec.Struct, frozen=True):
 
 
 class Report(msgspec.Struct, frozen=True):
-    """A fault that a process has found in itself; see `turtleact.fault_reports`.
+    """A fault that a process has found in itself; see `turtleact.goals.fault_reports`.
 
     Attributes:
         name: The kind of fault and its subject, separated by a space, as in "disk /data/goals.db".

@@ -53,7 +53,7 @@ from turtleact.interfaces.types import expect_interface
 from turtleact.names import validate_name
 
 if TYPE_CHECKING:
-    from turtleact.introspection import Introspection
+    from turtleact.goals.introspection import Introspection
 
 __all__ = [
     "ActionBody",

@@ -44,7 +44,6 @@ from turtleact.goals.observers import Detached, GoalObserver, News, Observers
 from turtleact.goals.remote import RemoteActionServer
 from turtleact.goals.running import BodyTask
 from turtleact.goals.state import CURRENT_GOAL, Goal, GoalRequest, GoalStatus, failure
-from turtleact.graph import graph_of
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.definition import nearest
 from turtleact.interfaces.standard import CancelGoal, Time
@@ -52,6 +51,7 @@ from turtleact.tasks import GRACE, Background, LoopGuard, Tasks
 from turtleact.tasks.clock import check_timeout
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Owner, find_server, wait_until_served
+from turtleact.transports.graph import graph_of
 
 __all__ = [
     "Accepted",

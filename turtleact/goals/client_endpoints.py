@@ -21,6 +21,7 @@ import anyio
 
 from turtleact.errors import PauseRefused, ServerUnavailable
 from turtleact.goals.body import ActionType
+from turtleact.goals.service_server import service_events
 from turtleact.goals.state import CancelCode, Goal, GoalStatus
 from turtleact.goals.wire import (
     PausedGoals,
@@ -40,7 +41,6 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
-from turtleact.services import service_events
 from turtleact.transports.base import (
     STATUS_QOS,
     Caller,
@@ -57,9 +57,9 @@ from turtleact.transports.base import (
 )
 
 if TYPE_CHECKING:
-    from turtleact.fault_reports import LostFeedback
+    from turtleact.goals.fault_reports import LostFeedback
+    from turtleact.goals.introspection import Introspection
     from turtleact.interfaces import Service
-    from turtleact.introspection import Introspection
 
 __all__ = ["ClientEndpoints", "RequestLimiter"]
 
@@ -354,7 +354,7 @@ class ClientEndpoints:
     def report_lost(self, count: int) -> None:
         """Report ``count`` more lost feedback messages, so that ``turtleact doctor`` shows them."""
         if self._lost is None:
-            from turtleact.fault_reports import LostFeedback  # few programs need it
+            from turtleact.goals.fault_reports import LostFeedback  # few programs need it
 
             how, advice = "did not reach", "publish feedback less often, or mend the network"
             self._lost = LostFeedback(self.transport, self._node, self.name, how, advice)

@@ -13,12 +13,12 @@ import anyio
 
 from turtleact.errors import PauseRefused, TurtleactError
 from turtleact.goals.observers import GoalObserver
+from turtleact.goals.service_server import LocalServiceServer
 from turtleact.goals.state import Goal, GoalStatus
 from turtleact.goals.wire import PausedGoals, SetPaused, paused_topic, set_paused_service
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import UUID
 from turtleact.interfaces.standard.std_srvs.srv import Trigger
-from turtleact.services import LocalServiceServer
 from turtleact.transports.base import STATUS_QOS, Closeable, Publication, Source
 
 if TYPE_CHECKING:

@@ -28,6 +28,7 @@ from turtleact.errors import GoalRejected
 from turtleact.goals.pause_endpoints import PauseEndpoints
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.server_topics import FeedbackTopic, ReasonTopic, StatusTopic
+from turtleact.goals.service_server import LocalServiceServer, service_events
 from turtleact.goals.state import CancelCode, Goal, GoalRequest, GoalStatus
 from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import (
@@ -40,7 +41,6 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
-from turtleact.services import LocalServiceServer, service_events
 from turtleact.tasks import GRACE, Tasks, wait_while
 from turtleact.transports.base import (
     STATUS_QOS,
@@ -57,7 +57,7 @@ from turtleact.transports.base import (
 )
 
 if TYPE_CHECKING:
-    from turtleact.introspection import Introspection
+    from turtleact.goals.introspection import Introspection
 
 __all__ = ["ActionEndpoints"]
 

@@ -29,7 +29,7 @@ from turtleact.tasks import Background
 from turtleact.transports.base import Endpoint, MakeEndpoint, Publication, QoS, Source, Transport
 
 if TYPE_CHECKING:
-    from turtleact.fault_reports import LostFeedback
+    from turtleact.goals.fault_reports import LostFeedback
 
 __all__ = ["FeedbackTopic", "ReasonTopic", "StatusTopic"]
 
@@ -62,7 +62,7 @@ class FeedbackTopic(Source):
     def message_lost(self) -> None:
         """Report to ``turtleact doctor`` that feedback was dropped."""
         if self._lost is None:
-            from turtleact.fault_reports import LostFeedback  # few programs need it
+            from turtleact.goals.fault_reports import LostFeedback  # few programs need it
 
             how, advice = "were dropped by", "publish feedback less often, or read it faster"
             place = self._transport, self._endpoint.node

@@ -39,6 +39,7 @@ __all__ = [
     "definition_text",
     "did_you_mean",
     "is_bytes",
+    "names_like",
     "nearest",
     "part_lines",
     "parts_of",
@@ -69,6 +70,9 @@ INTEGER_RANGES = {
 
 #: Element types whose sequences may also be ``bytes`` in Python.
 BYTE_TYPES = frozenset({"byte", "char", "uint8"})
+
+#: How many names an error lists if none of them resembles the unknown name.
+MOST_SHOWN = 10
 
 Primitive: TypeAlias = bool | int | float | str
 
@@ -344,3 +348,10 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """
     suggestion = nearest(word, known)
     return f", did you mean '{suggestion}'?" if suggestion else ""
+
+
+def names_like(name: str, known: Iterable[str]) -> str:
+    """Return a hint for an error about an unknown name: the nearest name, or a list of names."""
+    names = sorted(set(known))
+    shown = ", ".join([*names[:MOST_SHOWN], *(["…"] if len(names) > MOST_SHOWN else [])])
+    return did_you_mean(name, names) or f" (there are: {shown or 'none'})"

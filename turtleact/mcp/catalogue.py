@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from mcp.types import Tool, ToolAnnotations
 
 from turtleact.errors import InvalidInterface, UnknownInterface
-from turtleact.graph import graph_of
 from turtleact.interfaces import Action, Service, get_interface
 from turtleact.interfaces.comments import introduction
 from turtleact.mcp.offer import Offer, tool_name
 from turtleact.mcp.replies import goal_schema
 from turtleact.mcp.schema import Schema, input_schema, output_schema
+from turtleact.transports.graph import graph_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -12,15 +12,15 @@ from mcp.types import CallToolResult, ImageContent, Tool
 
 from turtleact.errors import InvalidMessage, ServerUnavailable, TurtleactError, UnknownGoal
 from turtleact.goals.ids import goal_id_bytes
-from turtleact.graph import graph_of, names_like
 from turtleact.interfaces import SECOND, Message, get_message
-from turtleact.interfaces.definition import did_you_mean
+from turtleact.interfaces.definition import did_you_mean, names_like
 from turtleact.interfaces.values import describe
 from turtleact.mcp.replies import answer
 from turtleact.mcp.schema import plain
 from turtleact.names import resolve_name
 from turtleact.sim.world_services import TakeSnapshot
 from turtleact.transports import QoS
+from turtleact.transports.graph import graph_of
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from turtleact.mcp.goals import Board, Goals, HeldGoal
     from turtleact.mcp.offer import Offer
     from turtleact.node import Node
-    from turtleact.services import ServiceClient, ServiceType
+    from turtleact.node.services import ServiceClient, ServiceType
 
 __all__ = ["Tools", "picture", "read_topic"]
 

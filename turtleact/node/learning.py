@@ -30,7 +30,6 @@ from turtleact.errors import (
     TurtleactError,
     UnknownInterface,
 )
-from turtleact.graph import ENDPOINTS, Kind
 from turtleact.interfaces import Action, Message, WireFormat, get_interface, implied, type_hash
 from turtleact.interfaces.type_hash import structure_hash
 from turtleact.interfaces.types import REGISTRY
@@ -38,6 +37,7 @@ from turtleact.names import action_names, resolve_name
 from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION, SERVICE, TYPE_HASH
 from turtleact.tasks.clock import check_timeout
 from turtleact.transports.base import Endpoint, EndpointKind, Target, Transport
+from turtleact.transports.graph import ENDPOINTS, Kind
 
 if TYPE_CHECKING:
     from turtleact.interfaces.learned import LearnedTypes

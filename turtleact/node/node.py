@@ -33,9 +33,9 @@ from turtleact.goals.policies import Slots
 from turtleact.goals.server import LocalActionServer, ServerSpec
 from turtleact.goals.server_endpoints import ActionEndpoints
 from turtleact.goals.server_handle import GoalHandle
+from turtleact.goals.service_server import LocalServiceServer, closed_on_error, service_events
 from turtleact.goals.slots import PlaceRequest
 from turtleact.goals.state import Goal, GoalStatus
-from turtleact.graph import Graph, graph_of
 from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.interfaces.types import expect_interface
 from turtleact.names import (
@@ -47,23 +47,17 @@ from turtleact.names import (
 )
 from turtleact.node.conflicts import OnConflict, Rivals, ServedName, check_on_conflict
 from turtleact.node.resources import Resources
+from turtleact.node.services import ServiceClient, ServiceServer, ServiceType
 from turtleact.node.timers import Timer
 from turtleact.node.topics import Matching, Publisher, Subscription
 from turtleact.node.type_descriptions import SERVICE as DESCRIBE
 from turtleact.node.type_descriptions import offer_descriptions
 from turtleact.opening import opening
-from turtleact.services import (
-    LocalServiceServer,
-    ServiceClient,
-    ServiceServer,
-    ServiceType,
-    closed_on_error,
-    service_events,
-)
 from turtleact.tasks import LoopGuard, current_tasks
 from turtleact.tasks.clock import Clock, check_timeout
 from turtleact.transports import MemoryTransport, QoS, Transport
 from turtleact.transports.base import CallObserver, Closeable, Endpoint, EndpointKind
+from turtleact.transports.graph import Graph, graph_of
 
 __all__ = [
     "ActionServer",
@@ -77,7 +71,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:  # few nodes have parameters or introspection; the modules import slowly
-    from turtleact.introspection import Introspection
+    from turtleact.goals.introspection import Introspection
     from turtleact.node.learning import Learner
     from turtleact.node.parameter_rules import Bounds, ParameterDeclaration, Value
     from turtleact.node.parameters import NodeParameters, Parameter

@@ -40,8 +40,8 @@ from turtleact.transports import QoS
 
 if TYPE_CHECKING:
     from turtleact.node.resources import Resources
+    from turtleact.node.services import ServiceType
     from turtleact.node.topics import Publisher
-    from turtleact.services import ServiceType
     from turtleact.tasks import LoopGuard, Signal, Tasks
     from turtleact.tasks.clock import Clock
 

@@ -22,7 +22,6 @@ from typing import Final, Protocol, TypeAlias
 
 import msgspec
 
-from turtleact.graph import Policy, misfits
 from turtleact.rclpy.callback_groups import CallbackGroup
 from turtleact.rclpy.executors import await_or_execute
 from turtleact.rclpy.impl.connection import Connection
@@ -31,6 +30,7 @@ from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.qos import QoSPolicyKind
 from turtleact.rclpy.waitable import Waitable
 from turtleact.transports.base import Endpoint
+from turtleact.transports.graph import Policy, misfits
 
 __all__ = [
     "EventHandler",

@@ -1,7 +1,7 @@
 """Service introspection: publishes the requests and responses of a service, as ROS 2 does.
 
-`turtleact.introspection` describes the events and their topic. A program with rclpy may switch the
-events on and off at any time.
+`turtleact.goals.introspection` describes the events and their topic. A program with rclpy may
+switch the events on and off at any time.
 
 Source: rclpy ``service_introspection.py``; rcl ``service_event_publisher.c``.
 """

@@ -31,7 +31,6 @@ import msgspec
 from turtleact.errors import InvalidInterface, InvalidOption, TurtleactError, UnknownInterface
 from turtleact.goals.client import ActionClient, ClientGoalHandle
 from turtleact.goals.state import GoalStatus
-from turtleact.graph import SEND_GOAL
 from turtleact.interfaces import Message, WireFormat, get_action, nanoseconds, stamp_of, type_hash
 from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
 from turtleact.names import resolve_name
@@ -44,6 +43,7 @@ from turtleact.recording.storage import Channel, Range, in_nanoseconds
 from turtleact.tasks import Background, current_tasks, thread_work
 from turtleact.tasks.clock import WallClock
 from turtleact.transports.base import Endpoint, Publication, QoS, RawFormat
+from turtleact.transports.graph import SEND_GOAL
 
 __all__ = ["PlayOptions", "Played", "play"]
 

@@ -19,11 +19,10 @@ import anyio
 import anyio.to_thread
 
 from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface
-from turtleact.fault_reports import watching_disk
+from turtleact.goals.fault_reports import watching_disk
+from turtleact.goals.introspection import GATHER
 from turtleact.goals.wire import GoalReason, reason_topic
-from turtleact.graph import SEND_GOAL
 from turtleact.interfaces import Message, WireFormat, get_interface, type_hash
-from turtleact.introspection import GATHER
 from turtleact.names import EVENT_SUFFIX, event_topic, resolve_name
 from turtleact.node import Node, check_open
 from turtleact.opening import opening
@@ -37,6 +36,7 @@ from turtleact.recording.storage import Channel, in_nanoseconds
 from turtleact.tasks import Background, current_tasks, thread_work
 from turtleact.tasks.clock import WallClock
 from turtleact.transports.base import Closeable, Endpoint, QoS, RawFormat
+from turtleact.transports.graph import SEND_GOAL
 
 logger = logging.getLogger("turtleact.recording")
 

@@ -22,7 +22,7 @@ from turtleact.tasks.clock import Clock, make_clock
 from turtleact.transports import MemoryTransport, Transport
 
 if TYPE_CHECKING:
-    from turtleact.introspection import Introspection
+    from turtleact.goals.introspection import Introspection
 
 __all__ = ["OpenGraph", "WorldNode", "open_world"]
 

@@ -34,7 +34,7 @@ from turtleact.interfaces.standard import (
 from turtleact.interfaces.types import constants, nested_classes
 from turtleact.node import Node
 from turtleact.node.parameter_rules import fitted, value_of
-from turtleact.services import ServiceType
+from turtleact.node.services import ServiceType
 from turtleact.transports.base import EndpointKind
 from turtleact.web.name_lookup import (
     ALWAYS,

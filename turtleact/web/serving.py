@@ -20,7 +20,7 @@ from turtleact.goals.state import GoalStatus
 from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import Message
 from turtleact.node import Node, ServerGoalHandle
-from turtleact.services import ServiceType
+from turtleact.node.services import ServiceType
 from turtleact.tasks import Signal, current_tasks
 from turtleact.transports.base import REQUEST_NOTE
 from turtleact.web.message_conversion import json_values, read_message, request

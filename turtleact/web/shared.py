@@ -32,8 +32,8 @@ from turtleact.goals.ids import new_goal_id
 from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import Message
 from turtleact.node import Node
+from turtleact.node.services import ServiceClient, ServiceType
 from turtleact.node.topics import Subscription
-from turtleact.services import ServiceClient, ServiceType
 from turtleact.summaries import summary
 from turtleact.tasks import Background, current_tasks
 from turtleact.transports import QoS

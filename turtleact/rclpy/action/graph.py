@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from turtleact.graph import SEND_GOAL, types_by_name
 from turtleact.rclpy.impl.node_graph import endpoints_of
 from turtleact.transports.base import Endpoint, EndpointKind
+from turtleact.transports.graph import SEND_GOAL, types_by_name
 
 if TYPE_CHECKING:
     from turtleact.rclpy.node import Node

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from turtleact.graph import types_by_name
 from turtleact.rclpy.exceptions import NameValidationException
 from turtleact.rclpy.impl.connection import Connection
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.impl.waiting import wait_until
 from turtleact.transports.base import Endpoint, EndpointKind
+from turtleact.transports.graph import types_by_name
 
 __all__ = ["NodeGraph", "NodeNameNonExistentError", "endpoints_of"]
 

@@ -1,8 +1,8 @@
-"""The services of a node: servers that answer requests, and clients that send them.
+"""Answers the requests of a service with a function.
 
-This module handles requests and responses. `turtleact.transports` carries the messages.
-A client in the same process calls the server object directly (`LocalService`). Other clients send
-their requests through a `Caller`.
+The services of a node use this class, and so do the services of an action that are called less
+often. Clients in the same process call the server object directly (`LocalService`). Other clients
+send their requests through a `turtleact.transports.base.Caller`.
 
 - The server handles each request in its own task, so it can handle several at the same time.
 - Every caller gets an answer: the response, or the reason why there is none.
@@ -10,7 +10,7 @@ their requests through a `Caller`.
   another process, the handler is cancelled only when the client is closed or the process dies.
 - If the server is closed, all handlers are cancelled.
 
-Source: rclpy ``service.py`` and ``client.py`` for names and behaviour.
+Source: rclpy ``service.py`` for names and behaviour.
 """
 
 from __future__ import annotations
@@ -36,35 +36,28 @@ from turtleact.errors import (
     InvalidOption,
     ServerUnavailable,
     ServiceError,
-    ServiceTimeout,
     TurtleactError,
 )
 from turtleact.interfaces import Message, snapshotter
 from turtleact.summaries import STOPPED, loggable, summary
 from turtleact.tasks import GRACE, Cancelable, Signal, Tasks, is_cancellation, wait_while
-from turtleact.tasks.clock import check_timeout, within
 from turtleact.transports.base import (
-    Caller,
     CallObserver,
-    Closeable,
     Endpoint,
     MakeEndpoint,
-    Owner,
     Reply,
     ServiceHandler,
     Transport,
-    find_server,
-    wait_until_served,
 )
 
 if TYPE_CHECKING:
-    from turtleact.introspection import Introspection
+    from turtleact.goals.introspection import Introspection
 
 __all__ = [
+    "LocalService",
     "LocalServiceServer",
-    "ServiceClient",
-    "ServiceServer",
     "ServiceType",
+    "checker",
     "closed_on_error",
     "service_events",
 ]
@@ -100,47 +93,8 @@ class LocalService(Protocol):
     is_open: bool
     observer: CallObserver | None
 
-    async def answer(self, request: object) -> object: ...
-
-
-class ServiceServer(Generic[Req, Res]):
-    """Answers the requests of one service. `turtleact.Node.service` makes one.
-
-    Attributes:
-        name: The fully qualified name of the service.
-        service_type: The service type.
-    """
-
-    def __init__(
-        self, local: LocalServiceServer[Req, Res], owner: Owner, registration: Closeable
-    ) -> None:
-        self.name = local.name
-        self.service_type = local.service_type
-        self._local = local
-        self._membership = owner.add_server("service server", self, registration.close)
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the server accepts requests."""
-        return self._local.is_open
-
-    @property
-    def is_idle(self) -> bool:
-        """Whether no request is being handled."""
-        return self._local.is_idle
-
-    async def aclose(self) -> None:
-        """Stop accepting requests, answer every caller, and wait for the handlers to end.
-
-        Callers get `ServerUnavailable` at once, and handlers are cancelled. If a handler has
-        not ended after 5 seconds, an error is logged, and the handler is left running. A handler of
-        this server must not await this method.
-        """
-        self._local.is_open = False
-        self._membership.close()
-        await self._local.aclose()
-        if self._local.observer is not None:
-            self._local.observer.close()
+    async def answer(self, request: object) -> object:
+        """Handle a request and return its response."""
 
 
 class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
@@ -171,8 +125,8 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
         self.is_open = True
         self.observer: CallObserver | None = None
         self._handler = _checked_handler(handler)
-        self._check_request = _checker(service_type.Request, "request")
-        self._check_response = _checker(service_type.Response, "response")
+        self._check_request = checker(service_type.Request, "request")
+        self._check_response = checker(service_type.Response, "response")
         self._tasks = tasks
         self._calls: dict[_Call, None] = {}  # in the order of arrival
         self._ended = tasks.signal()
@@ -279,131 +233,6 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
         return ServerUnavailable(self.name, "the server was closed", kind="service")
 
 
-class ServiceClient(Generic[Req, Res]):
-    """Calls one service. `turtleact.Node.service_client` makes one.
-
-    Attributes:
-        name: The fully qualified name of the service.
-        service_type: The service type.
-    """
-
-    def __init__(
-        self,
-        service_type: ServiceType[Req, Res],
-        name: str,
-        transport: Transport,
-        caller: Caller,
-        owner: Owner,
-        tasks: Tasks,
-    ) -> None:
-        self.name = name
-        self.service_type = service_type
-        self._transport = transport
-        self._caller = caller
-        self._membership = owner.add(self, caller)
-        self._home = owner.home.of(f"the client of service '{name}'")
-        self._tasks = tasks
-        self._found: LocalService | None = None
-        self._is_open = True
-        self._calls = 0  # to servers that are not called directly
-        self._check_request = _checker(service_type.Request, "request")
-
-    async def call(self, request: Req, timeout: float | None = None) -> Res:
-        """Send a request and wait for its response.
-
-        The request and the response are checked and copied. Any number of calls may run at the same
-        time.
-
-        Cancelling: cancels the handler if it is in this process, and waits at most 5 seconds for
-        its end. A handler in another process continues until this client is closed, because ROS 2
-        cannot cancel a request.
-
-        Args:
-            request: The request message.
-            timeout: How long to wait for the response (s, by the graph's clock). After that time,
-                the call is cancelled. If left out, there is no limit; with 0 or less, the call does
-                not wait at all.
-
-        Raises:
-            InvalidOption: if ``timeout`` is not a number. Nothing was sent.
-            InvalidMessage: if a value does not fit its type. Nothing was sent.
-            ServerUnavailable: if nobody serves the service, or its server is closed before it
-                responds. See `open_zenoh` for how long the call looks for servers in other
-                processes.
-            ServiceError: if the handler failed. The server's log has the traceback.
-            ServiceTimeout: if there was no response within ``timeout``.
-        """
-        self._home.check()
-        check_timeout(timeout)
-        await self._tasks.checkpoint()  # so that calls in a loop let other tasks run
-        if timeout is None:
-            return cast("Res", await self._answer(request))
-        async with within(timeout, self._transport.clock):
-            return cast("Res", await self._answer(request))
-        raise ServiceTimeout(self.name, timeout)
-
-    async def wait_for_service(self, timeout: float | None = None) -> bool:
-        """Wait until a server exists for the service. Cancelling: safe.
-
-        Args:
-            timeout: How long to wait (s, by the graph's clock). If left out, there is no limit.
-
-        Returns:
-            Whether the service has a server.
-
-        Raises:
-            InvalidOption: if ``timeout`` is not a number.
-        """
-        self._home.check()
-        return await wait_until_served(self._transport, self._find, timeout)
-
-    async def aclose(self) -> None:
-        """Close the client without waiting for calls under way.
-
-        Calls under way continue. The client leaves the graph when all its calls have ended.
-        """
-        self._is_open = False
-        self._membership.close()
-        self._close_observer()
-
-    def _close_observer(self) -> None:
-        """Close the observer once the client is closed and no call is left to observe."""
-        if self._caller.observer is not None and not (self._is_open or self._calls):
-            self._caller.observer.close()
-
-    async def _answer(self, request: object) -> object:
-        """Send a request to the server in this process, or to another process.
-
-        The request goes to another process only if this process has no server of the service.
-        """
-        server = self._found
-        if server is None or not server.is_open:
-            await find_server(self._transport, self._find)
-            server = self._found = self._find_local()
-        if server is not None:
-            return await server.answer(request)
-        self._calls += 1
-        try:
-            return (await self._caller.call(self._check_request(request))).message
-        finally:
-            self._calls -= 1
-            self._close_observer()
-
-    def _find_local(self) -> LocalService | None:
-        """Return the server in this process.
-
-        Return None if this process has no server for the service, or if an observer needs the
-        requests to be sent as messages.
-        """
-        found = self._transport.local(self.name, self.service_type.type_name)
-        if not isinstance(found, LocalService) or self._caller.observer is not None:
-            return None
-        return found if found.observer is None else None
-
-    def _find(self) -> object | None:
-        return self._find_local() or (self._caller if self._caller.is_served else None)
-
-
 def service_events(
     transport: Transport,
     endpoint: MakeEndpoint,
@@ -425,7 +254,7 @@ def service_events(
     """
     if mode == "off":
         return None
-    from turtleact.introspection import ServiceEvents  # few programs need it
+    from turtleact.goals.introspection import ServiceEvents  # few programs need it
 
     return ServiceEvents(transport, endpoint, service, find_type, mode)
 
@@ -523,5 +352,6 @@ def _checked_handler(handler: object) -> Callable[[Message], object]:
     return cast("Callable[[Message], object]", handler)
 
 
-def _checker(make: Callable[..., Message], root: str) -> Check:
+def checker(make: Callable[..., Message], root: str) -> Check:
+    """Return a function that checks and copies a request or response."""
     return cast("Check", snapshotter(cast("type[Message]", make), root=root))

@@ -13,8 +13,8 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact import fault_reports
-from turtleact.fault_reports import (
+from turtleact.goals import fault_reports
+from turtleact.goals.fault_reports import (
     ROOM,
     TOPIC,
     FaultReports,
@@ -28,7 +28,7 @@ from turtleact.testing import FaultyTransport, run
 from turtleact.transports import MemoryTransport, QoS, open_zenoh
 from turtleact.transports.rmw_zenoh import topics
 
-from .lab import Count, count, feedback, goal, result, settle
+from ..lab import Count, count, feedback, goal, result, settle
 
 LATCHED = QoS(depth=10, durability="transient_local")
 

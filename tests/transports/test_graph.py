@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.graph import Graph, graph_of, misfits
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import Empty, Kill, TurtlePose, Twist
 from turtleact.names import action_names
 from turtleact.transports import MemoryTransport, QoS
 from turtleact.transports.base import Endpoint, EndpointKind, ServiceHandler, TimePolicies
+from turtleact.transports.graph import Graph, graph_of, misfits
 
 POSE, TWIST = "turtlesim/msg/Pose", "geometry_msgs/msg/Twist"
 PUBLISHER: EndpointKind = "publisher"

@@ -18,7 +18,6 @@ import msgspec
 import pytest
 
 import turtleact
-from turtleact import services
 from turtleact.errors import (
     InvalidMessage,
     InvalidName,
@@ -27,14 +26,15 @@ from turtleact.errors import (
     ServiceError,
     ServiceTimeout,
 )
+from turtleact.goals import service_server
 from turtleact.interfaces import Message, Service, WireFormat, int32
-from turtleact.services import ServiceClient, ServiceServer
+from turtleact.node.services import ServiceClient, ServiceServer
 from turtleact.tasks import Background
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import Endpoint, Reply, ServiceHandler
 
-from .lab import ON_ASYNCIO, other_tasks, running, settle
+from ..lab import ON_ASYNCIO, other_tasks, running, settle
 
 
 class Add(Service, type_name="lab_interfaces/srv/Add"):
@@ -165,7 +165,7 @@ def gate(anyio_backend) -> Gate:
 
 @pytest.fixture
 def no_grace(monkeypatch):
-    monkeypatch.setattr(services, "GRACE", 0.0)
+    monkeypatch.setattr(service_server, "GRACE", 0.0)
 
 
 # --- a response -----------------------------------------------------------------------------

@@ -22,7 +22,6 @@ __all__ = [
     "graph_of",
     "is_hidden_node",
     "misfits",
-    "names_like",
     "types_by_name",
 ]
 
@@ -33,9 +32,6 @@ Policy = Literal["durability", "deadline", "liveliness", "lease", "reliability"]
 
 `turtleact.transports.base` explains these policies.
 """
-
-MOST_SHOWN = 10
-"""How many names an error lists if none of them resembles the unknown name."""
 
 SEND_GOAL = "/_action/send_goal"
 
@@ -133,15 +129,6 @@ def is_hidden_node(name: str) -> bool:
     (True, False)
     """
     return name.rpartition("/")[2].startswith("_")
-
-
-def names_like(name: str, known: Iterable[str]) -> str:
-    """Return a hint for an error about an unknown name: the nearest name, or a list of names."""
-    from turtleact.interfaces.definition import did_you_mean
-
-    names = sorted(set(known))
-    shown = ", ".join([*names[:MOST_SHOWN], *(["…"] if len(names) > MOST_SHOWN else [])])
-    return did_you_mean(name, names) or f" (there are: {shown or 'none'})"
 
 
 def _is_longer(offered: int | None, requested: int | None) -> bool:

@@ -21,17 +21,17 @@ from turtleact import (
     open_world,
 )
 from turtleact.errors import InvalidOption, ServiceError, TurtleactError
+from turtleact.goals.introspection import EVENT_QOS, ServiceEvents
 from turtleact.interfaces import implied
 from turtleact.interfaces.classes import event_message
 from turtleact.interfaces.standard import CancelGoal, ServiceEventInfo, Time
 from turtleact.interfaces.standard.std_srvs.srv import SetBool
-from turtleact.introspection import EVENT_QOS, ServiceEvents
 from turtleact.names import event_topic
 from turtleact.node import Node
 from turtleact.node.topics import Subscription
 from turtleact.transports import MemoryTransport, open_zenoh
 
-from .lab import Count, Gate, HandClock, count, goal, result, running, settle
+from ..lab import Count, Gate, HandClock, count, goal, result, running, settle
 
 IMPLIED = implied(Count)
 SERVICES: dict[str, Any] = {
@@ -367,7 +367,7 @@ class Far:
 @asynccontextmanager
 async def events_for_others(monkeypatch) -> AsyncIterator[tuple[ServiceEvents, Far]]:
     """The events of a service, and what is sent to other processes."""
-    monkeypatch.setattr("turtleact.introspection.GATHER", 0.0)
+    monkeypatch.setattr("turtleact.goals.introspection.GATHER", 0.0)
     far = Far()
     async with turtleact.open_node("lab") as node:
         monkeypatch.setattr(node.transport, "advertise", lambda *_: far)
@@ -433,7 +433,7 @@ async def main():
         await node.action_client(Fibonacci, "fibonacci").send_goal(Fibonacci.Goal(1))
 
 asyncio.run(main())
-print("turtleact.introspection" in sys.modules)
+print("turtleact.goals.introspection" in sys.modules)
 """
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=20
