@@ -2,8 +2,8 @@
 
 The command ``turtleact interface python`` uses this module. The modules in
 ``turtleact.interfaces.standard`` were generated with it. This module converts text to text and
-neither reads nor writes files. The same input always gives the same output. The output is formatted
-as ruff formats code.
+neither reads nor writes files. The same input always gives the same output: one statement a line,
+however long, and the comments as they are.
 
 A generated module declares the same classes that ``load_interface`` would make, so type checkers
 and editors know their fields, constants, bounds and defaults. The comments of an interface become
@@ -38,11 +38,10 @@ from turtleact.interfaces.types import PARTS
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
-    from turtleact.interfaces.definition import Definition, FieldType, Primitive
+    from turtleact.interfaces.definition import Definition, FieldType
 
 __all__ = ["MARK", "generate"]
 
-WIDTH = 100
 INDENT = "    "
 
 #: The beginning of each generated file.
@@ -138,31 +137,26 @@ class Module:
 
     def text(self) -> str:
         """Return the text of the module."""
-        blocks = [self.whole(interface) for interface in self.interfaces]
-        names = sorted((interface.name for interface in self.interfaces), key=sort_key)
+        blocks = ["\n".join(self.whole(interface)) for interface in self.interfaces]
+        names = sorted(interface.name for interface in self.interfaces)
         plural = f"{KINDS[self.kind][0]}s"
         head = [
             f'{heading(self.package)}"""The {plural} of {self.package}."""',
-            *self.import_blocks(),
-            "\n".join(wrapped("__all__ = [", [f'"{name}"' for name in names], "]")),
+            "\n".join(self.import_lines()),
+            "\n".join(["__all__ = [", *(f'{INDENT}"{name}",' for name in names), "]"]),
         ]
         return "\n\n".join(head) + "".join(f"\n\n\n{block}" for block in blocks) + "\n"
 
-    def import_blocks(self) -> list[str]:
-        """Return the import statements, sorted as ruff sorts them.
-
-        The standard library comes first, then turtleact, then the other generated modules.
-        """
-        sections: list[list[str]] = [[], [], []]
-        for module in sorted(self.imports, key=lambda name: (name.startswith("."), rank(name))):
-            section = 2 if module.startswith(".") else int(module.startswith("turtleact."))
-            names = self.imports[module]
-            plain = sorted((name for name, as_ in names.items() if name == as_), key=sort_key)
-            renamed = [f"{name} as {as_}" for name, as_ in names.items() if name != as_]
-            groups = [*([plain] if plain else []), *([item] for item in renamed)]
-            groups.sort(key=lambda group: sort_key(group[0]))
-            sections[section] += [from_import(module, group) for group in groups]
-        return ["\n".join(section) for section in sections if section]
+    def import_lines(self) -> list[str]:
+        """Return the import statements: one for each module."""
+        lines = []
+        for module, names in sorted(self.imports.items()):
+            parts = [
+                name if name == called else f"{name} as {called}"
+                for name, called in sorted(names.items())
+            ]
+            lines.append(f"from {module} import {', '.join(parts)}")
+        return lines
 
     def use(self, module: str, name: str, *, alias: str = "") -> str:
         """Add the import of a name to the generated module, and return the name or its alias.
@@ -175,78 +169,70 @@ class Module:
             self.imports.setdefault(module, {})[name] = called
         return called
 
-    def whole(self, interface: Interface) -> str:
-        """Return the code of the class for an interface."""
+    def whole(self, interface: Interface) -> list[str]:
+        """Return the lines of the class for an interface."""
         definition, comments = interface.definition, interface.comments
         noun, base = KINDS[self.kind]
         default = f"The {noun} ``{definition.type_name}``."
-        head = class_line(
-            interface.name, [self.use(TYPES, base), f'type_name="{definition.type_name}"']
-        )
+        name = f'type_name="{definition.type_name}"'
+        head = f"class {interface.name}({self.use(TYPES, base)}, {name}):"
         if isinstance(definition, MessageDefinition):
-            doc = documented(comments[0].about or comments[0].first, default, INDENT)
-            body = self.members(definition, comments[0], INDENT)
-            return "\n".join([*head, *doc, *([""] * bool(body)), *body])
-        lines = [*head, *documented(comments[0].about, default, INDENT)]
+            about = documented(comments[0].about or comments[0].first, default)
+            body = self.members(definition, comments[0])
+            return [head, *indented([*about, *([""] if body else []), *body])]
+        lines = documented(comments[0].about, default)
         names = PARTS["srv" if isinstance(definition, ServiceDefinition) else "action"]
-        for name, part, said in zip(names, parts_of(definition), comments, strict=True):
-            lines += ["", *self.part(name, part, said, is_first=name == names[0])]
-        return "\n".join(lines)
+        for part_name, part, said in zip(names, parts_of(definition), comments, strict=True):
+            is_first = part_name == names[0]
+            above = said.first if is_first else said.about or said.first
+            lines += ["", *self.part(part_name, part, said, above)]
+        return [head, *indented(lines)]
 
     def part(
-        self, name: str, part: MessageDefinition, comments: Comments, *, is_first: bool
+        self, name: str, part: MessageDefinition, comments: Comments, about: tuple[str, ...]
     ) -> list[str]:
-        """Return the code of the class for one part of a service or action."""
-        inner = INDENT * 2
-        about = comments.first if is_first else comments.about or comments.first
-        doc = documented(about, "" if part.fields or part.constants else "Empty.", inner)
-        body = self.members(part, comments, inner)
-        gap = [""] * bool(doc and body)
-        return [f"{INDENT}class {name}({self.use(TYPES, 'Message')}):", *doc, *gap, *body]
+        """Return the lines of the class for one part of a service or action."""
+        doc = documented(about, "" if part.fields or part.constants else "Empty.")
+        body = self.members(part, comments)
+        return [f"class {name}({self.use(TYPES, 'Message')}):", *indented([*doc, *body])]
 
-    def members(self, part: MessageDefinition, comments: Comments, indent: str) -> list[str]:
+    def members(self, part: MessageDefinition, comments: Comments) -> list[str]:
         """Return the statements that declare the constants of a part, then its fields."""
-        constants = [
-            [*self.constant(each, indent), *attribute_doc(comments.of(each.name), indent)]
-            for each in part.constants
-        ]
-        fields = [
-            [*self.field(each, indent), *attribute_doc(comments.of(each.name), indent)]
-            for each in part.fields
-        ]
-        return spaced([spaced(constants), spaced(fields)], always=True)
+        lines: list[str] = []
+        for constant in part.constants:
+            lines += [self.constant(constant), *comments_below(comments, constant.name)]
+        for field in part.fields:
+            lines += [self.field(field), *comments_below(comments, field.name)]
+        return lines
 
-    def constant(self, constant: Constant, indent: str) -> list[str]:
+    def constant(self, constant: Constant) -> str:
         """Return the statement that declares a constant."""
         annotation = f"{self.use('typing', 'ClassVar')}[{self.element(constant.type)}]"
-        return assignment(f"{indent}{constant.name}: {annotation}", literal(constant.value))
+        return f"{constant.name}: {annotation} = {constant.value!r}"
 
-    def field(self, field: Field, indent: str) -> list[str]:
+    def field(self, field: Field) -> str:
         """Return the statement that declares a field."""
-        target = f"{indent}{field.attribute}: {self.annotation(field.type)}"
+        target = f"{field.attribute}: {self.annotation(field.type)}"
         if not field.type.is_sequence and not field.type.is_nested:
             value = zero(field.type) if field.default is None else field.default
-            return assignment(target, literal(value))  # type: ignore[arg-type]  # no sequence
+            return f"{target} = {value!r}"
         if is_bytes(field.type):
-            content = f"[{', '.join(map(str, field.default))}]" if field.default else ""  # type: ignore[arg-type]  # of ints
-            return assignment(
-                target, f"{self.use('builtins', 'bytes')}({content or field.type.size})"
-            )
-        factory = self.factory(field)
-        return assignment(target, f"{self.use(TYPES, 'field')}(", f"default_factory={factory}", ")")
+            content = field.type.size if field.default is None else list(field.default)  # type: ignore[arg-type]  # of ints
+            return f"{target} = {self.use('builtins', 'bytes')}({content})"
+        return f"{target} = {self.use(TYPES, 'field')}(default_factory={self.factory(field)})"
 
     def factory(self, field: Field) -> str:
         """Return the code of the default factory for a field with a message or a sequence."""
         element, kind = self.element(field.type), field.type
         if field.default:
-            return f"lambda: [{', '.join(literal(item) for item in field.default)}]"  # type: ignore[union-attr]  # a sequence
+            return f"lambda: [{', '.join(repr(item) for item in field.default)}]"  # type: ignore[union-attr]  # a sequence
         if not kind.is_sequence:
             return element
         if kind.form is not ArrayForm.FIXED:
             return self.use("builtins", "list")
         if kind.is_nested:
             return f"lambda: [{element}() for _ in range({kind.size})]"
-        return f"lambda: [{literal(PRIMITIVES[kind.name])}] * {kind.size}"
+        return f"lambda: [{PRIMITIVES[kind.name]!r}] * {kind.size}"
 
     def annotation(self, kind: FieldType) -> str:
         """Return the annotation of a field."""
@@ -303,111 +289,27 @@ def in_order(interfaces: Iterable[Interface]) -> list[Interface]:
     return list(placed.values())
 
 
-def spaced(entries: list[list[str]], *, always: bool = False) -> list[str]:
-    """Return the lines of all entries, with blank lines around each entry that has several lines.
-
-    If ``always`` is true, a blank line separates all entries.
-    """
-    lines: list[str] = []
-    last: list[str] = []
-    for entry in filter(None, entries):
-        if lines and (always or len(entry) > 1 or len(last) > 1):
-            lines.append("")
-        lines += entry
-        last = entry
-    return lines
+def indented(lines: list[str]) -> list[str]:
+    """Return the lines of a block, indented."""
+    return [f"{INDENT}{line}".rstrip() for line in lines]
 
 
-def class_line(name: str, arguments: list[str]) -> list[str]:
-    """Return the first line of a class statement."""
-    return wrapped(f"class {name}(", arguments, "):", is_tight=True)
+def comments_below(comments: Comments, name: str) -> list[str]:
+    """Return the docstring of a field or constant, which has the comments on it."""
+    paragraphs = paragraphs_of(comments.of(name))
+    return docstring("\n\n".join(paragraphs)) if paragraphs else []
 
 
-def from_import(module: str, names: list[str]) -> str:
-    """Return an import statement."""
-    one = f"from {module} import {', '.join(names)}"
-    if len(one) <= WIDTH:
-        return one
-    return "\n".join([f"from {module} import (", *(f"{INDENT}{name}," for name in names), ")"])
-
-
-def wrapped(head: str, items: list[str], tail: str, *, is_tight: bool = False) -> list[str]:
-    """Return code with items in brackets, wrapped as ruff wraps it.
-
-    If the code is too long for one line, the items move to new lines between the brackets. Either
-    all items share one new line (only if ``is_tight``), or each item has a line of its own.
-
-    Args:
-        head: The text before the items, including the opening bracket.
-        items: The items, without commas.
-        tail: The closing bracket, and the text after it.
-        is_tight: Whether all items may share one new line, as ruff allows for arguments.
-    """
-    one = f"{head}{', '.join(items)}{tail}"
-    if len(one) <= WIDTH:
-        return [one]
-    indent = " " * (len(head) - len(head.lstrip())) + INDENT
-    together = f"{indent}{', '.join(items)}"
-    if is_tight and len(together) <= WIDTH:
-        return [head, together, tail]
-    return [head, *(f"{indent}{item}," for item in items), tail]
-
-
-def assignment(target: str, head: str, argument: str = "", tail: str = "") -> list[str]:
-    """Return the lines of an assignment, wrapped as ruff wraps it.
-
-    Without ``argument``, the value is ``head``. With ``argument``, the value is a call: ``head``
-    ends with the opening bracket, and ``tail`` is the closing bracket.
-    """
-    one = f"{target} = {head}{argument}{tail}"
-    if len(one) <= WIDTH:
-        return [one]
-    indent = " " * (len(target) - len(target.lstrip()))
-    if argument and len(f"{indent}{INDENT}{argument}") <= WIDTH:
-        return [f"{target} = {head}", f"{indent}{INDENT}{argument}", f"{indent}{tail}"]
-    if argument.startswith("default_factory=lambda: ["):
-        items = argument.removeprefix("default_factory=lambda: [").removesuffix("]").split(", ")
-        deep, deeper = f"{indent}{INDENT}", f"{indent}{INDENT * 2}"
-        first = f"{deep}default_factory=lambda: ["
-        rows = [f"{deeper}{item}," for item in items]
-        return [f"{target} = {head}", first, *rows, f"{deep}]", f"{indent}{tail}"]
-    if not argument and len(f"{indent}{INDENT}{head}") <= WIDTH:
-        return [f"{target} = (", f"{indent}{INDENT}{head}", f"{indent})"]
-    return [one]
-
-
-def literal(value: Primitive) -> str:
-    """Return a value in Python syntax, with the quotes that ruff would choose."""
-    if not isinstance(value, str):
-        return repr(value)
-    inside = repr(f"'\"{value}")[3:-1].replace("\\'", "'").removeprefix('"')
-    quote = "'" if value.count('"') > value.count("'") else '"'
-    return f"{quote}{inside.replace(quote, chr(92) + quote)}{quote}"
-
-
-def documented(lines: tuple[str, ...], default: str, indent: str) -> list[str]:
+def documented(lines: tuple[str, ...], default: str) -> list[str]:
     """Make the docstring of a class from a comment. The first line is a complete sentence."""
-    width = WIDTH - len(indent) - 6
     paragraphs = paragraphs_of(lines)
     if not paragraphs:
-        return docstring([default], indent) if default else []
+        return docstring(default) if default else []
     first = " ".join(paragraphs[0].split())
     match = re.match(r".+?[.!?](?=\s|$)", first)
     summary = match[0] if match else f"{first.rstrip(':,;')}."
     rest = first[len(match[0]) :].strip() if match else ""
-    if len(summary) > width or not summary[0].isalnum():
-        summary, rest = default or "As follows.", ""
-        return docstring([summary, "", *"\n\n".join(paragraphs).split("\n")], indent)
-    folded = textwrap.wrap(rest, WIDTH - len(indent), break_long_words=False)
-    blocks = ["\n".join(folded)] * bool(rest) + paragraphs[1:]
-    below = ("\n" + "\n\n".join(blocks)).split("\n") if blocks else []
-    return docstring([summary, *below], indent)
-
-
-def attribute_doc(lines: tuple[str, ...], indent: str) -> list[str]:
-    """Make the docstring of a field or constant from its comments."""
-    text = "\n\n".join(paragraphs_of(lines))
-    return docstring(text.split("\n"), indent) if text else []
+    return docstring("\n\n".join([summary, *([rest] * bool(rest)), *paragraphs[1:]]))
 
 
 def paragraphs_of(lines: tuple[str, ...]) -> list[str]:
@@ -418,54 +320,12 @@ def paragraphs_of(lines: tuple[str, ...]) -> list[str]:
     return [*parts[:1], *(below.split("\n\n") if below else [])]
 
 
-def docstring(lines: list[str], indent: str) -> list[str]:
-    """Return the lines of a docstring.
-
-    If the docstring does not fit on one line, its closing quotes have a line of their own.
-    """
-    width = WIDTH - len(indent)
-    first, *rest = [line.rstrip().replace('"""', "'''") for line in lines]
-    is_raw = "\\" in "".join([first, *rest])
-    opening = f'{indent}{"r" * is_raw}"""' + " " * first.startswith('"')
-    head, *more = fold(first, width - 3 - is_raw - first.startswith('"'))
-    if not rest and not more and not head.endswith(('"', "\\")) and len(head) <= width - 6 - is_raw:
-        return [f'{opening}{head}"""']
-    folded = [*more, *(piece for line in rest for piece in fold(line, width))]
-    below = [f"{indent}{line}".rstrip() for line in folded]
-    return [f"{opening}{head}", *below, f'{indent}"""']
-
-
-def fold(line: str, width: int) -> list[str]:
-    """Return a line of a comment, wrapped into several lines if it is longer than ``width``."""
-    if len(line) <= width:
-        return [line]
-    margin = " " * (len(line) - len(line.lstrip()))
-    return textwrap.wrap(
-        line.strip(),
-        width,
-        initial_indent=margin,
-        subsequent_indent=margin,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-
-
-def sort_key(name: str) -> tuple[int, list[str | int]]:
-    """Return a sort key that puts names in the same order as ruff.
-
-    Constants (in capitals) come first, then classes, then all other names. Numbers in names are
-    compared by value.
-    """
-    group = 0 if name.isupper() and len(name) > 1 else 1 if name[0].isupper() else 2
-    return group, natural(name)
-
-
-def natural(name: str) -> list[str | int]:
-    """Return a sort key that compares the numbers in names by value: ``x9`` before ``x10``."""
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", name)]
-
-
-def rank(module: str) -> tuple[int, str]:
-    """Return the sort key of a module in imports. Modules with more leading dots come first."""
-    dots = len(module) - len(module.lstrip("."))
-    return -dots, module
+def docstring(text: str) -> list[str]:
+    """Return the lines of a docstring. One line of text has the quotes on both sides."""
+    safe = text.replace('"""', "'''")
+    if safe.endswith(("\\", '"')):
+        safe += " "
+    prefix = "r" if "\\" in safe else ""
+    space = " " if safe.startswith('"') else ""
+    lines = f'{prefix}"""{space}{safe}'.split("\n")
+    return [f'{lines[0]}"""'] if len(lines) == 1 else [*lines, '"""']

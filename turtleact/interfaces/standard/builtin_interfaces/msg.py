@@ -3,7 +3,10 @@
 
 from turtleact.interfaces.types import Message, int32, uint32
 
-__all__ = ["Duration", "Time"]
+__all__ = [
+    "Duration",
+    "Time",
+]
 
 
 class Duration(Message, type_name="builtin_interfaces/msg/Duration"):

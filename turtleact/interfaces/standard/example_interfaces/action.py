@@ -3,7 +3,9 @@
 
 from turtleact.interfaces.types import Action, Message, field, int32
 
-__all__ = ["Fibonacci"]
+__all__ = [
+    "Fibonacci",
+]
 
 
 class Fibonacci(Action, type_name="example_interfaces/action/Fibonacci"):
@@ -11,15 +13,12 @@ class Fibonacci(Action, type_name="example_interfaces/action/Fibonacci"):
 
     class Goal(Message):
         """The index of the last number of the sequence, counted from 0."""
-
         order: int32 = 0
 
     class Result(Message):
         """The Fibonacci numbers up to number `order`."""
-
         sequence: list[int32] = field(default_factory=list)
 
     class Feedback(Message):
         """The numbers calculated so far."""
-
         sequence: list[int32] = field(default_factory=list)

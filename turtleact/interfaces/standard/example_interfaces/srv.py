@@ -3,7 +3,11 @@
 
 from turtleact.interfaces.types import Message, Service, bool_, int64, string
 
-__all__ = ["AddTwoInts", "SetBool", "Trigger"]
+__all__ = [
+    "AddTwoInts",
+    "SetBool",
+    "Trigger",
+]
 
 
 class AddTwoInts(Service, type_name="example_interfaces/srv/AddTwoInts"):
@@ -25,7 +29,7 @@ class SetBool(Service, type_name="example_interfaces/srv/SetBool"):
 
     class Response(Message):
         success: bool_ = False
-        message: string = ""
+        message: string = ''
 
 
 class Trigger(Service, type_name="example_interfaces/srv/Trigger"):
@@ -36,4 +40,4 @@ class Trigger(Service, type_name="example_interfaces/srv/Trigger"):
 
     class Response(Message):
         success: bool_ = False
-        message: string = ""
+        message: string = ''

@@ -3,7 +3,11 @@
 
 from turtleact.interfaces.types import Message, Service, bool_, string
 
-__all__ = ["Empty", "SetBool", "Trigger"]
+__all__ = [
+    "Empty",
+    "SetBool",
+    "Trigger",
+]
 
 
 class Empty(Service, type_name="std_srvs/srv/Empty"):
@@ -24,7 +28,7 @@ class SetBool(Service, type_name="std_srvs/srv/SetBool"):
 
     class Response(Message):
         success: bool_ = False
-        message: string = ""
+        message: string = ''
 
 
 class Trigger(Service, type_name="std_srvs/srv/Trigger"):
@@ -35,4 +39,4 @@ class Trigger(Service, type_name="std_srvs/srv/Trigger"):
 
     class Response(Message):
         success: bool_ = False
-        message: string = ""
+        message: string = ''

@@ -3,7 +3,9 @@
 
 from turtleact.interfaces.types import Message, Service, string
 
-__all__ = ["FrameGraph"]
+__all__ = [
+    "FrameGraph",
+]
 
 
 class FrameGraph(Service, type_name="tf2_msgs/srv/FrameGraph"):
@@ -13,4 +15,4 @@ class FrameGraph(Service, type_name="tf2_msgs/srv/FrameGraph"):
         """Empty."""
 
     class Response(Message):
-        frame_yaml: string = ""
+        frame_yaml: string = ''

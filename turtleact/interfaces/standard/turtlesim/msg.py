@@ -3,7 +3,10 @@
 
 from turtleact.interfaces.types import Message, float32, uint8
 
-__all__ = ["Color", "Pose"]
+__all__ = [
+    "Color",
+    "Pose",
+]
 
 
 class Color(Message, type_name="turtlesim/msg/Color"):
@@ -19,14 +22,10 @@ class Pose(Message, type_name="turtlesim/msg/Pose"):
 
     x: float32 = 0.0
     """m; the origin is the lower left corner"""
-
     y: float32 = 0.0
-
     theta: float32 = 0.0
     """rad, in [-pi, pi]: 0 along x, counter-clockwise"""
-
     linear_velocity: float32 = 0.0
     """m/s forwards"""
-
     angular_velocity: float32 = 0.0
     """rad/s counter-clockwise"""

@@ -3,14 +3,20 @@
 
 from turtleact.interfaces.types import Message, Service, float32, string, uint8
 
-__all__ = ["Kill", "SetPen", "Spawn", "TeleportAbsolute", "TeleportRelative"]
+__all__ = [
+    "Kill",
+    "SetPen",
+    "Spawn",
+    "TeleportAbsolute",
+    "TeleportRelative",
+]
 
 
 class Kill(Service, type_name="turtlesim/srv/Kill"):
     """The service ``turtlesim/srv/Kill``."""
 
     class Request(Message):
-        name: string = ""
+        name: string = ''
 
     class Response(Message):
         """Empty."""
@@ -37,10 +43,10 @@ class Spawn(Service, type_name="turtlesim/srv/Spawn"):
         x: float32 = 0.0
         y: float32 = 0.0
         theta: float32 = 0.0
-        name: string = ""
+        name: string = ''
 
     class Response(Message):
-        name: string = ""
+        name: string = ''
 
 
 class TeleportAbsolute(Service, type_name="turtlesim/srv/TeleportAbsolute"):

@@ -3,7 +3,9 @@
 
 from turtleact.interfaces.types import Action, Message, float32
 
-__all__ = ["RotateAbsolute"]
+__all__ = [
+    "RotateAbsolute",
+]
 
 
 class RotateAbsolute(Action, type_name="turtlesim_msgs/action/RotateAbsolute"):

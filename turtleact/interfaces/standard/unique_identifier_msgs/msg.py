@@ -3,7 +3,9 @@
 
 from turtleact.interfaces.types import Message, array
 
-__all__ = ["UUID"]
+__all__ = [
+    "UUID",
+]
 
 
 class UUID(Message, type_name="unique_identifier_msgs/msg/UUID"):
