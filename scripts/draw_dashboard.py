@@ -11,9 +11,10 @@ import asyncio
 import os
 from typing import Any
 
-from turtleact import open_world, render
+from turtleact import open_world
 from turtleact.actions.patrol import Patrol
 from turtleact.commands.live import Dashboard
+from turtleact.commands.panels import lines
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import Point, RotateAbsolute
 
@@ -46,7 +47,7 @@ async def draw() -> list[str]:
             await node.clock.sleep(2.0)
             goal.detach()
             content = board.compose(width=WIDTH, height=HEIGHT)
-            return [*log[-3:], *render.lines(content, width=WIDTH, height=HEIGHT)]
+            return [*log[-3:], *lines(content, width=WIDTH, height=HEIGHT)]
 
 
 if __name__ == "__main__":

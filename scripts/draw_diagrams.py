@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 BANDS: Final = (
     ("Command line", "main", "cli"),
     ("Doors", "main", "web"),
-    ("What watches", "fill", "render"),
+    ("What watches", "fill", "testing"),
     ("What acts", "fill", "sim"),
     ("A participant", "main", "node"),
     ("Goals", "main", "goals"),

@@ -48,7 +48,6 @@ ONE_LOOP = {
     "interop",
     "mcp",
     "recording",
-    "render",
     "sim",
     "telemetry",
     "web",

@@ -32,7 +32,7 @@ VIOLATIONS = {
     "sim-in-an-action": ("Acts", "actions.patrol", "turtleact.sim.world"),
     "names-in-world": ("World", "sim.world", "turtleact.names"),
     "clock-in-kinematics": ("World", "sim.kinematics", "time"),
-    "rich-outside-render": ("Doors", "app", "rich"),
+    "rich-outside-commands": ("Doors", "app", "rich"),
     "numpy-outside-sim": ("Doors", "node.node", "numpy"),
     "yaml-outside-text": ("Doors", "cli", "yaml"),
     "zenoh-in-memory": ("Doors", "transports.memory", "zenoh"),

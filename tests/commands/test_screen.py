@@ -63,7 +63,7 @@ def test_the_last_frame_and_the_result_stand_when_the_goal_has_ended():
 
 
 @pytest.mark.parametrize(
-    ("columns", "rows", "side"), [(60, 30, 11), (80, 30, 19), (100, 40, 24), (140, 40, 24)]
+    ("columns", "rows", "side"), [(60, 30, 14), (80, 30, 20), (100, 40, 24), (140, 40, 24)]
 )
 def test_the_last_map_is_as_large_as_the_window_allows(columns, rows, side):
     text, _ = on_terminal("patrol", PATROL, "--speed", "max", columns=columns, rows=rows)
@@ -177,12 +177,11 @@ def test_p_pauses_and_resumes_the_goal():
     with Screen("fibonacci", "order: 40", program=("-m", "turtleact")) as screen:
         screen.wait_for(b"EXECUTING")
         os.write(screen.main, b"x\x1b[AP")  # an arrow means nothing here
-        screen.wait_for(b"(paused)")
-        screen.written = b""
+        screen.wait_for(b"  paused")
         os.write(screen.main, b"p")
-        while not re.search(
-            r"EXECUTING \d", ESCAPE.sub("", screen.written.decode(errors="ignore"))
-        ):
+        running = re.compile(r"EXECUTING \d+\.\d s +[0-9a-f]{8}")
+        screen.written = b""
+        while not running.search(ESCAPE.sub("", screen.written.decode(errors="ignore"))):
             screen.written += read(screen.main)
 
 

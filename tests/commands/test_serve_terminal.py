@@ -46,9 +46,9 @@ class Served:
     def echoes(self):
         return bool(termios.tcgetattr(self.main)[3] & termios.ECHO)
 
-    def send_goal(self):
+    def send_goal(self, name="go_to", goal="{x: 7, y: 7}", *options):
         """The exit status of a goal that is sent to it, and what is said of it."""
-        arguments = ["send-goal", "go_to", "{x: 7, y: 7}", "--plain", "--connect", self.at]
+        arguments = ["send-goal", name, goal, "--plain", "--connect", self.at, *options]
         sent = warm.run(
             [sys.executable, "-m", "turtleact", *arguments],
             env=os.environ | {"ROS_DOMAIN_ID": "0"},
@@ -105,8 +105,32 @@ def test_a_terminal_shows_a_dashboard_and_is_given_back_with_what_has_happened()
     ]
     _, _, left = said.rpartition("running goals are ended")
     assert f"ready at {served.at}, domain 0: /command_turtle, " in left
-    assert re.search(r"● /go_to +SUCCEEDED", left)
+    assert re.search(r"● /go_to\s+│?⠀*│?\s*SUCCEEDED", left)
     assert "turtle1" in left
+
+
+def test_a_wide_dashboard_has_a_row_for_each_goal_with_its_turtle_and_its_targets():
+    with serving("--speed", "10", "--turtles", "2", columns=140, NO_COLOR="1") as served:
+        served.wait_for("no goals yet")
+        served.send_goal("turtle1/rotate_absolute", "{theta: 1.0}")
+        patrol = "{targets: [{x: 9, y: 9}, {x: 2, y: 2}], turtle: turtle2}"
+        served.send_goal("patrol", patrol, "-t", "0")
+        served.wait_for("1 of 2 targets")
+        served.wait_for("2 of 2 targets")
+        while not re.search(
+            r"/patrol +SUCCEEDED", ESCAPE.sub("", served.text.decode(errors="ignore"))
+        ):
+            served.text += read(served.main)
+        _, text = served.end()
+    said = ESCAPE.sub("", text).replace("\r", "\n")
+    assert re.search(
+        r"● /patrol +EXECUTING +\d\.\d s +[0-9a-f]{8} +1 of 2 targets +turtle2 1✓ 2", said
+    )
+    left = said.rpartition("running goals are ended")[2]
+    ended = r"SUCCEEDED +\d\.\d s +[0-9a-f]{8}"
+    assert re.search(rf"● /patrol +{ended} +2 of 2 targets +turtle2 *\n", left)
+    assert re.search(rf"● /turtle1/rotate_absolute +{ended} +turtle1 *\n", left)
+    assert re.search("│[^│]*turtle1[^│]*│", left)
 
 
 def test_a_terminal_that_takes_nothing_does_not_hold_up_the_world():

@@ -15,15 +15,19 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import anyio
 
-from turtleact import render
 from turtleact.commands.goal_printer import GoalPrinter
+from turtleact.commands.panels import Board, GoalRow, GoalView, Picture, board, frame, inline
 from turtleact.commands.screen import Screen, can_read_keys, typed_keys
-from turtleact.commands.trails import (
+from turtleact.commands.world_map import (
     POSE,
     POSES_A_FRAME,
+    Braille,
     Course,
+    MapView,
     Motion,
     PoseTrails,
+    Target,
+    Turtle,
     colour_of,
     places_in,
     pose_topics,
@@ -32,7 +36,6 @@ from turtleact.commands.trails import (
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import to_dict
 from turtleact.interfaces.standard import TurtlePose
-from turtleact.render.lines import inline
 from turtleact.sim.kinematics import SIDE
 from turtleact.transports import QoS
 
@@ -63,19 +66,37 @@ class LivePrinter(GoalPrinter):
         wants_feedback: Whether to print each feedback message too, on one line.
     """
 
-    _picture: GoalPicture  # from the acceptance on
+    _shown: Followed  # from the acceptance on
 
     def __init__(self, *, wants_feedback: bool) -> None:
         super().__init__(wants_feedback=wants_feedback, most_lines=MOST_LINES)
         self._screen = Screen(self._compose)
+        self._is_served = True
+        self._course: Course | None = None
+        self._trails: PoseTrails | None = None
+        self._feedback: Message | None = None
+        self._heard = 0.0
+        self._most_remaining = 0.0
 
     def follows(self, goal: Followed) -> None:
-        """Called when the display starts to follow the goal."""
-        self._picture = GoalPicture(goal)
+        """Show this goal. Its fields are unknown if another program has sent it."""
+        self._shown = goal
+        self._began = goal.node.clock.time() - goal.age
+        request = goal.handle.request
+        if request is not None:
+            self._course = Course(request)
+        request = request or goal.action_type.Goal()
+        drives, leader = sends_a_turtle(goal.name, request)
+        if (drives or hasattr(request, "targets")) and leader in pose_topics(goal.node):
+            self._trails = PoseTrails(goal.node, leader)
 
     def served(self, *, is_served: bool) -> None:
         """Show whether the goal has a server."""
-        self._picture.is_served = is_served
+        self._is_served = is_served
+
+    def feedback(self, feedback: Message) -> None:
+        """Print a feedback message on one line, because the display shows the last one in full."""
+        print(f"Feedback: {inline(to_dict(feedback))}")
 
     async def animate(self) -> None:
         """Draw frames and react to keys until the task is cancelled."""
@@ -86,7 +107,7 @@ class LivePrinter(GoalPrinter):
 
     async def _obey_keys(self) -> None:
         """Pause or resume the goal when the user presses P."""
-        goal = self._picture.shown.handle
+        goal = self._shown.handle
         async for key in typed_keys():
             if key == PAUSE:
                 # One request at a time: the next key is read when the server has answered. It then
@@ -96,78 +117,40 @@ class LivePrinter(GoalPrinter):
                 except TurtleactError as error:
                     self.note(str(error))
 
-    def feedback(self, feedback: Message) -> None:
-        """Print a feedback message on one line, because the display shows the last one in full."""
-        print(f"Feedback: {inline(to_dict(feedback))}")
-
     def close(self) -> None:
         """Restore the terminal."""
         self._screen.close()
 
-    def _compose(self, *, width: int, height: int) -> render.Picture:
-        return self._picture.compose(width=width, height=height)
-
-
-class GoalPicture:
-    """Composes the frames of a goal's display.
-
-    Attributes:
-        shown: The goal to display.
-        is_served: Whether the goal's server is on the graph.
-    """
-
-    def __init__(self, shown: Followed) -> None:
-        self.is_served = True
-        self.shown = shown
-        self._clock = shown.node.clock
-        self._began = self._clock.time() - shown.age
-        self._course: Course | None = None
-        self._trails: PoseTrails | None = None
-        self._feedback: Message | None = None
-        self._heard = 0.0
-        self._most_remaining = 0.0
-        topics = pose_topics(shown.node)
-        self._goal = shown.handle.request
-        if self._goal is not None:
-            drives, self._leader = sends_a_turtle(shown.name, self._goal)
-            drives = drives and self._leader in topics
-            self._course = Course(self._goal)
-        else:  # unknown, unless the action's name says which turtle it drives
-            goal = shown.action_type.Goal()
-            drives, self._leader = sends_a_turtle(shown.name, goal)
-            drives = self._leader in topics if shown.name.count("/") > 1 else drives
-            drives = bool(topics) and (drives or hasattr(goal, "targets"))
-        if drives:
-            self._trails = PoseTrails(shown.node, self._leader)
-
-    def compose(self, *, width: int, height: int) -> render.Picture:
-        """Compose the current frame for a window of this many columns and lines."""
-        handle = self.shown.handle
+    def _compose(self, *, width: int, height: int) -> Picture:
+        handle = self._shown.handle
         has_ended = handle.status.is_terminal
-        world = None
-        if self._trails is not None:
-            world = self._trails.look(self._course)
-        now = self._clock.time()
+        now = self._shown.node.clock.time()
         if handle.last_feedback is not self._feedback:
             self._feedback, self._heard = handle.last_feedback, now
-        if world is not None and self._goal is None:
+        world = None if self._trails is None else self._trails.look(self._course)
+        if world is not None and self._course is None:
             world = world._replace(targets=_target(self._feedback))
         fraction, progress = (None, "") if has_ended else self._progress(now)
-        is_moving = self._trails is not None and not has_ended
-        goal = render.GoalView(
-            name=self.shown.name,
-            goal=self._goal,
+        goal = GoalView(
+            name=self._shown.name,
+            goal=handle.request,
             goal_id=handle.goal_id.hex(),
             status=handle.status,
             age=now - self._began,
             feedback=self._feedback,
             fraction=fraction,
             progress=progress,
-            is_paused=handle.is_paused and not has_ended,
-            is_served=self.is_served or has_ended,
-            motion=self._trails.motion.told() if is_moving and self._trails is not None else "",
+            marks=[] if has_ended else list(self._marks()),
         )
-        return render.frame(goal, world, width=width, height=height)
+        return frame(goal, world, width=width, height=height)
+
+    def _marks(self) -> Iterator[str]:
+        if self._shown.handle.is_paused:
+            yield "paused"
+        if not self._is_served:
+            yield "server gone"
+        if self._trails is not None and self._trails.motion.is_reversing:
+            yield "reversing"
 
     def _progress(self, now: float) -> tuple[float | None, str]:
         """Return the goal's progress as a fraction (0 to 1; None if unknown) and in words.
@@ -176,14 +159,13 @@ class GoalPicture:
         ``remaining`` field, the progress is the fraction of the goal's targets that the turtle has
         passed. If the goal has no targets, the text says how old the last feedback is.
         """
+        course = self._course
         # Without the goal's message, nobody knows how much remained when the goal began.
-        feedback = self._feedback if self._goal is not None else None
-        values = {} if feedback is None else to_dict(feedback)
+        values = {} if self._feedback is None or course is None else to_dict(self._feedback)
         for name, value in values.items():
             if "remaining" in name and isinstance(value, float):
                 self._most_remaining = max(self._most_remaining, abs(value), 1e-9)
                 return 1 - abs(value) / self._most_remaining, f"{name} {abs(value):.2f}"
-        course = self._course
         if course is not None and course.stops:
             return course.passed / course.stops, course.told()
         if self._feedback is None:
@@ -191,14 +173,14 @@ class GoalPicture:
         return None, f"last feedback {now - self._heard:.1f} s ago"
 
 
-def _target(feedback: Message | None) -> list[render.Target]:
+def _target(feedback: Message | None) -> list[Target]:
     """Return the target in the feedback, as a list. The list is empty if there is no target."""
     values: Any = {} if feedback is None else to_dict(feedback)
     number = values.get("index", 0)
     places = places_in(values.get("target"))
     is_reached = values.get("is_reached") is True
     return [
-        render.Target(*place, number + 1, is_reached=is_reached)
+        Target(*place, number + 1, is_reached=is_reached)
         for place in places
         if isinstance(number, int)
     ]
@@ -258,19 +240,19 @@ class Dashboard:
         """Draw frames until the task is cancelled."""
         await self._screen.run()
 
-    def compose(self, *, width: int, height: int) -> render.Picture:
+    def compose(self, *, width: int, height: int) -> Picture:
         """Compose the current frame for a window of this many columns and lines."""
         sim = self._sim
         turtles = [] if sim is None else [_turtle(*each) for each in sim.turtles(MOST_TURTLES)]
         goals = self._in_order()
         rows = [goal.row({turtle.name for turtle in turtles}) for goal in goals]
         ahead = [target for row in rows for target in row.targets if not target.is_reached]
-        world = None if sim is None else render.MapView(SIDE, turtles, _Drawn(sim), ahead)
+        world = None if sim is None else MapView(SIDE, turtles, _Drawn(sim), ahead)
         more = len(self._goals) - len(goals)
         paused = ["the world is paused"] if sim is not None and sim.is_paused else []
         heading = self._heading or [NOT_READY]
-        shown = render.Board([*heading, *paused], world, rows, more)
-        return render.board(shown, width=width, height=height)
+        shown = Board([*heading, *paused], world, rows, more)
+        return board(shown, width=width, height=height)
 
     def _in_order(self) -> list[_Served]:
         """Return the newest goals: first those that still run, then those that have ended."""
@@ -324,7 +306,7 @@ class _Served:
             self._course.follow(pose.x, pose.y)
             self._motion.follow(pose.x, pose.y, pose.theta)
 
-    def row(self, turtles: set[str]) -> render.GoalRow:
+    def row(self, turtles: set[str]) -> GoalRow:
         """Return the goal's row in the table.
 
         The row names the goal's turtle only if ``turtles`` contains its name.
@@ -334,7 +316,7 @@ class _Served:
         turtle = self._turtle if self._turtle in turtles else ""
         colour = colour_of(turtle) if turtle else ""
         targets = [] if is_over or self._poses is None else self._course.targets()
-        return render.GoalRow(
+        return GoalRow(
             self._name,
             self._goal_id,
             self._status,
@@ -343,17 +325,17 @@ class _Served:
             turtle,
             colour,
             [target._replace(colour=colour or target.colour) for target in targets],
-            ", ".join(self._marks()),
+            list(self._marks()),
         )
 
     def _marks(self) -> Iterator[str]:
-        """Yield remarks: that the goal was resumed, that it is paused, or how its turtle moves."""
+        """Yield remarks: that the goal was resumed, is paused, or that its turtle is reversing."""
         if self._goal.resumed is not None:
             yield "resumed"
         if self._goal.is_paused:
             yield "paused"
-        elif self.ended_at is None and (motion := self._motion.told()):
-            yield motion
+        elif self.ended_at is None and self._motion.is_reversing:
+            yield "reversing"
 
 
 class _Drawn:
@@ -362,9 +344,9 @@ class _Drawn:
     def __init__(self, sim: Turtlesim) -> None:
         self._sim = sim
 
-    def canvas(self, columns: int, rows: int) -> render.Braille:
+    def canvas(self, columns: int, rows: int) -> Braille:
         """Return the turtles' lines as dots on a canvas of ``columns`` by ``rows`` characters."""
-        canvas = render.Braille(columns, rows)
+        canvas = Braille(columns, rows)
         top = canvas.height - 1
         for row, pixels in enumerate(self._sim.thumbnail(canvas.width, canvas.height)):
             for column, colour in enumerate(pixels):
@@ -373,8 +355,8 @@ class _Drawn:
         return canvas
 
 
-def _turtle(name: str, pose: Pose, _pen: object) -> render.Turtle:
-    return render.Turtle(pose.x, pose.y, pose.theta, name, colour_of(name))
+def _turtle(name: str, pose: Pose, _pen: object) -> Turtle:
+    return Turtle(pose.x, pose.y, pose.theta, name, colour_of(name))
 
 
 def _style(colour: tuple[int, int, int]) -> str:

@@ -31,8 +31,9 @@ from turtleact.transports import QoS
 from turtleact.transports.graph import SEND_GOAL
 
 if TYPE_CHECKING:
-    from turtleact import render
+    from turtleact.commands.panels import Picture
     from turtleact.commands.settings import Reach
+    from turtleact.commands.world_map import Turtle
     from turtleact.goals.client import ClientGoalHandle
 
 __all__ = ["Order", "run"]
@@ -332,23 +333,21 @@ class _Driving:
             note(f"node '{node}' publishes {topic} too, {obeys}. To drive alone, {what}")
 
     async def _draw(self) -> None:
-        from turtleact import render
-        from turtleact.commands.trails import PoseTrails
+        from turtleact.commands.panels import Board, board
+        from turtleact.commands.world_map import PoseTrails
 
         trails = PoseTrails(self._node, f"/{self._turtle}/pose")
 
-        def compose(*, width: int, height: int) -> render.Picture:
+        def compose(*, width: int, height: int) -> Picture:
             world = trails.look()
             heading = [f"driving {self._turtle}"]
             poses = [each for each in world.turtles if each.name == self._turtle]
             heading += [_place(pose) for pose in poses]
-            shown = render.Board(
-                ["   ".join(heading)], world if world.turtles else None, keys=SHOWN
-            )
-            return render.board(shown, width=width, height=height)
+            shown = Board(["   ".join(heading)], world if world.turtles else None, keys=SHOWN)
+            return board(shown, width=width, height=height)
 
         await Screen(compose).run()
 
 
-def _place(pose: render.Turtle) -> str:
+def _place(pose: Turtle) -> str:
     return f"x {pose.x:.2f}  y {pose.y:.2f}  {math.degrees(pose.theta):.0f}°"
