@@ -103,7 +103,7 @@ def test_a_bar_in_code_in_a_table_is_shown_without_its_backslash(build):
 
 def test_the_tests_that_a_row_names_are_folded(build):
     row = build.relinked(
-        "docs/complaints.md", "| a | b | `a/test_b.py::test_c`<br>`test_d.py::e` |"
+        "docs/conformance.md", "| a | b | `a/test_b.py::test_c`<br>`test_d.py::e` |"
     )
     assert row.startswith("| a | b | <details><summary>2 tests</summary>`a/test_b.py::test_c`<br>")
     assert row.endswith("`test_d.py::e`</details> |")
