@@ -21,7 +21,7 @@ Countdown: Any = turtleact.load_interface(TEXT, type_name="lab_interfaces/action
 
 
 @turtleact.action(Countdown, "countdown")
-async def countdown(goal: Any) -> AsyncIterator[Message]:  # noqa: ANN401
+async def countdown(goal: Any) -> AsyncIterator[Message]:
     for left in range(goal.seconds - 1, 0, -1):
         yield Countdown.Feedback(left=left)
     yield Countdown.Result(words="lift-off")

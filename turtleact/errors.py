@@ -164,7 +164,8 @@ class NotLearned(UnknownInterface):
         self.problem = problem
 
     def __str__(self) -> str:
-        return f"{self.type_name} is not known here, and cannot be learned: {self.problem}"
+        what = f"{self.type_name} as the graph uses it"
+        return f"{what} is not known here and cannot be learned: {self.problem}"
 
 
 class InvalidMessage(TurtleactError):

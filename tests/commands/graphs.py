@@ -111,7 +111,7 @@ def on_a_wire(name="/far", **known):
     @asynccontextmanager
     async def nodes(transport):
         far = Endpoint("publisher", name, "far_msgs/msg/Away", "/ns/far", QoS(), **known)
-        transport.endpoints = lambda: (far,)
+        transport.endpoints = lambda *_: (far,)
         yield
 
     return nodes

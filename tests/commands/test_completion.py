@@ -110,7 +110,7 @@ def test_verbs_are_completed_and_told_of(offered):
         (["topic", "h"], ["hz"]),
         (["action", "send"], ["send_goal"]),
         (["topic", "echo", "--qos-d"], ["--qos-durability", "--qos-depth"]),
-        (["serve", "--no"], ["--no-sim", "--node-name"]),
+        (["serve", "--no"], ["--no-sim", "--node-name", "--no-learn"]),
         (["serve", "--placing", ""], ["random", "grid", "ring"]),
         (["topic", "echo", "/x", "--qos-durability", "v"], ["volatile"]),
         (["topic", "echo", "/x", "--qos-durability=v"], ["volatile"]),

@@ -159,15 +159,19 @@ def test_a_type_that_is_on_the_graph_and_not_known_here_says_what_to_do(on_graph
     @asynccontextmanager
     async def nodes(transport):
         far = "/far/_action/send_goal", "far_msgs/action/Away_SendGoal", "/ns/far"
-        transport.endpoints = lambda: (Endpoint("service", *far, QoS()),)
+        transport.endpoints = lambda *_: (Endpoint("service", *far, QoS()),)
         yield
 
     ran = on_graph(nodes, "send-goal", "far")
     assert (ran.status, ran.err) == (
         1,
-        "turtleact: action '/far': its type far_msgs/action/Away is not known here: "
-        "source the ROS workspace that has the interface, give --interfaces DIR, or change to the "
-        "folder of its package\n",
+        "turtleact: far_msgs/action/Away as the graph uses it is not known here and cannot be "
+        "learned: node /ns/far sends no type hash, as in ROS 2 Humble: source the ROS workspace "
+        "that has the interface, give --interfaces DIR, or change to the folder of its package\n",
+    )
+    ran = on_graph(nodes, "send-goal", "far", "--no-learn")
+    assert ran.err.startswith(
+        "turtleact: action '/far': its type far_msgs/action/Away is not known here: source the"
     )
 
 

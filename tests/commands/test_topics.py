@@ -309,9 +309,9 @@ def test_a_type_of_the_graph_that_is_not_known_here_says_how_to_make_it_known(on
     ran = on_graph(graphs.on_a_wire(), "topic", "echo", "/far")
     assert (ran.status, ran.out) == (1, "")
     assert ran.err == (
-        "turtleact: topic '/far': its type far_msgs/msg/Away is not known here: "
-        "source the ROS workspace that has the interface, give --interfaces DIR, or change to the "
-        "folder of its package\n"
+        "turtleact: far_msgs/msg/Away as the graph uses it is not known here and cannot be "
+        "learned: node /ns/far sends no type hash, as in ROS 2 Humble: source the ROS workspace "
+        "that has the interface, give --interfaces DIR, or change to the folder of its package\n"
     )
 
 

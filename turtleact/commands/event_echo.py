@@ -99,7 +99,7 @@ async def echo_service(node: Node, order: Order) -> int:
         TurtleactError: if the type of the service is unknown.
     """
     name = resolve_name(order.name)
-    service = chosen_class(node, "service", Service, name, order.type_name)
+    service = await chosen_class(node, "service", Service, name, order.type_name)
     events = Source(event_topic(name), event_message(service))
     return await _print_all(node, [events], order.style)
 
@@ -112,7 +112,7 @@ async def echo_action(node: Node, order: Order) -> int:
         TurtleactError: if the type of the action is unknown.
     """
     name = resolve_name(order.name)
-    action = chosen_class(node, "action", Action, name, order.type_name)
+    action = await chosen_class(node, "action", Action, name, order.type_name)
     names, kinds = action_names(name), implied(action)
     sources = (
         Source(event_topic(names.send_goal), event_message(kinds.send_goal), "GOAL_SERVICE"),

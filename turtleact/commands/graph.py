@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from turtleact.commands.settings import Reach
     from turtleact.interfaces import Action, Message, Service
+    from turtleact.interfaces.types import Interface
     from turtleact.transports import Transport
     from turtleact.transports.base import Endpoint
     from turtleact.transports.rmw_zenoh.config import Mode
@@ -102,6 +103,8 @@ async def open_graph(reach: Reach, mode: Mode | None = None) -> AsyncIterator[No
         open_transport(reach, mode) as transport,
         open_node(f"_turtleact_cli_{os.getpid()}", transport=transport) as node,
     ):
+        node.learner.is_on = reach.learns
+        node.learner.note = note
         yield node
 
 
@@ -173,6 +176,10 @@ def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
             raise
         problem = f"{where}: its type {type_name} is not known here: {ELSEWHERE}"
         raise TurtleactError(problem) from None
+    return _of_kind(base, found)
+
+
+def _of_kind(base: type[I], found: Interface) -> type[I]:
     if not issubclass(found, base):
         kind = base.__name__.lower()
         problem = f"it is not the type of {'an' if kind == 'action' else 'a'} {kind}"
@@ -180,10 +187,18 @@ def interface_class(base: type[I], type_name: str, where: str = "") -> type[I]:
     return found
 
 
-def chosen_class(
-    node: Node, kind: Kind, base: type[I], name: str, type_name: str | None
+async def chosen_class(
+    node: Node,
+    kind: Kind,
+    base: type[I],
+    name: str,
+    type_name: str | None,
+    timeout: float | None = None,
 ) -> type[I]:
     """Return the class of the interface type that the user typed, or that the graph uses.
+
+    A type that is not known here, or that the graph defines in another way, is learned from the
+    nodes that use it.
 
     Args:
         node: A node on the graph.
@@ -192,18 +207,24 @@ def chosen_class(
         name: The full name of the action, service or topic.
         type_name: The type that the user typed; None for the first type that ``name`` has on the
             graph.
+        timeout: How long to ask again nodes that do not answer (s); None to ask them once.
 
     Raises:
         TurtleactError: if the user typed no type and the name is not on the graph. The error
-            suggests similar names. Other errors are those of `interface_class`.
+            suggests similar names. Other errors are those of `interface_class` and
+            `turtleact.learn_interface`.
     """
-    if type_name is not None:
-        return interface_class(base, type_name)
     found = types_by_name(node.transport.endpoints(), kind, hidden=True)
-    if name not in found:
-        hint = names_like(name, [each for each in found if "/_" not in each])
-        raise TurtleactError(f"{kind} '{name}' is not there{hint}; give its type to go ahead")
-    return interface_class(base, found[name][0], f"{kind} '{name}'")
+    where = "" if type_name else f"{kind} '{name}'"
+    if type_name is None:
+        if name not in found:
+            hint = names_like(name, [each for each in found if "/_" not in each])
+            raise TurtleactError(f"{where} is not there{hint}; give its type to go ahead")
+        type_name = found[name][0]
+    if not node.learner.is_on:
+        return interface_class(base, type_name, where)
+    learned = await node.learner.learn_used(name, kind, type_name, timeout)
+    return interface_class(base, type_name, where) if learned is None else _of_kind(base, learned)
 
 
 def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str, str]) -> None:

@@ -266,7 +266,7 @@ def run(reach: Reach, wanted: str, view: View | None, options: str) -> int:
 
 async def _follow(node: Node, wanted: str, printer: GoalPrinter, options: str) -> int:
     goal = await _find_one(node, wanted)
-    action_type = graph.interface_class(Action, goal.type_name, f"action '{goal.action}'")
+    action_type = await graph.chosen_class(node, "action", Action, goal.action, goal.type_name)
     client: Any = node.action_client(cast("Any", action_type), goal.action)
     age = (node.clock.now() - goal.stamp) / SECOND
     try:

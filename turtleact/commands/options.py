@@ -239,9 +239,13 @@ def _reach(
             panel=GRAPH,
         ),
     ] = None,
+    no_learn: Annotated[
+        bool, flag("--no-learn", text="Ask no node to describe its types.", panel=GRAPH)
+    ] = False,
 ) -> Reach:
     """Return the graph that these options select. Raises the errors of `Reach.of`."""
-    return Reach.of(connect, domain, None if config is None else str(config))
+    reach = Reach.of(connect, domain, None if config is None else str(config))
+    return reach._replace(learns=not no_learn)
 
 
 def _style(

@@ -28,7 +28,13 @@ from turtleact.commands.goal_printer import (
 )
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.output import leave, say
-from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError, UsageError
+from turtleact.errors import (
+    GoalRejected,
+    ServerUnavailable,
+    TurtleactError,
+    UnknownInterface,
+    UsageError,
+)
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import Action, from_text
 from turtleact.interfaces.standard import GetSimulationState, SimulationState
@@ -156,10 +162,16 @@ class GoalSender:
         self._request = request
         self._name = resolve_name(request.name)
         self._goal: Message | None = None
+        self._unknown: UnknownInterface | None = None
         if request.type_name is not None:
-            self._goal = self._read_goal(graph.interface_class(Action, request.type_name))
-        if request.view != "json":
-            say(WAITING)
+            try:
+                self._goal = self._read_goal(graph.interface_class(Action, request.type_name))
+            except UnknownInterface as error:
+                if request.reach is None or not request.reach.learns:
+                    raise
+                self._unknown = error
+        if self._unknown is None:
+            self._say_waiting()
         self._printer = choose_printer(request.view, wants_feedback=request.feedback)
         self._interrupts = Interrupts()
         self._interrupts.restore = self._printer.close
@@ -185,10 +197,18 @@ class GoalSender:
 
     async def _open_and_send(self) -> int:
         async with self._find_node() as node:
+            if self._unknown is not None:
+                self._say_waiting()
             await _find_served(node, self._name)
-            action_type = self._find_action(node)
-            goal = self._goal or self._read_goal(action_type)
+            action_type = await self._find_action(node)
+            goal = self._goal
+            if not isinstance(goal, action_type.Goal):  # the server may have another definition
+                goal = self._read_goal(action_type)
             return await self._send(node, action_type, goal)
+
+    def _say_waiting(self) -> None:
+        if self._request.view != "json":
+            say(WAITING)
 
     def _read_goal(self, action_type: type[Action]) -> Message:
         text = self._request.text
@@ -221,6 +241,8 @@ class GoalSender:
                     )
                 if request.timeout == 0:
                     raise ServerUnavailable(self._name, "no server is in reach", hint=why)
+            if self._unknown is not None:  # a world of this process has no other types
+                raise self._unknown
             self._is_embedded = True
             node = await stack.enter_async_context(embedded_world(request.speed, request.seed))
             self._printer.note(graph.world_started(why))
@@ -264,7 +286,7 @@ class GoalSender:
                 raise
             return None
 
-    def _find_action(self, node: Node) -> type[Action]:
+    async def _find_action(self, node: Node) -> type[Action]:
         """Return the class of the action.
 
         Raises:
@@ -275,7 +297,7 @@ class GoalSender:
         """
         actions = node.graph().actions
         if self._name in actions:
-            return _find_class(node, self._name, self._request.type_name)
+            return await _find_class(node, self._name, self._request)
         if self._request.reach is None:
             raise graph.not_in_world(self._name, actions)
         where = "in the embedded world" if self._is_embedded else "in reach"
@@ -505,7 +527,7 @@ async def _find_served(node: Node, name: str | None = None) -> bool:
     return await find_server(node.transport, found) is not None
 
 
-def _find_class(node: Node, name: str, type_name: str | None) -> type[Action]:
+async def _find_class(node: Node, name: str, request: GoalRequest) -> type[Action]:
     """Return the class of a served action.
 
     If the user typed no type and the action has several types, the first type is used.
@@ -514,12 +536,12 @@ def _find_class(node: Node, name: str, type_name: str | None) -> type[Action]:
         ServerUnavailable: if nobody serves the action with that type. The message names the
             action's types.
         UnknownInterface: if the type that the user typed is unknown.
-        TurtleactError: if the type on the graph is unknown in this process.
+        TurtleactError: if the type on the graph is unknown in this process, and cannot be learned.
     """
     types = node.graph().actions[name]
-    if type_name is None:
-        return graph.interface_class(Action, types[0], f"action '{name}'")
-    found = graph.interface_class(Action, type_name)
+    found = await graph.chosen_class(
+        node, "action", Action, name, request.type_name, request.timeout
+    )
     if found.type_name not in types:
         raise ServerUnavailable(
             name, f"it is served as {' and '.join(types)}, not as {found.type_name}"

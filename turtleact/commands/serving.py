@@ -512,7 +512,7 @@ async def _open_graph(
         opened: A list to which this function appends the graph and a text with its endpoints.
         clock: The clock of the graph.
     """
-    connect, domain, _ = service.reach
+    connect, domain = service.reach.connect, service.reach.domain
     opening = partial(open_zenoh, domain=domain, config=service.config, clock=clock)
     async with AsyncExitStack() as stack:
         if service.listen or connect:

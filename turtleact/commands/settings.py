@@ -62,11 +62,13 @@ class Reach(NamedTuple):
             machine.
         domain: The ROS domain of the graph, 0 to 232.
         config: The file with certificates and passwords, if there is one.
+        learns: Whether nodes are asked to describe types that are not known here.
     """
 
     connect: tuple[str, ...]
     domain: int
     config: str | None = None
+    learns: bool = True
 
     @classmethod
     def of(cls, connect: str | None, domain: int, config: str | None) -> Reach:

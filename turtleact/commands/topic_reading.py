@@ -96,7 +96,7 @@ async def echo(node: Node, order: Order) -> int:
             an exception.
     """
     name = resolve_name(order.name)
-    message_type = chosen_class(node, "topic", Message, name, order.type_name)
+    message_type = await chosen_class(node, "topic", Message, name, order.type_name)
     _check_type(node, name, message_type)
     _check_path(message_type, order.path)
     qos = order.policies.qos(durability=_durability(node, name), depth=ECHO_DEPTH)
@@ -368,7 +368,7 @@ async def measure(node: Node, name: str, meter: Meter) -> int:
     """
     full_name = resolve_name(name)
     await _wait_for_topic(node, full_name)
-    message_type = chosen_class(node, "topic", Message, full_name, None)
+    message_type = await chosen_class(node, "topic", Message, full_name, None)
     say_names(meter.begin(full_name, message_type))
     async with anyio.create_task_group() as beside:
         beside.start_soon(note_absence, node, full_name)

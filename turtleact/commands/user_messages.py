@@ -74,7 +74,7 @@ async def publish(node: Node, order: Order) -> int:
         InvalidMessage: if the message does not fit the type.
     """
     name = resolve_name(order.name)
-    message_type = chosen_class(node, "topic", Message, name, order.type_name)
+    message_type = await chosen_class(node, "topic", Message, name, order.type_name)
     text, source = order.text
     tree = tree_of(Document(text, "message", source, allow_nonfinite=True))
 
@@ -172,7 +172,7 @@ async def call(
         ServiceError: if the service's handler fails.
     """
     full_name = resolve_name(name)
-    service_type = chosen_class(node, "service", Service, full_name, type_name)
+    service_type = await chosen_class(node, "service", Service, full_name, type_name)
     request = from_text(
         service_type.Request, text.text, root="request", source=text.source, allow_nonfinite=True
     )

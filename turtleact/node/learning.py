@@ -174,7 +174,7 @@ async def learn_interface(
     """
     check_timeout(timeout)
     full_name = resolve_name(name, node.namespace, node.name)
-    deadline = None if timeout is None else anyio.current_time() + timeout
+    deadline = deadline_of(timeout)
     found: dict[Use, list[str]] = {}
     with anyio.move_on_after(timeout):
         while not (found := uses_of(node.transport, full_name, kind)):
@@ -182,17 +182,33 @@ async def learn_interface(
     if not found:
         what = kind or "action, service or topic"
         raise TurtleactError(f"the graph has no {what} '{full_name}'")
-    if len(found) > 1:
-        listed = "; ".join(sorted(f"{use}, used by {ends[0]}" for use, ends in found.items()))
-        raise TurtleactError(f"'{full_name}' has several types: {listed}")
-    [(use, nodes)] = found.items()
-    return await node.learner.learn(use, nodes, deadline)
+    return await node.learner.learn(*_only(full_name, found), deadline)
+
+
+def deadline_of(timeout: float | None) -> float | None:
+    """Return the event loop time at which a timeout ends."""
+    return None if timeout is None else anyio.current_time() + timeout
+
+
+def _only(name: str, uses: dict[Use, list[str]]) -> tuple[Use, list[str]]:
+    """Return the only type of a name, with its nodes."""
+    if len(uses) > 1:
+        listed = "; ".join(sorted(f"{use}, used by {ends[0]}" for use, ends in uses.items()))
+        raise TurtleactError(f"'{name}' has several types: {listed}")
+    return next(iter(uses.items()))
+
+
+def _is_name_of(given: str, type_name: str) -> bool:
+    """Whether a user who typed this name means this type: the middle part may be left out."""
+    package, _, name = type_name.split("/") if type_name.count("/") == 2 else ("", "", type_name)
+    return given in (type_name, f"{package}/{name}")
 
 
 class Learner:
     """Learns types for one node; see `Node.learner`.
 
     Attributes:
+        is_on: Whether nodes are asked. If not, only the types that are known here are used.
         note: Called with each line that the user should read, once.
     """
 
@@ -200,7 +216,39 @@ class Learner:
         self._node = node
         self._noted: set[str] = set()
         self._locks = defaultdict[str, anyio.Lock](anyio.Lock)
+        self.is_on = True
         self.note: Callable[[str], object] = logger.warning
+
+    async def learn_used(
+        self, name: str, kind: Kind, type_name: str, timeout: float | None = None
+    ) -> Interface | None:
+        """Return the class of a type that a name has on the graph; None if it has no such type.
+
+        None also means that the type has several definitions there, and one here.
+
+        Args:
+            name: The full name of an action, a service or a topic.
+            kind: Which of the three.
+            type_name: The type: its full name, or ``package/Name``.
+            timeout: How long to ask again nodes that do not answer (s, event loop time); None to
+                ask each node once.
+
+        Raises:
+            NotLearned: if no node describes the type, or a description cannot be used.
+            TurtleactError: if the type has several definitions, all unknown here.
+        """
+        own = self._node.fully_qualified_name
+        found = uses_of(self._node.transport, name, kind, but=own)
+        fitting = {
+            use: nodes for use, nodes in found.items() if _is_name_of(type_name, use.type_name)
+        }
+        known = [known_class(use, nodes) for use, nodes in fitting.items()]
+        for each in known:
+            if each is not None:
+                return each
+        if not fitting or (len(fitting) > 1 and _is_known(type_name)):
+            return None
+        return await self.learn(*_only(name, fitting), deadline_of(timeout))
 
     async def learn(self, use: Use, nodes: list[str], deadline: float | None = None) -> Interface:
         """Return the class of a type: from this process, from the cache, or from a node.
@@ -331,11 +379,8 @@ class Learner:
 
     def _note_difference(self, use: Use, holder: str) -> None:
         """Tell the user that the definition that is known here is not used."""
-        try:
-            get_interface(use.type_name)
-        except TurtleactError:
-            return
-        self._tell(f"node {holder} defines {use.type_name} differently; its definition is used")
+        if _is_known(use.type_name):
+            self._tell(f"node {holder} defines {use.type_name} differently; its definition is used")
 
     def _tell(self, line: str) -> None:
         if line not in self._noted:
@@ -356,6 +401,15 @@ def known_class(use: Use, nodes: Iterable[str] = ()) -> Interface | None:
     except UnknownInterface:
         return None
     return found if use.is_of(found) else None
+
+
+def _is_known(type_name: str) -> bool:
+    """Whether this process has a definition of a type, perhaps another one than the graph."""
+    try:
+        get_interface(type_name)
+    except TurtleactError:
+        return False
+    return True
 
 
 def _remembered(known: Known) -> Interface:

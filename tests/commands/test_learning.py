@@ -1,0 +1,99 @@
+"""Verbs that talk to a robot none of whose interfaces is known here."""
+
+from __future__ import annotations
+
+import socket
+
+import pytest
+
+from ..robots import write_package
+
+ROBOT = """
+import anyio
+import turtleact
+from turtleact.interfaces import load_interfaces
+
+load_interfaces("{package}")
+Dig = turtleact.get_action("robot_msgs/action/Dig")
+Battery = turtleact.get_message("robot_msgs/msg/Battery")
+Grip = turtleact.get_service("robot_msgs/srv/Grip")
+
+
+@turtleact.action(Dig, "dig")
+async def dig(goal):
+    yield Dig.Feedback(so_far=goal.speed)
+    yield Dig.Result(dug=int(goal.depth))
+
+
+@turtleact.background
+async def live(node):
+    node.service(Grip, "grip", lambda request: Grip.Response(held=request.force > 1))
+    battery = node.publisher(Battery, "battery")
+    while True:
+        battery.publish(Battery(charge=0.5))
+        await anyio.sleep(0.05)
+"""
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """The address of a robot in a process of its own."""
+    from .conftest import Program
+
+    folder = tmp_path_factory.mktemp("robot")
+    script = folder / "robot.py"
+    script.write_text(ROBOT.format(package=write_package(folder)))
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{found.getsockname()[1]}"
+    serve = ("serve", str(script), "--no-sim", "--listen", address, "--node-name", "digger")
+    program = Program(*serve, module=True)
+    program.wait_for("/dig")
+    yield address
+    program.process.kill()
+    program.process.communicate()
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "turtleact" / "types"
+
+
+@pytest.fixture
+def at_robot(start, robot):
+    """Runs a verb in a process of its own, for what it learns ends with the process."""
+    return lambda *line: start(*line, "--connect", robot, module=True).end()
+
+
+def test_a_goal_is_sent_by_the_name_of_the_action_alone(at_robot):
+    ran = at_robot("send-goal", "/dig", "{depth: 3, speed: 2}", "--feedback", "--plain")
+    assert (ran.status, ran.err) == (0, "")
+    assert "so_far: 2" in ran.out
+    assert "dug: 3" in ran.out
+
+
+def test_a_goal_is_sent_by_a_type_name_that_is_not_known_here(at_robot):
+    ran = at_robot("send-goal", "/dig", "robot_msgs/action/Dig", "{depth: 3}", "--plain")
+    assert (ran.status, ran.err) == (0, "")
+    assert ran.out.startswith("Waiting for an action server")
+
+
+def test_a_misspelt_field_of_a_learned_type_is_suggested(at_robot):
+    ran = at_robot("send-goal", "/dig", "{deph: 3}")
+    assert "unknown field 'deph', did you mean 'depth'?" in ran.err
+
+
+def test_a_service_is_called_and_a_topic_is_shown(at_robot):
+    assert "held=True" in at_robot("service", "call", "/grip", "{force: 2}").out
+    assert at_robot("topic", "echo", "/battery", "--once").out == "charge: 0.5\n---\n"
+
+
+@pytest.mark.parametrize(
+    "line", [["send-goal", "/dig", "{}"], ["topic", "echo", "/battery"]], ids=" ".join
+)
+def test_no_node_is_asked_with_no_learn(at_robot, cache, line):
+    ran = at_robot(*line, "--no-learn")
+    assert (ran.status, "is not known here: source the ROS workspace" in ran.err) == (1, True)
+    assert not cache.exists()
