@@ -26,7 +26,13 @@ from turtleact.interfaces.definition import (
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.types import REGISTRY, Action, Message, Service
 from turtleact.names import action_names, resolve_name, validate_name, validate_node_name
-from turtleact.transports.rmw_zenoh.attachment import gid_in, read_attachment, write_attachment
+from turtleact.transports.rmw_zenoh.attachment import (
+    decode_error,
+    encode_error,
+    gid_in,
+    read_attachment,
+    write_attachment,
+)
 from turtleact.transports.rmw_zenoh.keys import (
     data_key,
     endpoint_token,
@@ -34,7 +40,6 @@ from turtleact.transports.rmw_zenoh.keys import (
     node_token,
     parse_token,
 )
-from turtleact.transports.rmw_zenoh.service_errors import decode_error, encode_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -265,7 +265,6 @@ class Bare:
             replied=lambda *reply: self.replies.append(reply),
             failed=lambda *error: self.errors.append(error),
             ended=ended.set,
-            is_cancelable=False,
         )
         assert ended.wait(10)
 

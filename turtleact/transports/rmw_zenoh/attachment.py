@@ -1,4 +1,6 @@
-"""Encodes and decodes attachments, which hold a message's sender, time and sequence number.
+"""Encodes and decodes what travels beside the messages: attachments, and errors of services.
+
+An attachment holds a message's sender, time and sequence number.
 
 ==  ====  =============================================================================
 at  size
@@ -13,6 +15,9 @@ at  size
 A reply carries the sequence number and gid of its request. rmw_zenoh reads only the first 33 bytes
 of an attachment, so it ignores the note that turtleact appends.
 
+The error of a service is a text and a kind, which names the exception's class. Servers encode
+errors and clients decode them. Zenoh itself sends an error if a call takes too long.
+
 Source: rmw_zenoh_cpp ``detail/attachment_helpers.cpp``, Jazzy from 0.2.4 to Rolling.
 """
 
@@ -20,19 +25,28 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
+from time import time_ns
 
 import msgspec
 
-from turtleact.errors import InvalidMessage
+from turtleact.errors import (
+    InvalidMessage,
+    ServerUnavailable,
+    ServiceError,
+    ServiceTimeout,
+    TurtleactError,
+)
+from turtleact.summaries import shortened, summary
+from turtleact.transports.rmw_zenoh.config import PATIENCE
 
 __all__ = [
-    "GID_SIZE",
-    "LAYOUT",
     "Attachment",
+    "Attachments",
     "count_in",
+    "decode_error",
+    "encode_error",
     "gid_in",
     "note_in",
-    "note_tail",
     "read_attachment",
     "write_attachment",
 ]
@@ -68,16 +82,31 @@ class Attachment(msgspec.Struct, frozen=True):
     note: str = ""
 
 
+class Attachments:
+    """Makes the attachments of one endpoint's messages, with sequence numbers and times.
+
+    Args:
+        gid: The gid of the endpoint.
+    """
+
+    def __init__(self, gid: bytes) -> None:
+        self._gid = gid
+        self._sequence = 0
+
+    def next(self, note: str = "") -> bytes:
+        """Return the attachment of the next message."""
+        self._sequence += 1
+        return write_attachment(self._sequence, time_ns(), self._gid, note)
+
+
 def write_attachment(sequence: int, stamp: int, gid: bytes, note: str = "") -> bytes:
     """Encode an attachment. A note longer than 4,096 bytes is cut to that size."""
-    return LAYOUT.pack(sequence, stamp, GID_SIZE, gid) + note_tail(note)
+    data = LAYOUT.pack(sequence, stamp, GID_SIZE, gid)
+    return data + _note_tail(note) if note else data
 
 
 @lru_cache(maxsize=4)  # almost all replies of a server have the same note
-def note_tail(note: str) -> bytes:
-    """Encode a note, which the caller appends to an attachment that has no note yet."""
-    if not note:
-        return b""
+def _note_tail(note: str) -> bytes:
     tail = note.encode(errors="backslashreplace")  # a note must never make its message fail
     if len(tail) > LONGEST_NOTE:
         tail = tail[:LONGEST_NOTE].decode(errors="ignore").encode()
@@ -120,3 +149,33 @@ def count_in(data: bytes) -> int:
 
 def _invalid(problem: str) -> InvalidMessage:
     return InvalidMessage("attachment", problem)
+
+
+def encode_error(error: TurtleactError) -> tuple[str, str]:
+    """Encode an error as the text and the kind from which `decode_error` restores the error."""
+    if isinstance(error, InvalidMessage):
+        return shortened(str(error)), "InvalidMessage"
+    if isinstance(error, ServerUnavailable):
+        return shortened(error.problem), "ServerUnavailable"
+    if isinstance(error, ServiceError):
+        return shortened(error.reason), "ServiceError"
+    return summary(error), "ServiceError"
+
+
+def decode_error(name: str, text: str, kind: str) -> TurtleactError:
+    """Restore an error of the service ``name`` from the text and the kind.
+
+    An error from a program other than turtleact becomes a `ServiceError` with the same text.
+
+    >>> text, kind = encode_error(ServiceError("/add", "too many: at most 3"))
+    >>> decode_error("/add", text, kind)
+    ServiceError('/add', 'too many: at most 3')
+    """
+    if kind == "InvalidMessage":
+        path, _, problem = text.partition(": ")
+        return InvalidMessage(path, problem)
+    if kind == "Timeout":
+        return ServiceTimeout(name, PATIENCE)
+    if kind == "ServerUnavailable":
+        return ServerUnavailable(name, text, kind="service")
+    return ServiceError(name, text)

@@ -11,7 +11,6 @@ import queue
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Coroutine
-from time import time_ns
 from typing import TYPE_CHECKING, TypeAlias
 
 import anyio
@@ -21,13 +20,11 @@ import msgspec
 from turtleact.tasks import GRACE, Background, Tasks
 from turtleact.transports.base import Closeable, Endpoint
 from turtleact.transports.memory import MemoryTransport
-from turtleact.transports.rmw_zenoh.attachment import GID_SIZE, LAYOUT
 
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Session
 
 __all__ = [
-    "Attachments",
     "Context",
     "Crew",
     "Declaration",
@@ -198,24 +195,6 @@ class Crew:
             await running
         finally:
             self.running.pop(number, None)
-
-
-class Attachments:
-    """Makes the attachments of one endpoint's messages, with sequence numbers and times.
-
-    Args:
-        gid: The gid of the endpoint.
-    """
-
-    def __init__(self, gid: bytes) -> None:
-        self._gid = gid
-        self._sequence = 0
-
-    def next(self) -> bytes:
-        """Return the attachment of the next message."""
-        self._sequence += 1
-        # The same as `write_attachment`, inlined because this runs for each message.
-        return LAYOUT.pack(self._sequence, time_ns(), GID_SIZE, self._gid)
 
 
 class Declaration:

@@ -28,9 +28,13 @@ from turtleact.transports.base import (
     Target,
     why_not_served,
 )
-from turtleact.transports.rmw_zenoh.attachment import note_in, note_tail, read_attachment
-from turtleact.transports.rmw_zenoh.context import Attachments, Context, Declaration, Named
-from turtleact.transports.rmw_zenoh.service_errors import decode_error
+from turtleact.transports.rmw_zenoh.attachment import (
+    Attachments,
+    decode_error,
+    note_in,
+    read_attachment,
+)
+from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named
 
 if TYPE_CHECKING:
     from turtleact.tasks import Signal
@@ -108,7 +112,7 @@ class WireCaller:
         if not self.is_matching or not self._context.is_open:
             name, problem = self._endpoint.name, self.why_not_served()
             raise ServerUnavailable(name, problem, kind="service")
-        return await self._send(payload, note, is_cancelable=True).reply()
+        return await self._send(payload, note).reply()
 
     def ask(
         self,
@@ -121,8 +125,7 @@ class WireCaller:
         if not can_send or self._near.is_served:
             return None
         payload = self._format.encode(request)
-        ends = None if on_end is None else [on_end]
-        return self._send(payload, note, is_cancelable=False, on_end=ends)
+        return self._send(payload, note, None if on_end is None else [on_end])
 
     def close(self) -> None:
         """Send no more requests, and leave the graph once the calls under way are over.
@@ -165,14 +168,10 @@ class WireCaller:
         self,
         payload: bytes,
         note: str,
-        *,
-        is_cancelable: bool,
         on_end: list[Callable[[PendingCall], object]] | None = None,
     ) -> WireCall:
-        attachment = self._attachments.next()
-        if note:
-            attachment += note_tail(note)
-        call = WireCall(self._context, payload, attachment, self, is_cancelable, on_end)
+        attachment = self._attachments.next(note)
+        call = WireCall(self._context, payload, attachment, self, on_end)
         self._calls.add(call)
         if self._observer is not None:  # before sending: another thread may tell of the response
             self._observer.requested(payload, self._endpoint.gid, call.sequence)
@@ -283,8 +282,6 @@ class WireCall(msgspec.Struct, eq=False):
         payload: The encoded request.
         attachment: The request's attachment.
         caller: The client that makes the call.
-        is_cancelable: Whether `drop` also cancels the query in Zenoh. If False, the query of a
-            dropped call ends when the query is answered or times out, or when the client is closed.
         on_end: A list with one function, which is called in any thread when the call is over; None
             if there is no function to call. The function is removed from the list before it is
             called, because two threads may notice the end of the call at the same moment.
@@ -298,7 +295,6 @@ class WireCall(msgspec.Struct, eq=False):
     payload: bytes
     attachment: bytes
     caller: WireCaller
-    is_cancelable: bool
     on_end: list[Callable[[PendingCall], object]] | None = None
     answer: tuple[bytes, bytes] | None = None
     error: tuple[str, str] | None = None
@@ -306,7 +302,6 @@ class WireCall(msgspec.Struct, eq=False):
     is_observed: bool = False
     _is_wanted: bool = True
     _changed: Signal | None = None  # created when somebody waits
-    _give_up: Callable[[], None] | None = None
 
     @property
     def sequence(self) -> int:
@@ -335,11 +330,12 @@ class WireCall(msgspec.Struct, eq=False):
         return self.caller.finish(self)
 
     def drop(self) -> None:
-        """Stop waiting for the reply; see `turtleact.transports.base.PendingCall`."""
+        """Stop waiting for the reply; see `turtleact.transports.base.PendingCall`.
+
+        Zenoh's query goes on until it is answered or times out, or until the client is closed.
+        """
         if self._is_wanted:
             self._is_wanted = False
-            if self.is_cancelable and not self.is_over:
-                self.context.send_queue.post(self._cancel)
             self.caller.forget(self)
 
     async def end_soon(self) -> None:
@@ -389,21 +385,16 @@ class WireCall(msgspec.Struct, eq=False):
             self._ended()
             return
         try:
-            self._give_up = querier.get(
+            querier.get(
                 self.payload,
                 self.attachment,
                 replied=self.replied,
                 failed=self._failed,
                 ended=self._ended,
-                is_cancelable=self.is_cancelable,
             )
         except TurtleactError:
             self._ended()
             raise
-
-    def _cancel(self) -> None:
-        if self._give_up is not None:
-            self._give_up()
 
     # called in a thread of the session
 

@@ -27,14 +27,12 @@ from turtleact.transports.base import (
     ServiceHandler,
 )
 from turtleact.transports.rmw_zenoh.attachment import (
-    GID_SIZE,
-    LAYOUT,
+    encode_error,
     gid_in,
-    note_tail,
     read_attachment,
+    write_attachment,
 )
 from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named
-from turtleact.transports.rmw_zenoh.service_errors import encode_error
 
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Query
@@ -207,8 +205,7 @@ class _Request(msgspec.Struct, eq=False):
         if service.under_way.pop(self.key, None) is None:
             return
         gid, sequence = self.key
-        # The same as `write_attachment`, inlined because this runs for each reply.
-        attachment = LAYOUT.pack(sequence, time_ns(), GID_SIZE, gid) + note_tail(reply.note)
+        attachment = write_attachment(sequence, time_ns(), gid, reply.note)
         service.context.send_queue.post(partial(self.query.reply, payload, attachment))
         observer = self.offer.handler.observer
         if observer is not None:

@@ -410,9 +410,8 @@ class Querier:
         replied: Take,
         failed: Callable[[str, str], object],
         ended: Callable[[], object],
-        is_cancelable: bool,
-    ) -> Callable[[], None] | None:
-        """Send a request. A call with ``is_cancelable=False`` takes a fifth less time.
+    ) -> None:
+        """Send a request. Only undeclaring the querier cancels it.
 
         Args:
             payload: The encoded request.
@@ -420,11 +419,6 @@ class Querier:
             replied: Called with the payload and attachment of each reply.
             failed: Called with the text and kind of each error.
             ended: Called once, after all replies and errors.
-            is_cancelable: Whether to return a function that cancels the request. If False, only
-                undeclaring the querier cancels the request.
-
-        Returns:
-            A function that cancels the request; None if ``is_cancelable`` is False.
         """
 
         def take(reply: zenoh.Reply) -> None:  # like `_direct`, but without an extra call
@@ -437,17 +431,12 @@ class Querier:
                 text = error.payload.to_bytes().decode(errors="replace")
                 failed(text, kind or (TIMEOUT if text == TIMEOUT else ""))
 
-        token = zenoh.CancellationToken() if is_cancelable else None
         try:
             self._querier.get(
-                Callback(take, ended, indirect=False),
-                payload=payload,
-                attachment=attachment,
-                cancellation_token=token,
+                Callback(take, ended, indirect=False), payload=payload, attachment=attachment
             )
         except zenoh.ZError as error:
             raise _error("send a request", error) from error
-        return None if token is None else token.cancel
 
     @property
     def is_matching(self) -> bool:

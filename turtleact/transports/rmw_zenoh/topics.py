@@ -20,8 +20,8 @@ import anyio
 
 from turtleact.errors import InvalidMessage
 from turtleact.transports.base import Deliver, Format, Publication, QoS, Source
-from turtleact.transports.rmw_zenoh.attachment import count_in, gid_in
-from turtleact.transports.rmw_zenoh.context import Attachments, Context, Declaration, Named, Opened
+from turtleact.transports.rmw_zenoh.attachment import Attachments, count_in, gid_in
+from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named, Opened
 
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Publisher
