@@ -115,10 +115,6 @@ def test_an_action_has_five_endpoints():
     )
 
 
-def test_an_action_keeps_its_own_name():
-    assert action_names("/sim/go_to").name == "/sim/go_to"
-
-
 @pytest.mark.parametrize("name", ["fibonacci", "~/fibonacci"])
 def test_an_action_is_named_absolutely(name):
     with pytest.raises(InvalidName, match="an absolute name begins with a slash"):

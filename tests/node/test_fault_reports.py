@@ -9,7 +9,6 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import anyio
 import pytest
 
 import turtleact
@@ -24,7 +23,7 @@ from turtleact.goals.fault_reports import (
 )
 from turtleact.interfaces.standard.diagnostic_msgs.msg import DiagnosticArray
 from turtleact.recording import record
-from turtleact.testing import FaultyTransport, run
+from turtleact.testing import FaultyTransport
 from turtleact.transports import MemoryTransport, QoS, open_zenoh
 from turtleact.transports.rmw_zenoh import topics
 
@@ -130,53 +129,6 @@ async def test_another_problem_of_the_file_is_reported_until_it_has_gone(monkeyp
             assert told(await anext(reader)) == [(f"journal {tmp_path}", problem)]
             problems[0] = ""
             assert told(await anext(reader)) == []
-
-
-async def test_a_disk_that_does_not_answer_is_reported_and_keeps_nobody_waiting(
-    monkeypatch, tmp_path
-):
-    mended = threading.Event()
-
-    def hang(_: object) -> Usage:
-        mended.wait()
-        return Usage(10**12, 0, 10**12)
-
-    for name in ("LOOK_EVERY", "SILENT_AFTER"):
-        monkeypatch.setattr(fault_reports, name, 0.0)
-    monkeypatch.setattr(shutil, "disk_usage", hang)
-    async with turtleact.open_node("lab") as node:
-        reader = node.subscription(DiagnosticArray, TOPIC, LATCHED)
-        async with watching_disk(node.transport, "/lab", tmp_path, "recording"):
-            problem = f"the disk of the recording {tmp_path} does not answer"
-            assert told(await anext(reader)) == [(f"disk {tmp_path}", problem)]
-            mended.set()
-            assert told(await anext(reader)) == []
-            mended.clear()
-            assert told(await anext(reader)) == [(f"disk {tmp_path}", problem)]
-    assert all(each.daemon for each in threading.enumerate() if str(tmp_path) in each.name)
-    mended.set()
-
-
-@pytest.mark.parametrize("backend", ["asyncio", "trio"])
-def test_virtual_time_makes_no_disk_look_silent(backend, monkeypatch, tmp_path):
-    asked = threading.Event()
-    reported = list[object]()
-
-    def slow(_: object) -> Usage:
-        asked.wait(0.05)
-        return Usage(10**12, 0, 10**12)
-
-    monkeypatch.setattr(shutil, "disk_usage", slow)
-
-    async def main() -> None:
-        async with turtleact.open_node("lab") as node:
-            reader = node.subscription(DiagnosticArray, TOPIC, LATCHED)
-            async with watching_disk(node.transport, "/lab", tmp_path, "journal"):
-                await anyio.sleep(60)
-            reported.extend(reader.drain())
-
-    run(main, backend=backend)
-    assert reported == []
 
 
 async def test_a_client_reports_feedback_that_has_not_arrived(monkeypatch):

@@ -14,14 +14,13 @@ import pytest
 
 import turtleact
 from turtleact import (
-    GoalCanceled,
     GoalRejected,
     GoalResponse,
     GoalStatus,
     open_world,
 )
 from turtleact.errors import InvalidOption, ServiceError, TurtleactError
-from turtleact.goals.introspection import EVENT_QOS, ServiceEvents
+from turtleact.goals.introspection import EVENT_QOS
 from turtleact.interfaces import implied
 from turtleact.interfaces.classes import event_message
 from turtleact.interfaces.standard import CancelGoal, ServiceEventInfo, Time
@@ -31,7 +30,7 @@ from turtleact.node import Node
 from turtleact.node.topics import Subscription
 from turtleact.transports import MemoryTransport, open_zenoh
 
-from ..lab import Count, Gate, HandClock, count, goal, result, running, settle
+from ..lab import Count, HandClock, count, goal, result, running
 
 IMPLIED = implied(Count)
 SERVICES: dict[str, Any] = {
@@ -188,18 +187,6 @@ async def test_closing_the_ends_takes_their_topics_along():
         assert not node.transport.endpoints()
 
 
-async def test_a_goal_in_the_same_process_is_canceled_through_its_events():
-    gate = Gate()
-    async with lab_shown("contents", execute=gate.wait) as (log, client):
-        async with client.send_goal(goal(1)) as handle:
-            await gate.started.wait()
-            await handle.cancel()
-            with pytest.raises(GoalCanceled):
-                await handle.result()
-        (response,) = log.events("cancel_goal")[-1].response
-        assert [each.goal_id.uuid for each in response.goals_canceling] == [handle.goal_id]
-
-
 @asynccontextmanager
 async def lab_shown(
     mode: Any, *, client: Any = None, execute: Any = count, **options: Any
@@ -303,20 +290,6 @@ async def test_a_topic_of_events_can_be_seen_before_anybody_reads_it(address):
         assert (seen.qos.reliability, seen.qos.durability) == ("reliable", "volatile")
 
 
-async def test_a_server_that_closes_sends_the_events_that_wait(address):
-    async with apart(address) as (far, near):
-        server = far.service(SetBool, "flip", flip, introspection="contents")
-        client = near.service_client(SetBool, "flip")
-        reader = near.subscription(event_message(SetBool), event_topic("/flip"))
-        await client.wait_for_service()
-        while not reader.drain():  # until the server knows its reader
-            await client.call(SetBool.Request(data=False))
-        await client.call(SetBool.Request(data=True))
-        await server.aclose()
-        while cast("Any", await anext(reader)).response != [SetBool.Response()]:
-            pass
-
-
 @asynccontextmanager
 async def together(_: str) -> AsyncIterator[tuple[Node, Node]]:
     """The same node twice."""
@@ -347,44 +320,6 @@ async def test_a_call_under_way_when_its_client_closes_is_published_to_its_end(a
             gate.set()
         assert [kind_of(each) for each in reader.drain()] == ["REQUEST_SENT", "RESPONSE_RECEIVED"]
         assert not near.count_publishers(event_topic("/flip"))
-
-
-class Far:
-    """A publication whose only reader is in another process."""
-
-    has_readers, has_near_readers = True, False
-
-    def __init__(self) -> None:
-        self.sent: list[bytes] = []
-
-    def send(self, data: bytes) -> None:
-        self.sent.append(data)
-
-    def close(self) -> None:
-        """Nothing is left to do."""
-
-
-@asynccontextmanager
-async def events_for_others(monkeypatch) -> AsyncIterator[tuple[ServiceEvents, Far]]:
-    """The events of a service, and what is sent to other processes."""
-    monkeypatch.setattr("turtleact.goals.introspection.GATHER", 0.0)
-    far = Far()
-    async with turtleact.open_node("lab") as node:
-        monkeypatch.setattr(node.transport, "advertise", lambda *_: far)
-        server = node.service(SetBool, "flip", flip, introspection="metadata")
-        yield cast("Any", node.transport.local("/flip", SetBool.type_name)).observer, far
-        await server.aclose()
-
-
-async def test_what_happens_after_a_service_was_closed_is_not_published(monkeypatch):
-    async with events_for_others(monkeypatch) as (events, far):
-        events.requested(b"", bytes(16), 1)
-        events.close()
-        await settle()
-        events.responded(b"", bytes(16), 1)
-        await anyio.sleep(0)
-        await settle()
-        assert len(far.sent) == 1
 
 
 def complete(events: list[Any]) -> set[tuple[bytes, int]]:

@@ -42,7 +42,6 @@ from ..lab import (
     result,
     running,
     settle,
-    take_turns,
 )
 
 SHUTDOWN = Outcome(GoalStatus.ABORTED, result(), "shutdown")
@@ -111,11 +110,6 @@ async def test_the_full_name_is_the_namespace_and_the_name(namespace, full_name)
         assert node.graph().nodes == (full_name,)
 
 
-async def test_a_node_is_in_the_root_namespace_unless_something_is_said():
-    async with turtleact.open_node("lab") as node:
-        assert node.namespace == "/"
-
-
 @pytest.mark.parametrize("name", ["", "1lab", "the/lab", "/lab", "~lab", "the lab", "lab-1"])
 async def test_what_is_no_name_of_a_node_is_refused(name):
     transport = MemoryTransport()
@@ -141,15 +135,9 @@ async def test_a_name_is_put_below_the_namespace(open_it, name, full_name):
     async with turtleact.open_node("lab", namespace="/sim") as node:
         opened = open_it(node, name)
         assert (opened.topic if hasattr(opened, "topic") else opened.name) == full_name
+        assert {endpoint.node for endpoint in node.transport.endpoints()} == {"/sim/lab"}
         names = {each.name.split("/_action/")[0] for each in node.transport.endpoints()}
         assert names - {f"{full_name}/pause", f"{full_name}/resume"} == {full_name}
-
-
-@EACH_OPENING
-async def test_an_endpoint_names_its_node(open_it):
-    async with turtleact.open_node("lab", namespace="/sim") as node:
-        open_it(node, "it")
-        assert {endpoint.node for endpoint in node.transport.endpoints()} == {"/sim/lab"}
 
 
 @EACH_OPENING
@@ -233,12 +221,6 @@ async def test_a_function_that_is_no_body_is_refused_and_nothing_opened():
         assert node.transport.endpoints() == ()
 
 
-async def test_an_action_is_served_to_another_node():
-    async with two_nodes() as (lab, user):
-        lab.action_server(Count, "count", count)
-        assert await user.action_client(Count, "count").send_goal(goal()) == result(0, 1, 2)
-
-
 async def test_nodes_that_share_no_transport_do_not_see_each_other():
     async with turtleact.open_node("lab") as lab, turtleact.open_node("user") as user:
         lab.action_server(Count, "count", count)
@@ -283,17 +265,6 @@ async def test_a_node_of_the_same_name_in_the_same_process_is_refused():
         one.action_server(Count, "count", count)
         with pytest.raises(ActionConflict, match="served by node /lab already"):
             other.action_server(Count, "count", seven)
-
-
-async def test_one_that_waits_serves_once_the_first_has_gone():
-    async with two_nodes() as (lab, user):
-        first = lab.action_server(Count, "count", count)
-        user.action_server(Count, "count", seven, on_conflict="wait")
-        client = user.action_client(Count, "count")
-        assert await client.send_goal(goal()) == result(0, 1, 2)
-        await first.aclose()
-        assert await client.wait_for_server(5)
-        assert await client.send_goal(goal()) == result(7)
 
 
 async def test_one_that_waits_can_be_waited_for(caplog):
@@ -594,28 +565,6 @@ async def test_leaving_ends_readers_and_callers_that_wait():
             assert isinstance(calling.error, ServerUnavailable)
 
 
-async def test_leaving_waits_for_the_clean_up_of_bodies():
-    log: list[str] = []
-
-    async def body(request):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await take_turns()
-            log.append("cleaned up")
-
-    async with two_nodes() as (lab, user):
-        lab.action_server(Count, "count", body)
-        async with user.action_client(Count, "count").send_goal(goal()):
-            await settle()
-            with anyio.CancelScope() as scope:
-                scope.cancel()
-                await lab.aclose()
-                log.append("closed")
-            assert log == ["cleaned up", "closed"]
-
-
 async def test_a_body_still_has_its_topics_services_and_clients_for_its_clean_up():
     log: list[object] = []
 
@@ -843,28 +792,6 @@ async def test_a_goal_cannot_be_sent_to_an_action_of_a_closed_node():
         with pytest.raises(ServerUnavailable, match="no server answers"):
             await client.send_goal(goal())
         assert not await client.wait_for_server(timeout=0)
-
-
-async def test_a_client_finds_an_action_of_a_node_that_is_opened_again():
-    async with two_nodes() as (lab, user):
-        client = user.action_client(Count, "count")
-        await lab.aclose()
-        async with (
-            running(client.wait_for_server) as waiting,
-            turtleact.open_node("lab", transport=user.transport) as again,
-        ):
-            again.action_server(Count, "count", count)
-            await waiting.done.wait()
-            assert await client.send_goal(goal()) == result(0, 1, 2)
-
-
-async def test_the_result_of_a_goal_outlives_the_node():
-    async with two_nodes() as (lab, user):
-        lab.action_server(Count, "count", count)
-        async with user.action_client(Count, "count").send_goal(goal()) as handle:
-            await handle.result()
-            await lab.aclose()
-            assert await handle.result() == result(0, 1, 2)
 
 
 async def test_a_built_in_does_not_wait_for_a_goal_that_was_canceled_in_the_queue():

@@ -221,24 +221,10 @@ async def test_an_assignment_is_seen_by_all():
     assert event.changed_parameters == [Message("depth", integer(7))]
 
 
-async def test_an_assignment_that_is_refused_changes_nothing():
-    async with desk() as here:
-        with pytest.raises(InvalidParameter, match="it takes 0 to 9, not 10"):
-            here.depth.value = 10
-        assert (here.depth.value, here.changes) == (5, [])
-
-
 async def test_the_value_that_it_has_is_no_change():
     async with desk() as here:
         here.depth.value = 5
         assert here.changes == []
-
-
-async def test_a_list_is_a_copy():
-    async with open_node("lab") as node:
-        gains = node.parameter("gains", [1.0])
-        gains.value.append(2.0)
-        assert gains.value == [1.0]
 
 
 async def test_a_node_shows_no_parameters_before_the_first():
@@ -262,12 +248,6 @@ async def test_a_node_without_parameters_has_none_to_find():
             node.parameter("depth")
 
 
-async def test_a_name_is_declared_once():
-    async with desk() as here:
-        with pytest.raises(InvalidParameter, match="it is declared already"):
-            here.node.parameter("depth", 1)
-
-
 async def test_a_declaration_is_declared_once_on_each_node():
     depth = parameter("depth", 5)
     async with open_node("one") as one, open_node("two") as two:
@@ -280,11 +260,6 @@ async def test_another_declaration_of_the_name_is_refused():
     async with desk() as here:
         with pytest.raises(InvalidParameter, match="it is declared already"):
             here.node.parameter(parameter("depth", 5))
-
-
-async def test_a_parameter_shows_its_value():
-    async with desk() as here:
-        assert repr(here.depth) == "<Parameter 'depth': 5>"
 
 
 # --- validation -----------------------------------------------------------------------------

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import functools
-import gc
 import logging
 import math
-import weakref
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import aclosing, asynccontextmanager, closing
-from typing import Any, NamedTuple, assert_type
+from contextlib import aclosing, asynccontextmanager
+from typing import Any, NamedTuple
 
 import anyio
 import anyio.lowlevel
@@ -20,7 +18,6 @@ import pytest
 import turtleact
 from turtleact.errors import (
     InvalidMessage,
-    InvalidName,
     InvalidOption,
     ServerUnavailable,
     ServiceError,
@@ -197,42 +194,6 @@ async def test_a_call_gives_the_response_of_the_handler(handler):
         assert await served.client.call(numbers(2, 3)) == total(5)
 
 
-async def test_a_type_checker_knows_the_response():
-    async with desk() as served:
-        response = await served.client.call(Add.Request(numbers=[1]))
-        assert_type(response, Add.Response)
-
-
-async def test_a_client_may_be_on_another_node_of_the_transport():
-    transport = MemoryTransport()
-    async with desk(transport=transport), turtleact.open_node("b", transport=transport) as other:
-        assert await other.service_client(Add, "add").call(numbers(1, 1)) == total(2)
-
-
-async def test_each_of_several_callers_gets_its_own_response(gate):
-    async with (
-        desk(gate.wait) as served,
-        running(lambda: served.client.call(numbers(1))) as first,
-        running(lambda: served.client.call(numbers(2))) as second,
-    ):
-        gate.opened.set()
-        await first.done.wait()
-        await second.done.wait()
-        assert (first.value, second.value) == (total(1), total(2))
-
-
-async def test_a_handler_may_call_its_own_service():
-    async def handler(request: Add.Request) -> Add.Response:
-        if not request.numbers:
-            return total(0)
-        first, *others = request.numbers
-        return total(first + (await client.call(numbers(*others))).total)
-
-    async with desk(handler) as served:
-        client = served.client
-        assert await client.call(numbers(1, 2, 3)) == total(6)
-
-
 async def test_calls_that_never_wait_let_others_run():
     async with desk() as served:
         with anyio.CancelScope() as scope:
@@ -335,27 +296,6 @@ async def test_the_traceback_of_a_handler_is_logged(caplog):
     assert record.exc_info[0] is OSError
 
 
-async def test_a_huge_exception_of_a_handler_is_cut_in_the_log_and_in_the_answer(caplog):
-    def handler(request: Add.Request) -> Add.Response:
-        raise ValueError("x" * 1_000_000)
-
-    async with desk(handler) as served:
-        with pytest.raises(ServiceError) as caught:
-            await served.client.call(numbers())
-    assert len(caught.value.reason) < 11_000
-    assert len(caplog.text) < 30_000
-
-
-async def test_a_server_outlives_a_handler_that_fails():
-    def handler(request: Add.Request) -> Add.Response:
-        return add(request) if request.numbers else fail(request)
-
-    async with desk(handler) as served:
-        with pytest.raises(ServiceError):
-            await served.client.call(numbers())
-        assert await served.client.call(numbers(1)) == total(1)
-
-
 @pytest.mark.parametrize(
     ("answer", "reason"),
     [
@@ -370,17 +310,6 @@ async def test_what_is_no_valid_response_is_a_service_error_and_logged(answer, r
         with pytest.raises(ServiceError, match=f"^service '/add': no valid response: {reason}"):
             await served.client.call(numbers())
     assert "/add gave no valid response: response" in caplog.text
-
-
-async def test_an_invalid_message_of_the_handlers_own_is_its_failure():
-    async with desk() as inner:
-
-        async def handler(request: Add.Request) -> Add.Response:
-            return await inner.client.call(numbers("one"))
-
-        async with desk(handler) as served:
-            with pytest.raises(ServiceError, match=r"failed: InvalidMessage: request\.numbers"):
-                await served.client.call(numbers())
 
 
 @ON_ASYNCIO
@@ -429,49 +358,6 @@ def kinds(error: BaseException | None) -> set[type[BaseException]]:
     )
 
 
-def test_a_caller_hears_that_its_handler_has_stopped_the_program():
-    async def stop_the_program(request: Add.Request) -> Add.Response:
-        await asyncio.sleep(0)
-        raise SystemExit
-
-    async def main() -> None:
-        async with desk(stop_the_program) as served:
-            await served.client.call(numbers())
-
-    with closing(asyncio.new_event_loop()) as loop:
-        caller = loop.create_task(main())
-        with pytest.raises(SystemExit):
-            loop.run_until_complete(caller)
-        with pytest.raises(ServiceError, match="the program was stopped"):
-            loop.run_until_complete(caller)
-
-
-def test_a_handler_whose_loop_is_gone_is_closed_quietly(caplog):
-    log: list[object] = []
-
-    async def wait(request: Add.Request) -> Add.Response:
-        try:
-            await asyncio.sleep(60)
-        except BaseException as error:
-            log.append(type(error))
-            raise
-        return add(request)
-
-    async def main() -> None:
-        node = turtleact.Node("desk", "/", MemoryTransport())
-        node.service(Add, "add", wait)
-        server: Any = node.transport.local("/add", Add.type_name)
-        asyncio.get_running_loop().create_task(server.answer(numbers()))  # is lost
-        await settle()
-
-    with closing(asyncio.new_event_loop()) as loop:
-        loop.run_until_complete(main())
-    del loop
-    gc.collect()
-    assert log == [GeneratorExit]
-    assert {record.name for record in caplog.records} <= {"asyncio"}
-
-
 # --- nobody there ---------------------------------------------------------------------------
 
 
@@ -491,11 +377,6 @@ async def test_once_a_server_is_closed_the_next_one_is_called():
 
 
 # --- waiting for a service ------------------------------------------------------------------
-
-
-async def test_a_service_that_is_there_is_not_waited_for():
-    async with desk() as served:
-        assert await served.client.wait_for_service(timeout=0)
 
 
 async def test_a_service_is_waited_for_until_it_is_there():
@@ -593,12 +474,6 @@ async def test_a_handler_that_runs_into_a_timeout_is_canceled_and_waited_for():
         assert log == ["cleaned up at 3"]
 
 
-async def test_a_response_is_not_held_back_until_the_timeout():
-    async with virtual_desk(taking(1, [])) as (served, clock):
-        assert await served.client.call(numbers(4), timeout=2) == total(4)
-        assert clock.time() == 1
-
-
 # --- a caller that leaves -------------------------------------------------------------------
 
 
@@ -684,15 +559,6 @@ async def test_a_call_canceled_at_any_await_leaves_nothing_behind(turns, timeout
     assert await tasks_of_asyncio() == before
 
 
-async def test_a_call_canceled_before_it_is_sent_reaches_no_handler(gate):
-    async with desk(gate.wait) as served:
-        with anyio.CancelScope() as scope:
-            scope.cancel()
-            await served.client.call(numbers())
-        await settle()
-        assert gate.log == []
-
-
 @ON_ASYNCIO
 async def test_a_handler_canceled_before_its_first_step_is_not_called(gate):
     async with desk(gate.wait) as served:
@@ -718,39 +584,7 @@ async def test_a_handler_that_does_not_end_holds_its_caller_for_the_grace_only(g
         assert served.is_idle
 
 
-async def test_a_handler_that_fails_on_its_way_out_is_logged(caplog):
-    async def handler(request: Add.Request) -> Add.Response:
-        try:
-            await anyio.sleep_forever()
-        finally:
-            raise OSError("the abacus is broken")
-
-    async with desk(handler) as served, running(lambda: served.client.call(numbers())) as called:
-        called.scope.cancel()
-        await called.done.wait()
-    assert "the handler of service /add failed" in caplog.text
-
-
-@ON_ASYNCIO
-async def test_a_task_that_is_canceled_the_way_of_asyncio_cancels_its_handler(gate):
-    async with desk(gate.wait) as served:
-        task = asyncio.create_task(served.client.call(numbers()))
-        await settle()
-        task.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await task
-        assert gate.log == ["begun", "canceled"]
-
-
 # --- closing --------------------------------------------------------------------------------
-
-
-async def test_a_server_that_is_closed_answers_its_callers(gate):
-    async with desk(gate.wait) as served, running(lambda: served.client.call(numbers())) as called:
-        await served.server.aclose()
-        await called.done.wait()
-        assert isinstance(called.error, ServerUnavailable)
-        assert str(called.error) == "service '/add': the server was closed"
 
 
 async def test_closing_a_server_answers_its_callers_and_waits_for_its_handlers(gate):
@@ -778,17 +612,6 @@ async def test_closing_a_server_is_not_cut_short_by_a_cancellation(gate):
         gate.opened.set()
 
 
-async def test_a_response_that_comes_after_the_closing_changes_nothing(gate):
-    async with (
-        desk(gate.hold_on) as served,
-        running(lambda: served.client.call(numbers())) as called,
-        running(served.server.aclose),
-    ):
-        gate.opened.set()
-        await called.done.wait()
-        assert isinstance(called.error, ServerUnavailable)
-
-
 async def test_a_handler_that_does_not_end_is_left_behind_and_logged(gate, no_grace, caplog):
     async with desk(gate.hold_on) as served, running(lambda: served.client.call(numbers())):
         await served.server.aclose()
@@ -798,32 +621,11 @@ async def test_a_handler_that_does_not_end_is_left_behind_and_logged(gate, no_gr
         await settle()
 
 
-async def test_a_closed_server_is_called_no_more():
-    async with desk() as served:
-        await served.server.aclose()
-        with pytest.raises(ServerUnavailable, match="no server answers"):
-            await served.client.call(numbers())
-
-
 async def test_a_closed_server_takes_no_request_from_one_who_still_holds_it():
     async with desk() as served:
         await served.server.aclose()
         with pytest.raises(ServerUnavailable, match="the server was closed"):
             await served.local.answer(numbers())
-
-
-async def test_closing_a_server_twice_does_no_harm():
-    async with desk() as served:
-        await served.server.aclose()
-        await served.server.aclose()
-        assert not served.server.is_open
-
-
-async def test_closing_a_node_closes_its_services(gate):
-    async with desk(gate.wait) as served, running(lambda: served.client.call(numbers())) as called:
-        await served.node.aclose()
-        await called.done.wait()
-        assert isinstance(called.error, ServerUnavailable)
 
 
 async def test_calls_go_on_when_their_client_is_closed(gate):
@@ -874,59 +676,3 @@ async def test_a_server_answers_those_who_are_elsewhere():
 
 
 # --- the graph ------------------------------------------------------------------------------
-
-
-async def test_the_graph_shows_a_service():
-    async with desk() as served:
-        assert served.node.graph().services == {"/add": ("lab_interfaces/srv/Add",)}
-
-
-async def test_a_closed_service_leaves_the_graph():
-    async with desk() as served:
-        await served.server.aclose()
-        assert served.node.graph().services == {}
-
-
-async def test_a_client_is_in_the_graph_until_it_is_closed():
-    transport = MemoryTransport()
-    async with turtleact.open_node("desk", transport=transport) as node:
-        client = node.service_client(Add, "add")
-        assert [(each.kind, each.name) for each in transport.endpoints()] == [("client", "/add")]
-        await client.aclose()
-        assert transport.endpoints() == ()
-
-
-@pytest.mark.parametrize(
-    ("name", "full_name"),
-    [("add", "/shop/add"), ("/add", "/add"), ("~/add", "/shop/desk/add")],
-)
-async def test_a_name_is_resolved_on_both_sides(name, full_name):
-    async with turtleact.open_node("desk", namespace="/shop") as node:
-        server, client = node.service(Add, name, add), node.service_client(Add, name)
-        assert (server.name, client.name) == (full_name, full_name)
-
-
-@pytest.mark.parametrize("open_it", [turtleact.Node.service, turtleact.Node.service_client])
-async def test_a_name_that_breaks_the_rules_is_refused(open_it):
-    async with turtleact.open_node("desk") as node:
-        handler = [add] if open_it is turtleact.Node.service else []
-        with pytest.raises(InvalidName, match="a slash follows a slash"):
-            open_it(node, Add, "a//b", *handler)
-
-
-async def error_of(served: Desk) -> weakref.ref[ServiceError]:
-    try:
-        await served.client.call(numbers())
-    except ServiceError as error:
-        return weakref.ref(error)
-    raise AssertionError
-
-
-async def test_an_error_is_gone_with_its_last_user():
-    async with desk(fail) as served:
-        gc.disable()
-        try:
-            error = await error_of(served)
-            assert error() is None
-        finally:
-            gc.enable()

@@ -75,13 +75,6 @@ async def test_a_late_loop_gets_one_tick_at_once_and_then_the_schedule(wait, the
         assert (await times(node, node.every(1.0), [wait, 0.0, 0.0]))[1:] == then
 
 
-async def test_elapsed_counts_what_was_skipped():
-    async with lab() as node:
-        timer = node.every(0.25)
-        await node.clock.sleep(1.1)
-        assert await anext(timer) == Tick(4, 1.0, 3)
-
-
 async def test_a_pause_of_the_world_holds_a_timer():
     async with open_world(speed="max", paused=True) as node:
         timer = node.every(0.032)

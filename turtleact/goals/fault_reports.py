@@ -15,7 +15,6 @@ import shutil
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from time import monotonic
 from typing import TYPE_CHECKING, Final
 
 import anyio
@@ -60,9 +59,6 @@ SMALL: Final = 0.05
 
 LOOK_EVERY: Final = 2.0
 """The interval at which free disk space is checked (s, event loop time)."""
-
-SILENT_AFTER: Final = 10.0
-"""If a disk does not answer within this time (s, wall clock), the node reports a fault."""
 
 
 class FaultReports:
@@ -184,22 +180,9 @@ async def _watch_disk(
     def look() -> tuple[str, str]:
         return disk_fault(path, what), check()
 
-    async def report_silence() -> None:
-        # Measured by the wall clock: virtual time jumps while the thread asks the disk.
-        asked = monotonic()
-        while (left := SILENT_AFTER - (monotonic() - asked)) > 0:
-            await anyio.sleep(left)
-        problem = f"the disk of the {what} {path} does not answer"
-        reports.report(
-            name, problem, "look at the drive, and at the network if it is a network drive"
-        )
-
     while True:
-        async with anyio.create_task_group() as group:
-            group.start_soon(report_silence)
-            # A thread asks, because a network drive that has gone may keep it waiting for ever.
-            problem, unusable = await run_in_daemon(look, name)
-            group.cancel_scope.cancel()
+        # A thread asks, because a network drive that has gone may keep it waiting for ever.
+        problem, unusable = await run_in_daemon(look, name)
         if problem:
             reports.report(name, problem, "free some space, or move it to another disk")
         else:

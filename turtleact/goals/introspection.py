@@ -19,12 +19,6 @@ know the sequence numbers of requests.
 The topic exists as soon as introspection is on, because tools subscribe only to topics that they
 can see. An event is built only while the topic has subscribers.
 
-If there is a subscriber in the same process, each event is published at once. Otherwise, events are
-collected for `GATHER` seconds, then built and sent together, because sending each event at once
-would delay the response that the caller waits for. In the meantime, only the encoded request or
-response is kept, so handlers cannot change it. The stamp of an event is the time of the call, not
-the time at which the event is sent.
-
 Source: rcl ``service_event_publisher.c``; ``service_msgs/msg/ServiceEventInfo``; REP 2012.
 """
 
@@ -32,22 +26,20 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
-import anyio
 import msgspec
 
 from turtleact.errors import InvalidOption
 from turtleact.interfaces import EventFormat, WireFormat
 from turtleact.interfaces.standard import ServiceEventInfo
 from turtleact.names import event_topic
-from turtleact.tasks import Background, current_tasks
 from turtleact.transports.base import CallObserver, QoS
 
 if TYPE_CHECKING:
     from turtleact.transports.base import Endpoint, MakeEndpoint, Transport
 
-__all__ = ["EVENT_QOS", "GATHER", "Introspection", "ServiceEvents"]
+__all__ = ["EVENT_QOS", "Introspection", "ServiceEvents"]
 
 logger = logging.getLogger("turtleact.services")
 
@@ -56,12 +48,6 @@ Introspection: TypeAlias = Literal["off", "metadata", "contents"]
 
 EVENT_QOS = QoS(depth=100)
 """The quality of service of the topic: reliable and volatile."""
-
-_Event: TypeAlias = tuple[int, int, bytes, int, bytes]
-"""Kind, stamp (ns), the client's gid, sequence number, and the encoded request or response."""
-
-GATHER: Final = 0.02
-"""How long events for other processes are collected before they are sent (s, event loop time)."""
 
 
 class ServiceEvents(CallObserver):
@@ -104,11 +90,7 @@ class ServiceEvents(CallObserver):
         self._encode_request = WireFormat(find_type, asks=True).encode
         self._encode_response = WireFormat(find_type).encode
         self._publication = transport.advertise(described, self._format)
-        self._tasks = current_tasks()
         self._is_open = True
-        self._unsent: list[_Event] = []
-        self._is_gathering = False
-        self._gathering: Background | None = None
 
     def requested(self, request: object, gid: bytes, sequence: int) -> None:
         """Publish that a request has been sent or received."""
@@ -121,11 +103,8 @@ class ServiceEvents(CallObserver):
             self._publish(self._response, gid, sequence, response)
 
     def close(self) -> None:
-        """Send the events that have not been sent yet, and close the publisher."""
+        """Close the publisher."""
         self._is_open = False
-        if self._gathering is not None:
-            self._gathering.cancel()
-        self._send_all()
         self._publication.close()
 
     def _publish(self, kind: int, gid: bytes, sequence: int, message: object) -> None:
@@ -135,49 +114,18 @@ class ServiceEvents(CallObserver):
             if self._has_contents:
                 encode = self._encode_request if kind == self._request else self._encode_response
                 data = message if isinstance(message, bytes) else encode(message)
-            event = kind, self._now(), gid, sequence, data
-            if self._publication.has_near_readers:
-                self._send_all()
-                self._publish_now(self._written(event))
+            event = self._written(kind, gid, sequence, data)
+            if self._publication.has_object_readers:
+                self._publication.publish(self._format.decode(event))
             else:
-                self._send_later(event)
+                self._publication.send(event)
         except Exception:
-            self._complain()
+            logger.exception("an event of topic %s cannot be published", self._topic)
 
-    def _publish_now(self, data: bytes) -> None:
-        if self._publication.has_object_readers:
-            self._publication.publish(self._format.decode(data))
-        else:
-            self._publication.send(data)
-
-    def _written(self, event: _Event) -> bytes:
-        kind, stamp, gid, sequence, data = event
-        info = self._format.info(kind, stamp, gid, sequence)
+    def _written(self, kind: int, gid: bytes, sequence: int, data: bytes) -> bytes:
+        info = self._format.info(kind, self._now(), gid, sequence)
         if not self._has_contents:
             return self._format.write(info)
         if kind == self._request:
             return self._format.write(info, request=data)
         return self._format.write(info, response=data)
-
-    def _send_later(self, event: _Event) -> None:
-        self._unsent.append(event)
-        if not self._is_gathering:
-            self._is_gathering = True
-            name = f"the events of topic {self._topic}"
-            self._gathering = Background(self._send_soon(), name, self._tasks)
-
-    async def _send_soon(self) -> None:
-        await anyio.sleep(GATHER)
-        self._is_gathering = False
-        self._send_all()
-
-    def _send_all(self) -> None:
-        unsent, self._unsent = self._unsent, []
-        for event in unsent:
-            try:
-                self._publication.send(self._written(event))
-            except Exception:
-                self._complain()
-
-    def _complain(self) -> None:
-        logger.exception("an event of topic %s cannot be published", self._topic)

@@ -195,8 +195,6 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
             response = self._handler(call.request)
             if isawaitable(response):
                 response = await response
-        except GeneratorExit:  # the event loop is gone
-            raise
         except (KeyboardInterrupt, SystemExit):
             self._end(call, error=ServiceError(self.name, STOPPED))
             raise
@@ -330,15 +328,9 @@ class _Call:
 
     def take(self) -> object:
         """Return the response, or raise the error."""
-        # An exception refers to the frames that raised it, and a frame to its variables. Without
-        # clearing both variables, the exception would keep itself alive until a garbage collection.
-        error, self._error = self._error, None
-        if error is None:
-            return self._response
-        try:
-            raise error
-        finally:
-            del error
+        if self._error is not None:
+            raise self._error
+        return self._response
 
 
 def _checked_handler(handler: object) -> Callable[[Message], object]:

@@ -20,7 +20,6 @@ import anyio.to_thread
 
 from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface
 from turtleact.goals.fault_reports import watching_disk
-from turtleact.goals.introspection import GATHER
 from turtleact.goals.wire import GoalReason, reason_topic
 from turtleact.interfaces import Message, WireFormat, get_interface, type_hash
 from turtleact.names import EVENT_SUFFIX, event_topic, resolve_name
@@ -41,6 +40,9 @@ from turtleact.transports.graph import SEND_GOAL
 logger = logging.getLogger("turtleact.recording")
 
 __all__ = ["RecordOptions", "Recording", "record"]
+
+IN_FLIGHT = 0.04
+"""How long to wait at the end for service events from other processes (s, event loop time)."""
 
 
 class RecordOptions(TypedDict, total=False):
@@ -197,7 +199,7 @@ class Recording:
             await self._look()
 
     async def _wait_for_events(self) -> None:
-        """Wait for service events from other processes, which publish events with a delay."""
+        """Wait for service events from other processes that are still on their way."""
         if self._is_over:
             return
         transport = self._node.transport
@@ -205,7 +207,7 @@ class Recording:
         for topic in topics:
             here = transport.local_endpoints(topic)
             if any(each.kind == "publisher" for each in set(transport.endpoints(topic)) - {*here}):
-                await anyio.sleep(2 * GATHER)
+                await anyio.sleep(IN_FLIGHT)
                 return
 
     def _close(self) -> None:
