@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import sys
+
 import pytest
 
-from turtleact.commands.packages import find_installed, find_sources, runnable
+from .. import warm
 
 SETUP = """\
 from setuptools import setup
-package_name = 'lab'
 raise SystemExit('nobody runs this')
-setup(name=package_name, entry_points={})
+setup(name='lab', entry_points={})
 """
 
 
@@ -21,106 +23,89 @@ def write(folder, **files):
         (folder / ".".join(name.rsplit("_", 1))).write_text(text)
 
 
-def targets(root, package="lab"):
-    programs = find_sources(root)[package].programs
-    return {name: f"{each.module}:{each.function}" for name, each in programs.items()}
+def status_of(folder, *program):
+    """Run a program in a process of its own, and return its exit status."""
+    line = [sys.executable, "-m", "turtleact", "run", *program]
+    return warm.run(line, cwd=folder, env=dict(os.environ), timeout=30).returncode
+
+
+@pytest.fixture
+def executables(turtleact, tmp_path, monkeypatch):
+    """The executables of a package that are found from an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+
+    def find(package="lab"):
+        lines = turtleact("pkg", "executables", package).out.splitlines()
+        return [line.removeprefix(f"{package} ") for line in lines]
+
+    return find
 
 
 @pytest.mark.parametrize(
     ("entry_points", "expected"),
     [
-        ("{'console_scripts': ['go = lab.go:main']}", {"go": "lab.go:main"}),
-        ("dict(console_scripts=['go=lab.go:main'])", {}),
-        ("{'console_scripts': [f'go = {package_name}.go:main']}", {"go": "lab.go:main"}),
-        ("{'console_scripts': ['go = ' + package_name + '.go:A.main']}", {"go": "lab.go:A.main"}),
-        ("{'console_scripts': ['a = lab:a'] + ['b = lab:b']}", {"a": "lab:a", "b": "lab:b"}),
-        ("{'console_scripts': [f'a = {unknown}:a', 'b = lab:b']}", {"b": "lab:b"}),
-        ("{'console_scripts': 'go = lab.go:main'}", {"go": "lab.go:main"}),
-        ("'[console_scripts]\\ngo = lab.go:main\\n[other]\\nx = y:z'", {"go": "lab.go:main"}),
-        ("{'console_scripts': ['go = lab.go:main [extra]', 'no entry']}", {"go": "lab.go:main"}),
-        ("made()", {}),
+        ("{'console_scripts': ['go = lab.go:main', 'back=lab:A.main']}", ["back", "go"]),
+        ("'[console_scripts]\\ngo = lab.go:main [extra]\\n'", ["go"]),
+        ("{'console_scripts': ['no entry']}", []),
+        ("made()", []),
     ],
 )
-def test_entry_points_of_setup_py_are_read_not_executed(tmp_path, entry_points, expected):
-    text = SETUP.replace("{}", entry_points)
-    write(tmp_path / "lab", setup_py=text)
-    assert targets(tmp_path) == expected
+def test_entry_points_of_setup_py_are_read_not_executed(
+    executables, tmp_path, entry_points, expected
+):
+    write(tmp_path / "lab", setup_py=SETUP.replace("{}", entry_points))
+    assert executables() == expected
 
 
 @pytest.mark.parametrize(
-    ("name", "text"),
+    ("name", "text", "expected"),
     [
-        ("setup_cfg", "[options.entry_points]\nconsole_scripts =\n    go = lab.go:main\n"),
-        ("pyproject_toml", "[project.scripts]\ngo = 'lab.go:main'\n"),
-        ("pyproject_toml", "[tool.poetry.scripts]\ngo = 'lab.go:main'\n"),
+        ("setup_cfg", "[options.entry_points]\nconsole_scripts =\n    go = lab.go:main\n", ["go"]),
+        ("pyproject_toml", "[project.scripts]\ngo = 'lab.go:main'\n", ["go"]),
+        ("setup_py", "setup(", []),
+        ("setup_cfg", "console_scripts", []),
+        ("pyproject_toml", "[project", []),
     ],
 )
-def test_entry_points_of_other_files_count_too(tmp_path, name, text):
+def test_entry_points_of_other_files_count_unless_malformed(
+    executables, tmp_path, name, text, expected
+):
     write(tmp_path / "lab", **{name: text})
-    assert targets(tmp_path) == {"go": "lab.go:main"}
+    assert executables() == expected
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("setup_py", "setup("),
-        ("setup_py", "\0"),
-        ("setup_cfg", "console_scripts"),
-        ("pyproject_toml", "[project"),
-        ("pyproject_toml", "project = 1"),
-        ("pyproject_toml", "[project]\nscripts = 1"),
-    ],
-)
-def test_a_malformed_file_declares_nothing(tmp_path, name, text):
-    write(tmp_path / "lab", **{name: text})
-    assert targets(tmp_path) == {}
-
-
-def test_cmake_installs_python_programs(tmp_path):
+def test_cmake_installs_python_programs(executables, tmp_path):
     text = "install(PROGRAMS\n  scripts/go.py\n  scripts/native\n  DESTINATION lib/${PROJECT_NAME})"
     write(tmp_path / "lab", CMakeLists_txt=text, package_xml="<name>arm</name>")
-    assert list(find_sources(tmp_path)["arm"].programs) == ["go.py"]
+    assert executables("arm") == ["go.py"]
 
 
 @pytest.mark.parametrize("place", [".", "lab", "src/lab", "src/repository/lab"])
-def test_a_package_is_found_in_the_folder_and_in_src(tmp_path, place):
-    write(tmp_path / place, package_xml="<package>\n <name> lab </name>", setup_py=SETUP)
-    assert find_sources(tmp_path)["lab"].folder == tmp_path / place
+def test_a_package_is_found_in_the_folder_and_in_src(executables, tmp_path, place):
+    text = SETUP.replace("{}", "{'console_scripts': ['go = lab.go:main']}")
+    write(tmp_path / place, package_xml="<package>\n <name> lab </name>", setup_py=text)
+    assert executables() == ["go"]
 
 
 def test_the_module_of_a_program_may_be_in_src_of_its_package(tmp_path):
-    text = "[project.scripts]\ngo = 'lab.go:main'\n"
-    write(tmp_path / "lab" / "src" / "lab")
-    write(tmp_path / "lab", pyproject_toml=text)
-    program = find_sources(tmp_path)["lab"].programs["go"]
-    assert program.folders == (tmp_path / "lab", tmp_path / "lab" / "src")
+    write(tmp_path / "lab", pyproject_toml="[project.scripts]\ngo = 'gone_lab:main'\n")
+    write(tmp_path / "lab" / "src", gone_lab_py="def main():\n    return 3\n")
+    assert status_of(tmp_path, "lab", "go") == 3
 
 
-@pytest.fixture
-def prefix(tmp_path, monkeypatch):
-    """A sourced workspace with the packages lab and turtlesim."""
+def test_sources_come_first_then_what_is_built_in_then_what_is_installed(
+    executables, tmp_path, monkeypatch
+):
     prefix = tmp_path / "install"
     for package in ("lab", "turtlesim"):
-        write(prefix / "share/ament_index/resource_index/packages")
-        (prefix / "share/ament_index/resource_index/packages" / package).touch()
-        write(prefix / "lib" / package, go_py="", notes_txt="")
+        write(prefix / "share/ament_index/resource_index/packages", **{package: ""})
+        write(prefix / "lib" / package, go_py="raise SystemExit(4)", notes_txt="")
         (prefix / "lib" / package / "go.py").chmod(0o755)
-    write(prefix / "lib/python3.12/site-packages")
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{prefix}:/nowhere")
-    return prefix
-
-
-def test_an_installed_package_has_the_programs_in_its_lib(prefix):
-    program = find_installed()["lab"].programs["go.py"]
-    assert program.file == prefix / "lib/lab/go.py"
-    assert program.folders == (prefix / "lib/python3.12/site-packages",)
-    assert list(find_installed()["lab"].programs) == ["go.py"]
-
-
-def test_sources_come_first_then_what_is_built_in_then_what_is_installed(prefix, tmp_path):
-    here = tmp_path / "here"
-    write(here / "lab", setup_py=SETUP.replace("{}", "{'console_scripts': ['go.py = lab:main']}"))
-    known = runnable(here, [("turtlesim", "go.py"), ("lab", "other")])
-    assert known["turtlesim"] == {"go.py": None}
-    assert list(known["lab"]) == ["go.py", "other"]
-    assert known["lab"]["go.py"].module == "lab"  # type: ignore[union-attr]
+    assert executables() == ["go.py"]
+    assert status_of(tmp_path, "lab", "go.py") == 4
+    assert executables("turtlesim") == ["go.py", "turtlesim_node", "turtle_teleop_key"]
+    text = SETUP.replace("{}", "{'console_scripts': ['go.py = gone_lab:main']}")
+    write(tmp_path / "src" / "lab", setup_py=text, gone_lab_py="def main():\n    return 5\n")
+    assert status_of(tmp_path, "lab", "go.py") == 5

@@ -1,148 +1,104 @@
-"""Users' programs, run in this process as Python would."""
+"""Users' programs, run as Python would."""
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
 import sys
-from pathlib import Path
+from functools import partial
 
 import pytest
 
-from turtleact.commands import programs
-from turtleact.commands.programs import Program, run_program
-from turtleact.errors import TurtleactError, UnknownInterface, UsageError
+from .. import warm
 
 
 @pytest.fixture
-def python(monkeypatch):
-    """Python's own state, which a program may change."""
-    monkeypatch.setattr(sys, "argv", [*sys.argv])
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr(sys, "meta_path", [*sys.meta_path])
-    before = {*sys.modules}
-    yield
-    for name in {*sys.modules} - before:
-        del sys.modules[name]
-
-
-@pytest.fixture
-def run(python, tmp_path):
-    """Writes a program and runs it, as the file it is or by a function in it."""
+def run(tmp_path):
+    """Writes a program and runs it, as the file it is or by a function that its package names."""
 
     def run_(text, function=None, *arguments):
-        file = tmp_path / "go.py"
-        file.write_text(text)
-        by_function = Program("go", module="go", function=function or "", folders=(tmp_path,))
-        program = by_function if function else Program(str(file), file=file)
-        return run_program(program, arguments)
+        (tmp_path / "go.py").write_text(text)
+        script = f"[project.scripts]\ngo = 'go:{function}'\n"
+        (tmp_path / "pyproject.toml").write_text(f"[project]\nname = 'lab'\n{script}")
+        (tmp_path / "package.xml").write_text("<name>lab</name>")
+        program = ["lab", "go"] if function else ["go.py"]
+        line = [sys.executable, "-m", "turtleact", "run", *program, *arguments]
+        ran = warm.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=30)
+        return ran.returncode, ran.stdout, ran.stderr
 
     return run_
 
 
-def test_a_file_is_main_and_sees_its_arguments_and_its_neighbours(run, tmp_path, capsys):
+def test_a_file_is_main_and_sees_its_arguments_and_its_neighbours(run, tmp_path):
     (tmp_path / "beside.py").write_text("WORD = 'found'\n")
-    assert run("import beside, sys\nprint(__name__, sys.argv[1:], beside.WORD)", None, "-x") == 0
-    assert capsys.readouterr().out == "__main__ ['-x'] found\n"
+    ran = run("import beside, sys\nprint(__name__, sys.argv[1:], beside.WORD)", None, "-x")
+    assert ran == (0, "__main__ ['-x'] found\n", "")
 
 
 @pytest.mark.parametrize(
-    ("body", "status"),
+    ("body", "status", "said"),
     [
-        ("pass", 0),
-        ("return 3", 3),
-        ("return True", 1),
-        ("sys.exit()", 0),
-        ("sys.exit(258)", 2),
-        ("raise KeyboardInterrupt", 130),
+        ("return 3", 3, ""),
+        ("return True", 1, ""),
+        ("sys.exit()", 0, ""),
+        ("sys.exit('no turtle')", 1, "no turtle\n"),
+        ("signal.raise_signal(signal.SIGINT)", 130, ""),
     ],
 )
-def test_the_exit_status_is_that_of_an_entry_point(run, capsys, body, status):
-    assert run(f"import sys\ndef main():\n    {body}", "main") == status
-    assert capsys.readouterr() == ("", "")
-
-
-def test_a_text_given_to_exit_is_printed(run, capsys):
-    assert run("def main():\n    raise SystemExit('no turtle')", "main") == 1
-    assert capsys.readouterr().err == "no turtle\n"
-
-
-def test_a_method_is_found_by_its_dotted_name(run):
-    assert run("class App:\n    @staticmethod\n    def main(): return 4", "App.main") == 4
+def test_the_exit_status_is_that_of_an_entry_point(run, body, status, said):
+    text = f"import signal, sys\nclass App:\n    @staticmethod\n    def main():\n        {body}"
+    assert run(text, "App.main") == (status, "", said)
 
 
 @pytest.mark.parametrize("function", [None, "main"])
-def test_a_traceback_begins_in_the_users_own_code(run, tmp_path, capsys, function):
+def test_a_traceback_begins_in_the_users_own_code(run, tmp_path, function):
     call = "" if function else "\nmain()"
-    assert run(f"def main():\n    return 1 / 0{call}", function) == 1
-    first, place, *_, last = capsys.readouterr().err.splitlines()
-    assert first == "Traceback (most recent call last):"
-    assert str(tmp_path / "go.py") in place
+    status, _, err = run(f"def main():\n    return 1 / 0{call}", function)
+    first, place, *_, last = err.splitlines()
+    assert (status, first) == (1, "Traceback (most recent call last):")
+    assert "go.py" in place
     assert last == "ZeroDivisionError: division by zero"
 
 
-def test_the_traceback_of_a_failed_import_begins_in_the_users_own_code(run, tmp_path, capsys):
-    assert run("import nowhere_at_all", "main") == 1
-    _, place, *_ = capsys.readouterr().err.splitlines()
-    assert place == f'  File "{tmp_path / "go.py"}", line 1, in <module>'
-
-
-def test_an_error_of_turtleact_is_left_to_the_command_line_with_its_line(run, tmp_path):
-    text = "import turtleact\n\nturtleact.get_action('lab/action/Gone')\n"
-    with pytest.raises(TurtleactError) as raised:
-        run(text)
-    assert str(raised.value).startswith(f"{tmp_path}/go.py:3: unknown interface 'lab/action")
-    assert isinstance(raised.value.__cause__, UnknownInterface)
+def test_an_error_of_turtleact_is_named_with_its_line(run):
+    status, _, err = run("import turtleact\n\nturtleact.get_action('lab/action/Gone')\n")
+    assert status == 1
+    assert err.startswith("turtleact: go.py:3: unknown interface 'lab/action/Gone'")
 
 
 @pytest.mark.parametrize(
     ("text", "problem"),
-    [
-        ("", "go is go:main, but there is no 'main'"),
-        ("main = 1", "go is go:main, not a function"),
-    ],
+    [("", "is go:main, but there is no 'main'"), ("main = 1", "is go:main, not a function")],
 )
 def test_a_missing_function_is_named(run, text, problem):
-    with pytest.raises(UsageError, match=problem):
-        run(text, "main")
+    status, _, err = run(text, "main")
+    assert (status, problem in err) == (2, True)
 
 
-def test_the_program_gets_pythons_own_signal_handlers(run):
-    assert (
-        run("def main():\n    import signal\n    signal.raise_signal(signal.SIGINT)", "main") == 130
+def test_machine_code_takes_over_the_process(tmp_path):
+    places = {
+        "share/ament_index/resource_index/packages/lab": "",
+        "lib/lab/node": "#!/bin/sh\necho $1 $$\nexit 7\n",
+        "lib/lab/bad": "#!/nowhere/sh\n",
+    }
+    for name, text in places.items():
+        file = tmp_path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+        file.chmod(0o755)
+    start = partial(
+        subprocess.Popen,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={"AMENT_PREFIX_PATH": str(tmp_path)},
     )
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-
-
-def test_machine_code_takes_over_the_process(monkeypatch, tmp_path):
-    started = []
-    monkeypatch.setattr(os, "execv", lambda file, command: started.append((file, command)))
-    monkeypatch.setattr(subprocess, "call", lambda command: len(command))
-    file = tmp_path / "node"
-    file.write_bytes(b"\x7fELF")
-    assert run_program(Program("node", file=file), ["-x"]) == 2
-    assert started == [(str(file), [str(file), "-x"])]
-
-
-def test_machine_code_that_cannot_be_run_is_an_error(tmp_path):
-    with pytest.raises(TurtleactError, match=r"node cannot be run: No such file"):
-        run_program(Program("node", file=tmp_path / "node"), ())
-
-
-@pytest.mark.parametrize(
-    ("name", "first", "expected"),
-    [
-        ("node.py", "", True),
-        ("node", "#!/usr/bin/env python3\n", True),
-        ("node", "#!/bin/sh\n", False),
-        ("node", "python", False),
-    ],
-)
-def test_python_is_told_by_ending_or_first_line(tmp_path, name, first, expected):
-    file: Path = tmp_path / name
-    file.write_text(first)
-    assert programs.is_python(file) is expected
+    line = [sys.executable, "-m", "turtleact", "run", "lab"]
+    with start([*line, "node", "-x"]) as program:
+        assert program.communicate(timeout=30) == (f"-x {program.pid}\n", "")
+    assert program.returncode == 7
+    with start([*line, "bad"]) as program:
+        _, err = program.communicate(timeout=30)
+    assert (program.returncode, "lib/lab/bad cannot be run: No such file" in err) == (1, True)
 
 
 LAB = """
@@ -155,78 +111,14 @@ async def mine(goal):
 """
 
 
-@pytest.mark.parametrize(
-    "more",
-    [
-        "",
-        "NUMBER = 3\n",
-        "if NUMBER := 3:\n    import sys\n",
-        "from turtleact.interfaces import load_interfaces\nload_interfaces('.')\ndef main(): ...\n",
-    ],
-)
-def test_a_file_that_only_declares_actions_is_told_how_to_serve_them(run, tmp_path, capsys, more):
-    assert run(f"{LAB}{more}") == 0
-    file = tmp_path / "go.py"
-    assert capsys.readouterr().err == (
-        f"turtleact: {file} declares action mine, but runs nothing: use 'turtleact serve {file}'\n"
-    )
+def test_a_file_that_only_declares_actions_is_told_how_to_serve_them(run):
+    told = "turtleact: go.py declares action mine, but runs nothing: use 'turtleact serve go.py'\n"
+    assert run(f"{LAB}NUMBER = 3\n") == (0, "", told)
 
 
 @pytest.mark.parametrize(
-    "more", ["", "def again():\n    return main()\n", "later = lambda: main()\n"]
+    "text", [f"{LAB}print(mine)\n", "from turtleact.actions.fibonacci import fibonacci\n"]
 )
-def test_a_file_that_does_not_call_its_main_is_told_how_to(run, tmp_path, capsys, more):
-    assert run(f"import signal\n\ndef main():\n    signal.pause()\n{more}") == 0
-    assert capsys.readouterr().err == (
-        f"turtleact: {tmp_path / 'go.py'} defines main, but runs nothing: "
-        "add 'if __name__ == \"__main__\": main()' at its end\n"
-    )
-
-
-@pytest.mark.parametrize(
-    ("first", "lines"),
-    [
-        ("", "'import asyncio' at its beginning and 'if __name__"),
-        ("import asyncio\n", "'if __name__"),
-    ],
-)
-def test_a_file_that_does_not_run_its_async_main_is_told_how_to(
-    run, tmp_path, capsys, first, lines
-):
-    assert run(f"{first}async def main(): ...\n") == 0
-    assert capsys.readouterr().err == (
-        f"turtleact: {tmp_path / 'go.py'} defines main, but runs nothing: "
-        f'add {lines} == "__main__": asyncio.run(main())\' at its end\n'
-    )
-
-
-def test_a_file_with_only_background_functions_is_told_how_to_serve_them(run, tmp_path, capsys):
-    functions = "".join(
-        f"@turtleact.background\nasync def {name}(node): ...\n" for name in ("beat", "log")
-    )
-    assert run(f"import turtleact\n{functions}") == 0
-    file = tmp_path / "go.py"
-    assert capsys.readouterr().err == (
-        f"turtleact: {file} declares background functions beat, log, but runs nothing: "
-        f"use 'turtleact serve {file}'\n"
-    )
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        f"{LAB}print(mine)\n",
-        "def main(): ...\nmain()\n",
-        "def main(): ...\ncode = main()\n",
-        "def main(): ...\nif __name__ == '__main__':\n    status = main()\n",
-        "import asyncio\nasync def main(): ...\ncode = asyncio.run(main())\n",
-        "import anyio\nasync def main(): ...\ncode: object = anyio.run(main)\n",
-        f"{LAB}def main(): ...\ncode = main()\n",
-        f"{LAB}if __name__ == '__main__':\n    print(mine)\n",
-        "from turtleact.actions.fibonacci import fibonacci\n",
-        "NUMBER = 3\n",
-    ],
-)
-def test_another_program_is_told_nothing(run, capsys, text):
-    assert run(text) == 0
-    assert capsys.readouterr().err == ""
+def test_another_program_is_told_nothing(run, text):
+    status, _, err = run(text)
+    assert (status, err) == (0, "")

@@ -18,7 +18,7 @@ import pytest
 
 from turtleact import cli, open_world, recording
 from turtleact.actions.patrol import Patrol
-from turtleact.commands import bag_sessions
+from turtleact.commands import bag as bag_verbs
 from turtleact.interfaces import encode
 from turtleact.interfaces.standard import Point, TurtlePose, Twist
 from turtleact.recording.bag_writer import BagWriter, Split
@@ -256,7 +256,7 @@ def test_the_command_prints_the_address_and_ends_at_a_signal(tmp_path, capsys, m
     path = tmp_path / "run.mcap"
     BagWriter(path, Split()).close({})
     opened = list[str]()
-    monkeypatch.setattr(bag_sessions, "has_display", lambda: True)
+    monkeypatch.setattr(bag_verbs, "has_display", lambda: True)
 
     def open_tab(address: str) -> None:
         opened.append(address)

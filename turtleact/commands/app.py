@@ -17,6 +17,7 @@ import shlex
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from inspect import Parameter, signature
+from itertools import pairwise
 from typing import Annotated, Any, Final, TypeVar, get_type_hints
 
 import typer
@@ -31,6 +32,7 @@ from turtleact.commands.settings import WrongOptions
 __all__ = [
     "SETTINGS",
     "Group",
+    "ManyVerb",
     "MessageVerb",
     "Verb",
     "load",
@@ -149,6 +151,39 @@ class MessageVerb(Verb):
         if left:
             ctx.fail(f"Got unexpected extra argument(s) ({' '.join(left)})")
         return left
+
+
+class ManyVerb(Verb):
+    """A verb with options that take several values, as in argparse: ``--topics /a /b``."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as in `Verb`
+        """Turn ``--topics /a /b`` into ``--topics /a --topics /b``, and parse the arguments."""
+        lists = [each for each in self.params if getattr(each, "multiple", False)]
+        many = {name for each in lists for name in each.opts}
+        for option, following in pairwise([*args, "--"]):
+            if option in many and following.startswith("-"):
+                ctx.fail(f"Option '{option}' requires an argument.")
+        return super().parse_args(ctx, _repeated(args, many))
+
+
+def _repeated(args: Sequence[str], many: set[str]) -> list[str]:
+    """Insert the name of an option in ``many`` before each of its values.
+
+    The values end at the next option or at ``--``.
+
+    >>> _repeated(["--topics", "/a", "/b", "-o", "run", "/c"], {"--topics"})
+    ['--topics', '/a', '--topics', '/b', '-o', 'run', '/c']
+    """
+    found: list[str] = []
+    option = ""
+    for arg in args:
+        if arg.startswith("-"):
+            if arg not in many and not (option and arg == "--"):
+                found.append(arg)
+            option = arg if arg in many else ""
+        else:
+            found += [option, arg] if option else [arg]
+    return found
 
 
 class Group(TyperGroup):

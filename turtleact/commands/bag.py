@@ -1,32 +1,40 @@
-"""The verbs of ``bag``."""
+"""The verbs of ``bag``: ``record``, ``play``, ``convert`` and ``view``, and the options of all.
+
+`turtleact.commands.bag_contents` prints what is in a bag.
+
+Source: rosbag2 ``README.md``, for the format of the file that describes converted bags.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import os
+import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from turtleact.commands import completion
-from turtleact.commands.app import Verb, new_group, verb
-from turtleact.commands.options import (
-    Json,
-    argument,
-    flag,
-    hertz,
-    in_seconds,
-    value,
-    whole,
-)
+from turtleact.commands.app import ManyVerb, new_group, verb
+from turtleact.commands.options import Json, argument, bag_seconds, flag, hertz, value, whole
+from turtleact.commands.output import counted, note, printable, say
+from turtleact.commands.output import duration as told_duration
 from turtleact.commands.settings import WrongOptions, quoted
-from turtleact.errors import TurtleactError
+from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
+    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.settings import Reach
-    from turtleact.recording import Selection
+    from turtleact.node import Node
+    from turtleact.recording import Played, Recording, Selection
+    from turtleact.recording.converting import Output
+    from turtleact.recording.mcap_writing import Compression
 
 __all__ = ["app"]
 
@@ -40,133 +48,83 @@ SHORT = {
 FREQUENCY = "40"
 """How often ``--clock`` publishes (Hz), as in ``ros2 bag play``."""
 
-WHAT = "What is taken"
-FILES = "Files"
-PLAYING = "Playing"
+MOST_NAMED = 5
+"""A note about lost messages names at most this many topics."""
 
-Preset: TypeAlias = Literal["none", "fastwrite", "zstd_fast", "zstd_small"]
+TELL = 2.0
+"""After a signal, this much time separates two notes on the number of unwritten messages (s)."""
 
+FAILED = 1
+"""The exit status if nothing could be played, or a topic could not be recorded."""
 
-class ManyVerb(Verb):
-    """A verb with options that take several values, as in argparse: ``--topics /a /b``."""
-
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # Typer makes no other context
-        """Turn ``--topics /a /b`` into ``--topics /a --topics /b``, and parse the arguments."""
-        many = {name for each in self.params if _is_list(each) for name in each.opts}
-        args = [SHORT.get(each, each) for each in _with_frequency(args)]
-        for option, following in pairwise([*args, "--"]):
-            if option in many and following.startswith("-"):
-                ctx.fail(f"Option '{option}' requires an argument.")
-        return super().parse_args(ctx, _repeated(args, many))
+ALL = ("all_topics", "all_services", "all_actions")
 
 
-def _is_list(param: Any) -> bool:  # noqa: ANN401  # of click, as in `load`
-    return bool(getattr(param, "multiple", False))
+class BagVerb(ManyVerb):
+    """A verb that needs the packages of the extra ``bag``."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as in `Verb`
+        """Parse the arguments, with the default frequency of ``ros2 bag play`` for ``--clock``."""
+        found: list[str] = []
+        for arg, following in pairwise([*args, ""]):
+            found.append(SHORT.get(arg, arg))
+            if arg == "--clock" and not following[:1].isdigit():
+                found.append(FREQUENCY)
+        return super().parse_args(ctx, found)
+
+    def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401  # as in `Verb`
+        """Run the verb. If a package is missing, say how to install it."""
+        try:
+            return super().invoke(ctx)
+        except ImportError as error:
+            if (error.name or "").partition(".")[0] not in ("mcap", "zstandard", "lz4"):
+                raise
+            problem = "turtleact bag needs one more package: pip install 'mcap>=1.6,<2'"
+            raise TurtleactError(problem) from None
 
 
-def _repeated(args: Sequence[str], many: set[str]) -> list[str]:
-    """Insert the name of an option in ``many`` before each of its values.
+taking = partial(value, panel="What is taken")
+switching = partial(flag, panel="What is taken")
+filing = partial(value, panel="Files")
+playing = partial(value, panel="Playing")
+timing = partial(playing, metavar="SECONDS", parser=bag_seconds)
 
-    >>> _repeated(["--topics", "/a", "/b", "-o", "run", "/c"], {"--topics"})
-    ['--topics', '/a', '--topics', '/b', '-o', 'run', '/c']
-    """
-    found: list[str] = []
-    option = ""
-    for arg in args:
-        if arg.startswith("-"):
-            option = arg if arg in many else ""
-            if not option:
-                found.append(arg)
-        else:
-            found += [option, arg] if option else [arg]
-    return found
+Preset = Literal["none", "fastwrite", "zstd_fast", "zstd_small"]
 
-
-def _with_frequency(args: Sequence[str]) -> list[str]:
-    """If ``--clock`` has no frequency, add the default frequency of ``ros2 bag play``.
-
-    >>> _with_frequency(["run", "--clock", "--loop"])
-    ['run', '--clock', '40', '--loop']
-    """
-    found: list[str] = []
-    for arg, following in pairwise([*args, ""]):
-        found.append(arg)
-        if arg == "--clock" and not following[:1].isdigit():
-            found.append(FREQUENCY)
-    return found
-
-
-def _several(name: str, text: str, names: Callable[..., Any] | None = None) -> Any:  # noqa: ANN401  # as typer.Option
-    return value(name, metavar="NAME...", text=text, panel=WHAT, autocompletion=names)
-
-
-def _played(*names: str, text: str) -> Any:  # noqa: ANN401  # likewise
-    return in_seconds(*names, text=text, panel=PLAYING, is_of_bag=True)
-
-
-Topics: TypeAlias = Annotated[
-    list[str] | None, _several("--topics", "These topics.", completion.topics)
+BagPath = Annotated[Path, argument("BAG", "The folder of the bag, or one of its files.")]
+ReadStorage = Annotated[
+    str | None, value("--storage", "-s", text="Not needed: the file tells.", hidden=True)
 ]
-Services: TypeAlias = Annotated[list[str] | None, _several("--services", "These services.")]
-Actions: TypeAlias = Annotated[
-    list[str] | None, _several("--actions", "These actions.", completion.actions)
+Keyboard = Annotated[
+    bool, flag("--disable-keyboard-controls", text="For scripts of ros2.", hidden=True)
 ]
-Regex: TypeAlias = Annotated[
-    str,
-    value(
-        *("--regex", "-e"),
-        metavar="EXPR",
-        text="Everything whose name this regular expression finds.",
-        panel=WHAT,
-    ),
-]
-ExcludeRegex: TypeAlias = Annotated[
-    str,
-    value(
-        *("--exclude-regex", "-x"),
-        metavar="EXPR",
-        text="Leave out everything whose name this regular expression finds.",
-        panel=WHAT,
-    ),
-]
-ExcludeTopics: TypeAlias = Annotated[
-    list[str] | None, _several("--exclude-topics", "Leave these out.", completion.topics)
-]
-ExcludeServices: TypeAlias = Annotated[
-    list[str] | None, _several("--exclude-services", "Leave these out.")
-]
-ExcludeActions: TypeAlias = Annotated[
-    list[str] | None, _several("--exclude-actions", "Leave these out.", completion.actions)
-]
-MaxSize: TypeAlias = Annotated[
+MaxSize = Annotated[
     int,
-    value(
+    filing(
         *("--max-bag-size", "-b"),
         metavar="BYTES",
         text="Begin another file after so many bytes; 0 for never.",
-        panel=FILES,
         parser=whole,
     ),
 ]
-MaxDuration: TypeAlias = Annotated[
+MaxDuration = Annotated[
     float,
-    in_seconds(
+    filing(
         *("--max-bag-duration", "-d"),
+        metavar="SECONDS",
         text="Begin another file after this time; 0 for never.",
-        panel=FILES,
-        is_of_bag=True,
+        parser=bag_seconds,
     ),
 ]
-PresetProfile: TypeAlias = Annotated[
+PresetProfile = Annotated[
     Preset,
-    value(
+    filing(
         "--storage-preset-profile",
         metavar="NAME",
         text="Whether to compress: zstd_fast or zstd_small.",
-        panel=FILES,
     ),
 ]
-Overrides: TypeAlias = Annotated[
+Overrides = Annotated[
     Path | None,
     value(
         "--qos-profile-overrides-path",
@@ -174,134 +132,106 @@ Overrides: TypeAlias = Annotated[
         text="Quality of service by topic, in a YAML file of 'ros2 bag'.",
     ),
 ]
-Ignored: TypeAlias = Annotated[
-    bool, flag("--disable-keyboard-controls", text="For scripts of ros2.", hidden=True)
+StartOffset = Annotated[
+    float, timing("--start-offset", text="Begin this many seconds after the start of the bag.")
 ]
-BagPath: TypeAlias = Annotated[Path, argument("BAG", "The folder of the bag, or one of its files.")]
-ReadStorage: TypeAlias = Annotated[
-    str | None, value("--storage", "-s", text="Not needed: the file tells.", hidden=True)
+PlayDuration = Annotated[
+    float | None, timing("--playback-duration", text="Leave out what was recorded later.")
 ]
-StartOffset: TypeAlias = Annotated[
-    float, _played("--start-offset", text="Begin this many seconds after the start of the bag.")
+
+NewBag = Annotated[
+    Path | None,
+    filing(
+        *("--output", "-o"),
+        metavar="NAME",
+        text="The folder to create; by default, one with the time in its name.",
+        show_default=False,
+    ),
 ]
-PlayDuration: TypeAlias = Annotated[
-    float | None, _played("--playback-duration", text="Leave out what was recorded later.")
+
+Cache = Annotated[
+    int,
+    filing(
+        "--max-cache-size",
+        metavar="BYTES",
+        text="How much may wait to be written. Beyond that, messages are dropped and counted.",
+        parser=whole,
+    ),
+]
+
+ExcludeTypes = Annotated[
+    list[str] | None,
+    taking("--exclude-topic-types", metavar="NAME...", text="Leave topics of these types out."),
 ]
 
 app = new_group("bag")
 
 
-Output: TypeAlias = Annotated[
-    Path | None,
-    value(
-        *("--output", "-o"),
-        metavar="NAME",
-        text="The folder to create; by default, one with the time in its name.",
-        panel=FILES,
-        show_default=False,
-    ),
-]
-Cache: TypeAlias = Annotated[
-    int,
-    value(
-        "--max-cache-size",
-        metavar="BYTES",
-        text="How much may wait to be written. Beyond that, messages are dropped and counted.",
-        panel=FILES,
-        parser=whole,
-    ),
-]
-Everything: TypeAlias = Annotated[
-    bool,
-    flag(
-        *("--all", "-a"),
-        text="All topics, services and actions, except hidden topics.",
-        panel=WHAT,
-    ),
-]
-Positional: TypeAlias = Annotated[
-    list[str] | None,
-    argument("TOPIC", "Topics to record.", completion.topics, show_default=False),
-]
-Hidden: TypeAlias = Annotated[
-    bool,
-    flag("--include-hidden-topics", text="Hidden topics too, with --all.", panel=WHAT),
-]
-ExcludeTypes: TypeAlias = Annotated[
-    list[str] | None,
-    _several("--exclude-topic-types", "Leave topics of these types out."),
-]
-Storage: TypeAlias = Annotated[
-    Literal["mcap"] | None,
-    value("--storage", "-s", text="The format of the files.", panel=FILES),
-]
-AllTopics: TypeAlias = Annotated[
-    bool, flag("--all-topics", text="All topics, except hidden ones.", panel=WHAT)
-]
-
-
-@verb(app, cls=ManyVerb, knows=True)
+@verb(app, cls=BagVerb, knows=True)
 def record(
     reach: Reach,
-    positional: Positional = None,
+    positional: Annotated[
+        list[str] | None,
+        argument("TOPIC", "Topics to record.", completion.topics, show_default=False),
+    ] = None,
     *,
-    topics: Topics = None,
-    services: Services = None,
-    actions: Actions = None,
-    types: Annotated[list[str] | None, _several("--topic-types", "Topics of these types.")] = None,
-    everything: Everything = False,
-    all_topics: AllTopics = False,
-    all_services: Annotated[bool, flag("--all-services", text="All services.", panel=WHAT)] = False,
-    all_actions: Annotated[bool, flag("--all-actions", text="All actions.", panel=WHAT)] = False,
-    hidden: Hidden = False,
-    regex: Regex = "",
-    exclude_regex: ExcludeRegex = "",
-    exclude_topics: ExcludeTopics = None,
-    exclude_services: ExcludeServices = None,
-    exclude_actions: ExcludeActions = None,
+    taken: dict[str, Any],
+    types: Annotated[
+        list[str] | None, taking("--topic-types", metavar="NAME...", text="Topics of these types.")
+    ] = None,
+    everything: Annotated[
+        bool,
+        switching("--all", "-a", text="All topics, services and actions, except hidden topics."),
+    ] = False,
+    all_topics: Annotated[
+        bool, switching("--all-topics", text="All topics, except hidden ones.")
+    ] = False,
+    all_services: Annotated[bool, switching("--all-services", text="All services.")] = False,
+    all_actions: Annotated[bool, switching("--all-actions", text="All actions.")] = False,
+    hidden: Annotated[
+        bool, switching("--include-hidden-topics", text="Hidden topics too, with --all.")
+    ] = False,
     exclude_types: ExcludeTypes = None,
-    output: Output = None,
+    output: NewBag = None,
     max_size: MaxSize = 0,
     max_duration: MaxDuration = 0,
     cache: Cache = 100 * 1024 * 1024,
-    storage: Storage = None,  # noqa: ARG001  # there is one
+    storage: Annotated[  # noqa: ARG001  # there is one
+        Literal["mcap"] | None, filing("--storage", "-s", text="The format of the files.")
+    ] = None,
     preset: PresetProfile = "none",
     overrides: Overrides = None,
-    _keyboard: Ignored = False,  # there are none
+    _keyboard: Keyboard = False,  # there are none
 ) -> int:
     """Record topics, services and actions to a bag, until Ctrl-C."""
-    named: dict[str, Any] = {
-        "topics": [*(positional or ()), *(topics or ())],
-        "services": services,
-        "actions": actions,
-        "types": types,
-        "regex": regex,
+    taken["topics"] += positional or ()
+    chosen: dict[str, Any] = {
+        "types": frozenset(types or ()),
         "all_topics": everything or all_topics,
         "all_services": everything or all_services,
         "all_actions": everything or all_actions,
     }
-    if not any(named.values()):
+    if not (_names_something(taken) or any(chosen.values())):
         raise WrongOptions(
             "nothing to record: name topics, or give --all, --actions, --services, --regex or "
             "another option of --help"
         )
-    sessions = _work("bag_sessions")
-    left_out = [*(exclude_topics or ()), *(exclude_services or ()), *(exclude_actions or ())]
-    named |= {"exclude": left_out, "exclude_types": exclude_types, "exclude_regex": exclude_regex}
-    order = sessions.RecordOrder(
+    from turtleact.recording.spool import CAPACITY
+
+    chosen |= {"hidden": hidden, "exclude_types": frozenset(exclude_types or ())}
+    return _record(
+        reach,
         output or Path(time.strftime("rosbag2_%Y_%m_%d-%H_%M_%S")),
-        _selection(**named, hidden=hidden),
-        max_size,
-        max_duration,
-        cache,
-        _compression(preset),
         overrides,
+        selection=_selection(taken, **chosen),
+        max_size=max_size,
+        max_duration=max_duration,
+        capacity=cache or CAPACITY,
+        compression=_compression(preset),
     )
-    status: int = sessions.record_graph(reach, order)
-    return status
 
 
-@verb(app)
+@verb(app, cls=BagVerb)
 def info(
     bag: BagPath,
     *,
@@ -310,84 +240,64 @@ def info(
     ] = False,
     verbose: Annotated[
         bool,
-        flag(
-            *("--verbose", "-v"),
-            text="Count requests and responses apart; reads all of the bag.",
-        ),
+        flag("--verbose", "-v", text="Count requests and responses apart; reads all of the bag."),
     ] = False,
     storage: ReadStorage = None,  # noqa: ARG001  # the file tells
-) -> int:
+) -> None:
     """Print what is in a bag, and what is missing from it."""
-    print_info = _work("bag_contents").print_info
-    status: int = print_info(bag, verbose=verbose, names_only=names_only and not verbose)
-    return status
+    from turtleact.commands.bag_contents import print_info
+
+    print_info(bag, verbose=verbose, names_only=names_only and not verbose)
 
 
-Clock: TypeAlias = Annotated[
-    float | None,
-    value(
-        "--clock",
-        metavar="[HZ]",
-        text="Publish the time in the bag on /clock, 40 times a second.",
-        panel=PLAYING,
-        parser=hertz,
-        show_default=False,
-    ),
-]
-Rate: TypeAlias = Annotated[
-    str,
-    value(
-        *("--rate", "-r"),
-        metavar="FACTOR",
-        text="How much faster than recorded; max plays without any waiting.",
-        panel=PLAYING,
-    ),
-]
-Remap: TypeAlias = Annotated[
-    list[str] | None,
-    value(
-        *("--remap", "-m"),
-        metavar="OLD:=NEW...",
-        text="Give topics and actions other names.",
-        panel=PLAYING,
-    ),
-]
-
-
-@verb(app, cls=ManyVerb, knows=True)
+@verb(app, cls=BagVerb, knows=True)
 def play(
     reach: Reach,
     bag: BagPath,
     *,
-    topics: Topics = None,
-    services: Services = None,
-    actions: Actions = None,
-    regex: Regex = "",
-    exclude_regex: ExcludeRegex = "",
-    exclude_topics: ExcludeTopics = None,
-    exclude_services: ExcludeServices = None,
-    exclude_actions: ExcludeActions = None,
-    rate: Rate = "1.0",
+    taken: dict[str, Any],
+    rate: Annotated[
+        str,
+        playing(
+            *("--rate", "-r"),
+            metavar="FACTOR",
+            text="How much faster than recorded; max plays without any waiting.",
+        ),
+    ] = "1.0",
     loop: Annotated[
-        bool, flag("--loop", "-l", text="Start over at the end.", panel=PLAYING)
+        bool, flag("--loop", "-l", text="Start over at the end.", panel="Playing")
     ] = False,
     offset: StartOffset = 0,
     duration: PlayDuration = None,
-    delay: Annotated[float, _played("--delay", "-d", text="Wait before playing.")] = 0,
-    remap: Remap = None,
+    delay: Annotated[float, timing("--delay", "-d", text="Wait before playing.")] = 0,
+    remap: Annotated[
+        list[str] | None,
+        playing(
+            "--remap", "-m", metavar="OLD:=NEW...", text="Give topics and actions other names."
+        ),
+    ] = None,
     send_goals: Annotated[
         bool,
         flag(
             "--send-actions-as-client",
             text="Send the goals and cancel requests again, with new ids, instead of publishing "
             "the topics of actions.",
-            panel=PLAYING,
+            panel="Playing",
         ),
     ] = False,
-    clock: Clock = None,
+    clock: Annotated[
+        float | None,
+        playing(
+            "--clock",
+            metavar="[HZ]",
+            text="Publish the time in the bag on /clock, 40 times a second.",
+            parser=hertz,
+            show_default=False,
+        ),
+    ] = None,
     overrides: Overrides = None,
     storage: ReadStorage = None,  # noqa: ARG001  # the file tells
-    _keyboard: Ignored = False,  # there are none
+    _keyboard: Keyboard = False,  # there are none
 ) -> int:
     """Publish the messages of a bag again, or send its goals again."""
     options: dict[str, Any] = {
@@ -398,20 +308,12 @@ def play(
         "send_goals": send_goals,
         "remap": dict(map(_renamed, remap or ())),
         "clock": clock or 0.0,
+        "selection": _from_bag(taken),
     }
-    sessions = _work("bag_sessions")
-    left_out = [*(exclude_topics or ()), *(exclude_services or ()), *(exclude_actions or ())]
-    options["selection"] = _taken(
-        {"topics": topics, "services": services, "actions": actions, "regex": regex},
-        exclude=left_out,
-        exclude_regex=exclude_regex,
-    )
-    order = sessions.PlayOrder(bag, options, delay, overrides)
-    status: int = sessions.play_bag(reach, order)
-    return status
+    return _play(reach, bag, delay, overrides, options)
 
 
-@verb(app, knows=True)
+@verb(app, cls=BagVerb, knows=True)
 def goals(
     bag: BagPath,
     action: Annotated[
@@ -419,13 +321,14 @@ def goals(
     ] = None,
     *,
     as_json: Json = False,
-) -> int:
+) -> None:
     """List the goals in a bag."""
-    status: int = _work("bag_contents").print_goals(bag, action, as_json=as_json)
-    return status
+    from turtleact.commands.bag_contents import print_goals
+
+    print_goals(bag, action, as_json=as_json)
 
 
-@verb(app, cls=ManyVerb)
+@verb(app, cls=BagVerb)
 def convert(
     bags: Annotated[list[str], value("--input", "-i", metavar="BAG...", text="The bags to read.")],
     output: Annotated[
@@ -437,43 +340,39 @@ def convert(
         ),
     ],
     *,
-    topics: Topics = None,
-    services: Services = None,
-    actions: Actions = None,
-    regex: Regex = "",
-    exclude_regex: ExcludeRegex = "",
-    exclude_topics: ExcludeTopics = None,
+    taken: dict[str, Any],
     offset: StartOffset = 0,
     duration: PlayDuration = None,
     max_size: MaxSize = 0,
     max_duration: MaxDuration = 0,
     preset: PresetProfile = "none",
-) -> int:
+) -> None:
     """Convert bags: merge, cut by time or topic, split or compress them."""
-    converting = _work("bag_converting")
+    from turtleact.recording import Bag, converting
+    from turtleact.recording.bag_writer import Split
+
     inputs = [Path(each) for each in bags if each not in ("mcap", "sqlite3")]  # ids of storages
     if output.suffix in (".yaml", ".yml"):
-        outputs = converting.outputs_in(output)
+        outputs = _outputs_in(output)
     else:
-        start, end = converting.cut(inputs[0], offset, duration)
-        split = converting.Split(
+        with closing(Bag(inputs[0])) as bag:
+            start = bag.info.start + round(offset * 1e9)
+        split = Split(
             max_size=max_size,
             max_duration=round(max_duration * 1e9),
             compression=_compression(preset),
         )
-        selection = _taken(
-            {"topics": topics, "services": services, "actions": actions, "regex": regex},
-            exclude=exclude_topics,
-            exclude_regex=exclude_regex,
-        )
+        end = None if duration is None else start + round(duration * 1e9)
         outputs = [
-            converting.Output(path=output, selection=selection, start=start, end=end, split=split)
+            converting.Output(
+                path=output, selection=_from_bag(taken), start=start, end=end, split=split
+            )
         ]
-    status: int = converting.run(inputs, outputs)
-    return status
+    for each, count in zip(outputs, converting.convert(inputs, outputs), strict=True):
+        note(f"{counted(count, 'message')} written to {each.path}")
 
 
-@verb(app)
+@verb(app, cls=BagVerb)
 def view(
     bag: BagPath,
     *,
@@ -485,19 +384,59 @@ def view(
     ] = False,
 ) -> int:
     """Show a bag in a browser, with a time line."""
-    status: int = _work("bag_sessions").view_bag(bag, port, is_opened=not no_open)
-    return status
+    import webbrowser
+
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.web.bag_view import open_bag_view
+
+    interrupts = Interrupts()
+
+    async def show() -> int:
+        async with open_bag_view(bag, port=port) as shown:
+            say(f"{shown.url}\n")
+            note("Ctrl-C ends it")
+            interrupts.cancels = False
+            if not no_open and has_display():
+                await asyncio.to_thread(webbrowser.open, shown.url)
+            await interrupts.wait()
+        return 0
+
+    return interrupts.run(show())
 
 
-def _compression(preset: Preset) -> str:
+def has_display() -> bool:
+    """Return whether a web browser would open in a window.
+
+    Without a display, the default browser may be a text browser that takes over the terminal.
+    """
+    if sys.platform in ("win32", "darwin"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+# options
+
+
+def _compression(preset: Preset) -> Compression:
     return "none" if preset == "fastwrite" else preset
 
 
-def _taken(named: dict[str, Any], **left_out: Any) -> Selection:  # noqa: ANN401  # as Selection
+def _names_something(taken: Mapping[str, Any]) -> bool:
+    return any(taken[each] for each in ("topics", "services", "actions", "regex"))
+
+
+def _from_bag(taken: Mapping[str, Any]) -> Selection:
     """Make the selection of messages from a bag: those named, or all if none are named."""
-    flags = ("all_topics", "all_services", "all_actions")
-    everything = dict.fromkeys(flags, not any(named.values()))
-    return _selection(**named, **left_out, **everything, hidden=True)
+    return _selection(taken, **dict.fromkeys(ALL, not _names_something(taken)), hidden=True)
+
+
+def _selection(taken: Mapping[str, Any], **more: Any) -> Selection:  # noqa: ANN401  # as Selection
+    from turtleact.names import resolve_name
+    from turtleact.recording import Selection
+
+    named = ("topics", "services", "actions", "exclude")
+    lists = {each: frozenset(map(resolve_name, taken[each])) for each in named}
+    return Selection(**{**taken, **more, **lists})
 
 
 def _rate(text: str) -> float | str:
@@ -520,37 +459,195 @@ def _renamed(rule: str) -> tuple[str, str]:
     return resolve_name(old), resolve_name(new)
 
 
-def _work(module: str) -> Any:  # noqa: ANN401  # a module
-    """Import a module of `turtleact.commands` that needs the packages of the extra ``bag``.
+# recording
+
+
+def _record(reach: Reach, path: Path, overrides: Path | None, **options: Any) -> int:  # noqa: ANN401  # of `record`
+    """Record until a signal comes, and return the exit status.
+
+    The exit status is 0 if a signal ends the recording, as for ``ros2 bag record``. The exit status
+    is 1 if a topic could not be recorded.
+    """
+    from turtleact import recording
+    from turtleact.commands import graph
+    from turtleact.commands.interrupts import Interrupts
+    from turtleact.recording.metadata import read_qos_overrides
+    from turtleact.tasks import Background
+
+    interrupts = Interrupts()
+    recorded: list[Recording] = []
+    qos = {} if overrides is None else read_qos_overrides(overrides)
+
+    async def record_on(node: Node) -> int:
+        try:
+            async with recording.record(node, path, qos=qos, **options) as run:
+                recorded.append(run)
+                interrupts.last_words = partial(_last_words, run)
+                watch = Background(_watch_closing(run, interrupts), "closing the bag")
+                note(f"recording to {path}; Ctrl-C ends it")
+                await _tell_topics(run)
+        finally:
+            if recorded:
+                await watch.aclose()
+                interrupts.last_words = str
+                _sum_up_recording(recorded[0])
+        return 0
+
+    status = graph.run(reach, record_on, interrupts)
+    if not recorded:
+        return status
+    if recorded[0].error is not None:  # not raised yet if a signal came before it was noticed
+        raise recorded[0].error
+    return FAILED if recorded[0].unrecorded else 0
+
+
+async def _watch_closing(recording: Recording, interrupts: Interrupts) -> None:
+    """After a signal, print a note about the number of unwritten messages at intervals."""
+    await interrupts.wait()
+    while True:
+        await asyncio.sleep(TELL)
+        waiting = counted(recording.waiting, "message")
+        note(f"closing {recording.path}: {waiting} still to write; Ctrl-C gives them up")
+
+
+def _last_words(recording: Recording) -> str:
+    """Return the text to print if a second signal ends the process before the bag is closed."""
+    lost = counted(recording.waiting + recording.lost, "message")
+    path = printable(str(recording.path))
+    return (
+        f"turtleact: {path} was not closed, because a second signal came: {lost} lost; "
+        f"'turtleact bag info {path}' counts the others and says that the file was not closed\n"
+    )
+
+
+async def _tell_topics(recording: Recording) -> None:
+    """Print a note for each topic when its recording begins, until the recording ends by itself."""
+    told = 0
+    while not recording.is_over:
+        for topic in recording.topics[told:]:
+            note(f"subscribed to topic '{topic}'")
+        told = len(recording.topics)
+        await recording.wait_changed()
+
+
+def _sum_up_recording(recording: Recording) -> None:
+    from turtleact.commands.bag_contents import messages_told, missing_goals
+    from turtleact.recording import Bag, BagError
+
+    lost = recording.lost_by_topic
+    if not recording.path.exists():
+        return
+    told, missing = counted(recording.count, "message"), list[str]()
+    if recording.error is None:
+        with suppress(BagError), closing(Bag(recording.path)) as bag:
+            told, missing = messages_told(bag.info), missing_goals(bag)
+    note(f"{told} recorded in {recording.path}")
+    for sentence in missing:
+        note(f"missing: {sentence}")
+    for topic, count in sorted(lost.items(), key=lambda each: -each[1])[:MOST_NAMED]:
+        note(f"lost: {counted(count, 'message')} of topic '{topic}'")
+    for topic, reason in sorted(recording.unrecorded.items()):
+        note(f"not recorded: topic '{topic}': {reason}")
+    if len(lost) > MOST_NAMED:
+        note(f"lost in all: {counted(sum(lost.values()), 'message')} of {len(lost)} topics")
+
+
+# playing
+
+
+def _play(
+    reach: Reach, path: Path, delay: float, overrides: Path | None, options: dict[str, Any]
+) -> int:
+    """Play a bag, and return the exit status."""
+    from turtleact import recording
+    from turtleact.commands import graph
+    from turtleact.commands.bag_contents import messages_told
+    from turtleact.recording.metadata import read_qos_overrides
+
+    with closing(recording.Bag(path)) as bag:
+        info = bag.info
+    qos = {} if overrides is None else read_qos_overrides(overrides)
+
+    async def play_on(node: Node) -> int:
+        note(f"playing {path}: {told_duration(info.duration / 1e9)}, {messages_told(info)}")
+        await node.clock.sleep(delay)
+        return _sum_up_playing(await recording.play(node, path, qos=qos, **options))
+
+    return graph.run(reach, play_on)
+
+
+def _sum_up_playing(played: Played) -> int:
+    for topic, reason in played.skipped.items():
+        note(f"'{topic}' was not played: {reason}; give --interfaces DIR")
+    for (action, ended), count in sorted(played.goals.items()):
+        note(f"{counted(count, 'goal')} of '{action}': {ended}")
+    note(f"played {counted(played.messages, 'message')}")
+    if played.failed:
+        return FAILED
+    return 0 if played.messages or played.goals else FAILED
+
+
+# converting
+
+
+def _outputs_in(path: Path) -> Sequence[Output]:
+    """Read the descriptions of output bags from an options file of ``ros2 bag convert``.
 
     Raises:
-        TurtleactError: if one of these packages is missing. The error text says how to install it.
+        UsageError: if the file is not a valid options file, or has an option that turtleact lacks.
     """
-    from importlib import import_module
+    from turtleact.recording.metadata import read_yaml
+    from turtleact.summaries import summary
 
     try:
-        return import_module(f"turtleact.commands.{module}")
-    except ImportError as error:
-        if (error.name or "").partition(".")[0] not in ("mcap", "zstandard", "lz4"):
-            raise
-        problem = "turtleact bag needs one more package: pip install 'mcap>=1.6,<2'"
-        raise TurtleactError(problem) from None
+        text = path.read_text(encoding="utf-8")
+        read: Any = read_yaml(text)
+        return [_output(dict(each)) for each in read["output_bags"]]
+    except OSError as error:
+        raise UsageError(f"'{path}' cannot be read: {error.strerror}") from None
+    except (ValueError, TypeError, LookupError, OverflowError) as error:
+        problem = f"is no file of options for ros2 bag convert: {summary(error)}"
+        raise UsageError(f"'{path}' {problem}") from None
 
 
-def _selection(**given: Any) -> Selection:  # noqa: ANN401  # as Selection
-    """Make a `Selection` from options. Lists become sets, and relative names become absolute."""
+def _output(said: dict[str, Any]) -> Output:
+    """Convert one item of ``output_bags``. Each known key is removed from ``said``."""
     from turtleact.names import resolve_name
     from turtleact.recording import Selection
+    from turtleact.recording.bag_writer import Split
+    from turtleact.recording.converting import Output
 
-    named = ("topics", "services", "actions", "exclude")
-    values: dict[str, Any] = {
-        key: _set(value, resolve_name if key in named else str)
-        if value is None or isinstance(value, list)
-        else value
-        for key, value in given.items()
-    }
-    return Selection(**values)
+    def names(key: str) -> frozenset[str]:
+        return frozenset(map(resolve_name, said.pop(key, None) or ()))
 
-
-def _set(values: Iterable[str] | None, resolve: Callable[[str], str]) -> frozenset[str]:
-    return frozenset(resolve(each) for each in values or ())
+    path, everything = Path(str(said.pop("uri"))), said.pop("all", False)
+    start, end = int(said.pop("start_time_ns", 0)), int(said.pop("end_time_ns", -1))
+    if said.pop("storage_id", "mcap") not in ("", "mcap"):
+        raise ValueError("the storage_id is mcap")
+    selection = Selection(
+        topics=names("topics"),
+        services=names("services"),
+        actions=names("actions"),
+        types=frozenset(said.pop("topic_types", ())),
+        exclude=names("exclude_topics"),
+        exclude_types=frozenset(said.pop("exclude_topic_types", ())),
+        regex=said.pop("regex", ""),
+        exclude_regex=said.pop("exclude_regex", ""),
+        hidden=True,
+        **{each: bool(said.pop(each, everything)) for each in ALL},
+    )
+    preset = said.pop("storage_preset_profile", "none")
+    split = Split(
+        max_size=int(said.pop("max_bagfile_size", 0)),
+        max_duration=int(said.pop("max_bagfile_duration", 0)) * 10**9,
+        compression=preset if preset in ("zstd_fast", "zstd_small") else "none",
+    )
+    if said:
+        raise ValueError(f"turtleact has no option {', '.join(sorted(said))}")
+    return Output(
+        path=path,
+        selection=selection,
+        start=max(0, start),
+        end=None if end < 0 else end,
+        split=split,
+    )

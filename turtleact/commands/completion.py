@@ -21,10 +21,8 @@ import typer
 
 from turtleact.commands.settings import Reach
 from turtleact.errors import TurtleactError, UnknownInterface
-from turtleact.transports.graph import is_hidden_node, types_by_name
 
 if TYPE_CHECKING:
-    from turtleact.commands.programs import Program
     from turtleact.node import Node
     from turtleact.transports.graph import Kind
     from turtleact.transports.rmw_zenoh.keys import Graph
@@ -121,6 +119,8 @@ def services(ctx: typer.Context, incomplete: str) -> Candidates:
 @_silent
 def nodes(ctx: typer.Context, incomplete: str) -> Candidates:
     """Offer the nodes on the graph that are not hidden."""
+    from turtleact.transports.graph import is_hidden_node
+
     names = {name for name in _look(_reach(ctx)).nodes() if not is_hidden_node(name)}
     return _as_begun(sorted(names), incomplete)
 
@@ -265,7 +265,9 @@ def _text(path: Path) -> str:
 @_silent
 def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the packages with something to run, and the Python files in the working directory."""
-    known = _runnable()
+    from turtleact.commands.programs import runnable_here
+
+    known = runnable_here()
     files = sorted(each.name for each in Path().glob("*.py"))
     return [*sorted(name for name, programs in known.items() if programs), *files]
 
@@ -273,13 +275,9 @@ def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noq
 @_silent
 def executables(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the executables of the package given earlier on the command line."""
-    return list(_runnable().get(ctx.params["package"], ()))
+    from turtleact.commands.programs import runnable_here
 
-
-def _runnable() -> dict[str, dict[str, Program | None]]:
-    from turtleact.commands.packages import runnable_here
-
-    return runnable_here()
+    return list(runnable_here().get(ctx.params["package"], ()))
 
 
 # what they share
@@ -295,6 +293,8 @@ def _types_by_name(ctx: typer.Context, kind: Kind) -> dict[str, tuple[str, ...]]
     embedded = EMBEDDED if kind == "action" else {}
     if given.get("embedded") or given.get("seed") or given.get("speed"):
         return embedded
+    from turtleact.transports.graph import types_by_name
+
     where = _reach(ctx)
     try:
         return types_by_name(_look(where).endpoints(), kind)

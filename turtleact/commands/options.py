@@ -37,6 +37,7 @@ __all__ = [
     "Plain",
     "ShowTypes",
     "argument",
+    "bag_seconds",
     "count_of",
     "flag",
     "folder",
@@ -57,6 +58,9 @@ __all__ = [
     "value",
     "whole",
 ]
+
+TAKEN = "What is taken"
+"""The heading of the options that select what a bag takes."""
 
 GRAPH = "Graph"
 """The heading of the options that select a graph."""
@@ -135,18 +139,9 @@ def argument(
     )
 
 
-def in_seconds(*names: str, text: str, panel: str | None = None, is_of_bag: bool = False) -> Any:  # noqa: ANN401
-    """Declare an option that takes a number of seconds, 0 or more.
-
-    Args:
-        *names: The names of the option.
-        text: The help text of the option.
-        panel: The heading under which the help lists the option.
-        is_of_bag: Whether the value is a time in a bag, which has an upper limit; see
-            `bag_seconds`.
-    """
-    parser = bag_seconds if is_of_bag else seconds
-    return value(*names, metavar="SECONDS", text=text, panel=panel, parser=parser)
+def in_seconds(*names: str, text: str, panel: str | None = None) -> Any:  # noqa: ANN401
+    """Declare an option that takes a number of seconds, 0 or more."""
+    return value(*names, metavar="SECONDS", text=text, panel=panel, parser=seconds)
 
 
 def count_of(name: str) -> Any:  # noqa: ANN401
@@ -315,11 +310,71 @@ def _policies(
     )
 
 
+def several(name: str, text: str, names: Callable[..., Any] | None = None) -> Any:  # noqa: ANN401
+    """Declare an option that takes several names; see `turtleact.commands.app.ManyVerb`."""
+    return value(name, metavar="NAME...", text=text, panel=TAKEN, autocompletion=names)
+
+
+Left: TypeAlias = Annotated[
+    str,
+    value(
+        *("--exclude-regex", "-x"),
+        metavar="EXPR",
+        text="Leave out everything whose name this regular expression finds.",
+        panel=TAKEN,
+    ),
+]
+
+
+def _taken(
+    topics: Annotated[
+        list[str] | None, several("--topics", "These topics.", completion.topics)
+    ] = None,
+    services: Annotated[list[str] | None, several("--services", "These services.")] = None,
+    actions: Annotated[
+        list[str] | None, several("--actions", "These actions.", completion.actions)
+    ] = None,
+    regex: Annotated[
+        str,
+        value(
+            *("--regex", "-e"),
+            metavar="EXPR",
+            text="Everything whose name this regular expression finds.",
+            panel=TAKEN,
+        ),
+    ] = "",
+    exclude_regex: Left = "",
+    exclude_topics: Annotated[
+        list[str] | None, several("--exclude-topics", "Leave these out.", completion.topics)
+    ] = None,
+    exclude_services: Annotated[
+        list[str] | None, several("--exclude-services", "Leave these out.")
+    ] = None,
+    exclude_actions: Annotated[
+        list[str] | None, several("--exclude-actions", "Leave these out.", completion.actions)
+    ] = None,
+) -> dict[str, Any]:
+    """Return what a bag takes, as arguments of `turtleact.recording.Selection`."""
+    return {
+        "topics": topics or [],
+        "services": services or [],
+        "actions": actions or [],
+        "regex": regex,
+        "exclude": [
+            *(exclude_topics or ()),
+            *(exclude_services or ()),
+            *(exclude_actions or ()),
+        ],
+        "exclude_regex": exclude_regex,
+    }
+
+
 BUNDLES: Final[dict[str, Callable[..., Any]]] = {
     "style": _style,
     "policies": _policies,
     "reach": _reach,
     "node": _reach,
+    "taken": _taken,
 }
 """The parameters of verbs that stand for several options, and what makes their values."""
 

@@ -1,61 +1,70 @@
-"""Runs a user's program, after ``turtleact run`` has found it.
+"""Finds and runs the programs of users and packages, for ``turtleact run``.
 
-`turtleact.commands.packages` finds the programs of packages. This module knows nothing of packages.
-It runs a file, or a function of a module, as Python itself would.
+Packages near the working directory need no build. Their executables are the console scripts that
+``setup.py``, ``setup.cfg`` or ``pyproject.toml`` declares, and the Python programs that
+``CMakeLists.txt`` installs. ``setup.py`` is read, never executed. The executables of an installed
+package are the files in ``lib/PACKAGE`` of its prefix, where ``ros2 run`` looks too. A file, or a
+function of a module, runs as Python itself would run it.
+
+Source: ros2cli ``ros2pkg/api``; setuptools' documentation of entry points.
 """
 
 from __future__ import annotations
 
 import ast
+import configparser
 import importlib
-import inspect
 import os
+import re
 import runpy
-import subprocess
 import sys
 import sysconfig
+import tomllib
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn, TypeAlias
 
 from turtleact.commands.output import leave, note
 from turtleact.errors import TurtleactError, UsageError
+from turtleact.workspace import folders_near, package_name
 
 if TYPE_CHECKING:
     from turtleact.rclpy.program import Options
 
-__all__ = ["Program", "run_program"]
+__all__ = ["Program", "Programs", "nearby", "place_of", "run_program", "runnable_here"]
 
 OURS = str(Path(__file__))
 PACKAGE = str(Path(__file__).parents[1]) + os.sep
 
 FAILED, INTERRUPTED = 1, 130
 
-DECLARING = (
-    ast.Import,
-    ast.ImportFrom,
-    ast.FunctionDef,
-    ast.AsyncFunctionDef,
-    ast.ClassDef,
-    ast.Assign,
-    ast.AnnAssign,
-    ast.AugAssign,
-    ast.Pass,
-)
-"""The kinds of statements that only declare something and do not make a file a program."""
-
-FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
-"""The kinds of syntax nodes with code that does not run when their file is executed."""
-
-PREPARING = ("load_interfaces", "basicConfig")
-"""Calls of these functions outside of functions do not make a file a program."""
-
-MAIN = "main"
-"""By convention, the function that runs a file's program."""
+RUNNING = re.compile(r"\b(run|serve|main|print)\(")
+"""A file with such a call is a program."""
 
 SHEBANG = 200
 """This many bytes at the beginning of a file are searched for ``python``."""
+
+
+PROGRAMS: Final = (
+    ("turtlesim", "turtlesim_node"),
+    ("turtlesim", "turtle_teleop_key"),
+    ("action_tutorials_py", "fibonacci_action_server"),
+    ("action_tutorials_cpp", "fibonacci_action_server"),
+    ("examples_rclpy_minimal_action_server", "server"),
+    ("examples_rclcpp_minimal_action_server", "action_server_member_functions"),
+)
+"""The programs of ROS 2 that have a counterpart in turtleact.
+
+All programs except those of the package turtlesim serve the Fibonacci action.
+"""
+
+_MARKS: Final = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml")
+"""One of these files makes a folder a package."""
+
+_INSTALLED: Final = re.compile(r"install\s*\(\s*PROGRAMS\s+(.*?)\sDESTINATION\s", re.DOTALL)
+_ENTRY: Final = re.compile(r"\s*([^\s=]+)\s*=\s*([\w.]+)\s*:\s*([\w.]+)\s*(?:\[.*\])?\s*")
 
 
 class Program(NamedTuple):
@@ -77,6 +86,107 @@ class Program(NamedTuple):
     folders: tuple[Path, ...] = ()
 
 
+Programs: TypeAlias = dict[str, dict[str, Program | None]]
+"""Programs by package name and then by executable name. A built-in program is None."""
+
+
+# what can be run
+
+
+def runnable_here() -> Programs:
+    """Return the programs that can be run from the working directory.
+
+    If several programs have the same package name and executable name, a program with sources wins,
+    because it is the user's own. A built-in program wins over an installed one: ``turtlesim
+    turtlesim_node`` runs turtleact's turtlesim, even if the real one is installed.
+    """
+    found: Programs = {}
+    for folder in folders_near(Path()):
+        if any((folder / each).is_file() for each in _MARKS):
+            found.setdefault(*_source(folder))
+    for name, executable in PROGRAMS:
+        found.setdefault(name, {}).setdefault(executable, None)
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        for place in _listed(Path(prefix, "share/ament_index/resource_index/packages")):
+            installed = _installed(Path(prefix), place.name)
+            found[place.name] = {**installed, **found.get(place.name, {})}
+    return found
+
+
+def _source(folder: Path) -> tuple[str, dict[str, Program | None]]:
+    """Return the name and the programs of the package whose sources are in a folder."""
+    # A module may be beside setup.py, or in a folder of its own: setuptools knows both layouts.
+    folders = tuple(each for each in (folder, folder / "src") if each.is_dir())
+    programs: dict[str, Program | None] = {}
+    for file in _cmake_programs(folder):
+        programs[file.name] = Program(str(file), file=file, folders=(folder,))
+    for text in _console_scripts(folder):
+        if entry := _ENTRY.fullmatch(text):
+            name, module, function = entry.groups()
+            programs[name] = Program(
+                str(folder / name), module=module, function=function, folders=folders
+            )
+    return package_name(folder) or folder.absolute().name, dict(sorted(programs.items()))
+
+
+def _console_scripts(folder: Path) -> Iterator[str]:
+    """Yield the console scripts that a package declares, each as ``name = module:function``.
+
+    A malformed file declares no scripts.
+    """
+    with suppress(OSError, ValueError, SyntaxError):
+        yield from _of_setup_py((folder / "setup.py").read_text("utf-8"))
+    with suppress(OSError, ValueError, configparser.Error):
+        parser = configparser.ConfigParser(interpolation=None)
+        parser.read_string((folder / "setup.cfg").read_text("utf-8"))
+        yield from parser.get("options.entry_points", "console_scripts", fallback="").splitlines()
+    with suppress(OSError, ValueError, AttributeError):
+        project = tomllib.loads((folder / "pyproject.toml").read_text("utf-8")).get("project", {})
+        for name, target in project.get("scripts", {}).items():
+            yield f"{name} = {target}"
+
+
+def _of_setup_py(text: str) -> Iterator[str]:
+    """Yield the lines of all texts in the entry points of a ``setup.py``."""
+    for given in ast.walk(ast.parse(text)):
+        if isinstance(given, ast.keyword) and given.arg == "entry_points":
+            for each in ast.walk(given.value):
+                if isinstance(each, ast.Constant) and isinstance(each.value, str):
+                    yield from each.value.splitlines()
+
+
+def _cmake_programs(folder: Path) -> list[Path]:
+    """Return the Python programs that a ``CMakeLists.txt`` installs. Others need a build."""
+    try:
+        text = (folder / "CMakeLists.txt").read_text("utf-8")
+    except (OSError, UnicodeDecodeError):
+        return []
+    files = [folder / name for said in _INSTALLED.findall(text) for name in said.split()]
+    return [file for file in files if is_python(file)]
+
+
+def _installed(prefix: Path, package: str) -> Mapping[str, Program]:
+    """Return the executables of an installed package."""
+    # Sourcing the workspace puts these folders on Python's path; so do we, if it was not sourced.
+    folders = tuple(sorted((prefix / "lib").glob("python3*/*-packages")))
+    files = [each for each in _listed(prefix / "lib" / package) if os.access(each, os.X_OK)]
+    return {
+        file.name: Program(str(file), file=file, folders=folders)
+        for file in files
+        if file.is_file()
+    }
+
+
+def _listed(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir())
+    except OSError:
+        return []
+
+
+# how a program is run
+
+
 def run_program(
     program: Program,
     arguments: Sequence[str],
@@ -90,7 +200,7 @@ def run_program(
     The program gets what ``python`` would give it: its arguments in ``sys.argv``, its folders in
     ``sys.path``, and Python's own signal handlers. A file runs as the module ``__main__``. The
     return value of a function becomes the exit status, as in a script that pip installs. An
-    executable file that is not a Python program replaces this process, except on Windows.
+    executable file that is not a Python program replaces this process.
 
     Args:
         program: What to run.
@@ -105,7 +215,7 @@ def run_program(
         TurtleactError: if the program raises one. The message begins with the file and the line.
     """
     if program.file is not None and not is_python(program.file):
-        return _start(program.file, arguments)
+        _become(program.file, arguments)
     from turtleact.rclpy.program import Options, end_threads, prepare
 
     here = program.folders if program.file is None else (program.file.parent,)
@@ -131,7 +241,7 @@ def _run(program: Program) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except TurtleactError as error:
-        place = _place_of(error)
+        place = place_of(error)
         if not place:
             raise
         raise TurtleactError(f"{place}: {error}") from error
@@ -152,71 +262,21 @@ def is_python(file: Path) -> bool:
 
 
 def _tell_what_is_missing(file: Path, names: Mapping[str, object]) -> None:
-    """If a file declares actions or a ``main`` but runs nothing, tell the user how to run the file.
+    """If a file declares actions but runs nothing, tell the user how to serve them.
 
     Args:
         file: The file, after it has been executed.
         names: The global variables of the file.
     """
-    declares = _declares(names)
-    has_main = getattr(names.get(MAIN), "__module__", "") == "__main__"
-    if not (declares or has_main):
+    if RUNNING.search(file.read_text("utf-8", "replace")):
         return
-    statements = ast.parse(file.read_bytes()).body
-    if not all(map(_only_declares, statements)) or any(map(_uses_main, statements)):
-        return
-    if declares:
-        note(f"{file} declares {declares}, but runs nothing: use 'turtleact serve {file}'")
-        return
-    is_async = inspect.iscoroutinefunction(names[MAIN])
-    call = f"asyncio.run({MAIN}())" if is_async else f"{MAIN}()"
-    imports = (
-        "'import asyncio' at its beginning and " if is_async and "asyncio" not in names else ""
-    )
-    lines = f"{imports}'if __name__ == \"__main__\": {call}'"
-    note(f"{file} defines {MAIN}, but runs nothing: add {lines} at its end")
+    from turtleact.goals.body import ActionDeclaration  # help does without it
 
-
-def _declares(names: Mapping[str, object]) -> str:
-    """Return what a file declares for ``turtleact serve``, as text; empty if there is nothing.
-
-    The text names background functions only if the file declares no action.
-    """
-    from turtleact.goals.body import (  # help does without them
-        ActionDeclaration,
-        BackgroundDeclaration,
-    )
-
-    actions, tasks = list[str](), list[str]()
-    for each in names.values():
-        if isinstance(each, ActionDeclaration) and each.execute.__module__ == "__main__":
-            actions.append(each.name)
-        elif isinstance(each, BackgroundDeclaration) and each.run.__module__ == "__main__":
-            tasks.append(each.run.__name__)
-    kind, found = ("action", actions) if actions else ("background function", tasks)
-    if not found:
-        return ""
-    return f"{kind}{'s' * (len(found) > 1)} {', '.join(found)}"
-
-
-def _only_declares(statement: ast.stmt) -> bool:
-    """Whether a top-level statement of a file only declares something, and runs nothing."""
-    if isinstance(statement, ast.Expr):
-        value = statement.value
-        called = ast.unparse(value.func) if isinstance(value, ast.Call) else ""
-        return isinstance(value, ast.Constant) or called.rpartition(".")[2] in PREPARING
-    if isinstance(statement, ast.If):
-        return all(map(_only_declares, [*statement.body, *statement.orelse]))
-    return isinstance(statement, DECLARING)
-
-
-def _uses_main(node: ast.AST) -> bool:
-    """Whether code outside of functions uses the name ``main``, as in ``code = main()``."""
-    if isinstance(node, FUNCTIONS):
-        return False
-    if isinstance(node, ast.Name):
-        return node.id == MAIN and isinstance(node.ctx, ast.Load)
-    return any(map(_uses_main, ast.iter_child_nodes(node)))
+    actions = [each for each in names.values() if isinstance(each, ActionDeclaration)]
+    own = [each.name for each in actions if each.execute.__module__ == "__main__"]
+    if own:
+        declared = f"action{'s' * (len(own) > 1)} {', '.join(own)}"
+        note(f"{file} declares {declared}, but runs nothing: use 'turtleact serve {file}'")
 
 
 def _function(program: Program) -> Callable[[], object]:
@@ -236,23 +296,12 @@ def _function(program: Program) -> Callable[[], object]:
     return found
 
 
-def _start(file: Path, arguments: Sequence[str]) -> int:
-    """Run an executable file that is not a Python program.
-
-    On POSIX, the program replaces this process. On Windows, wait until it ends, and return its exit
-    status.
-    """
-    command = [str(file), *arguments]
+def _become(file: Path, arguments: Sequence[str]) -> NoReturn:
+    """Replace this process by an executable file that is not a Python program."""
     try:
-        if os.name == "posix":
-            _become(command)
-        return subprocess.call(command)  # noqa: S603  # the program that the user typed
+        os.execv(file, [str(file), *arguments])  # noqa: S606  # the program that the user typed
     except OSError as error:
         raise TurtleactError(f"{file} cannot be run: {error.strerror}") from None
-
-
-def _become(command: list[str]) -> NoReturn:
-    os.execv(command[0], command)  # noqa: S606  # as above
 
 
 def _status(code: object) -> int:
@@ -282,13 +331,21 @@ def _told(error: BaseException) -> int:
     return FAILED
 
 
-def _place_of(error: BaseException) -> str:
+def place_of(error: BaseException) -> str:
     """Return the file and line of the user's code that led to an error; empty if there is none."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{nearby(error.filename)}:{error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)
     own = [
         each for each in frames if not _is_ours(each.filename) and not _is_library(each.filename)
     ]
-    return f"{own[-1].filename}:{own[-1].lineno}" if own else ""
+    return f"{nearby(own[-1].filename)}:{own[-1].lineno}" if own else ""
+
+
+def nearby(file: str) -> str:
+    """Return the path of a file, relative to the working directory if the file is inside."""
+    path = Path(file)
+    return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
 
 
 def _is_ours(file: str) -> bool:
