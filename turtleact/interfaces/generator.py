@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from turtleact.interfaces.comments import Comments, read_comments
 from turtleact.interfaces.definition import (
     PRIMITIVES,
     ArrayForm,
@@ -32,7 +33,7 @@ from turtleact.interfaces.definition import (
     zero,
 )
 from turtleact.interfaces.finders import BUILT_IN
-from turtleact.interfaces.parse import Comments, parse, read_comments
+from turtleact.interfaces.parse import parse
 from turtleact.interfaces.types import PARTS
 
 if TYPE_CHECKING:
