@@ -93,21 +93,11 @@ wstring: TypeAlias = Annotated[str, Scalar("wstring")]
 
 #: The annotation of each primitive type.
 SCALARS: Mapping[str, object] = {
-    "bool": bool_,
-    "byte": byte,
-    "char": char,
-    "int8": int8,
-    "uint8": uint8,
-    "int16": int16,
-    "uint16": uint16,
-    "int32": int32,
-    "uint32": uint32,
-    "int64": int64,
-    "uint64": uint64,
-    "float32": float32,
-    "float64": float64,
-    "string": string,
-    "wstring": wstring,
+    get_args(each)[1].name: each
+    for each in (
+        *(bool_, byte, char, int8, uint8, int16, uint16, int32, uint32, int64, uint64),
+        *(float32, float64, string, wstring),
+    )
 }
 
 #: Python's own types with only one ROS type; ``int`` has several.

@@ -75,7 +75,8 @@ class WireFormat:
             problem = f"expected {self._classes[0].type_name}, not {got}"
             raise InvalidMessage("message", problem)
         try:
-            return self._encoded(message)
+            written: bytes = self._cdr.encoder(self._classes[0])(message)
+            return written
         except self._cdr.UNFIT:
             data: bytes = self._cdr.encode(message)  # converts the value, or raises a clear error
             return data
@@ -87,11 +88,6 @@ class WireFormat:
             InvalidMessage: if the bytes are not a message of the expected class. The error names
                 the field and the byte where decoding fails.
         """
-        if data[:2] == self._order and len(data) >= len(self._header):
-            try:
-                return self._decoded(data)
-            except self._cdr.MISREAD:
-                pass  # the decoding below raises again, with the place of the error
         message: Message = self._cdr.decode(self._classes[1], data)
         return message
 
@@ -100,24 +96,6 @@ class WireFormat:
         from turtleact.interfaces import cdr  # slow to import; only needed to encode or decode
 
         return cdr
-
-    @cached_property
-    def _header(self) -> bytes:
-        return cast("bytes", self._cdr.HEADER)
-
-    @cached_property
-    def _order(self) -> bytes:
-        return self._header[:2]
-
-    @cached_property
-    def _encoded(self) -> Callable[[object], bytes]:
-        found: Callable[[object], bytes] = self._cdr.encoder(self._classes[0])
-        return found
-
-    @cached_property
-    def _decoded(self) -> Callable[[bytes], Message]:
-        found: Callable[[bytes], Message] = self._cdr.decoder(self._classes[1])
-        return found
 
     @cached_property
     def _found(self) -> Interface:
@@ -163,7 +141,8 @@ class FeedbackFormat(WireFormat):
             InvalidMessage: if a value does not fit its type.
         """
         try:
-            return self._write(feedback, self._header + goal_id)
+            written: bytes = self._cdr.encoder(self._feedback)(feedback, self._cdr.HEADER + goal_id)
+            return written
         except self._cdr.UNFIT:
             message: Any = self._classes[0]
             return self.encode(message(UUID(goal_id), feedback))
@@ -175,23 +154,14 @@ class FeedbackFormat(WireFormat):
             InvalidMessage: if the bytes are not a feedback message of the action. The error names
                 the field and the byte where decoding fails.
         """
-        if data[:2] == self._order:
+        if data[:2] == self._cdr.HEADER[:2]:
             try:
-                return self._read(data)
+                read: Message = self._cdr.decoder(self._feedback, place=GOAL_ID.stop)(data)
+                return read
             except self._cdr.MISREAD:
                 pass  # the decoding below raises again, with the place of the error
         message: Any = WireFormat.decode(self, data)
         return cast("Message", message.feedback)
-
-    @cached_property
-    def _write(self) -> Callable[[object, bytes], bytes]:
-        found: Callable[[object, bytes], bytes] = self._cdr.encoder(self._feedback)
-        return found
-
-    @cached_property
-    def _read(self) -> Callable[[bytes], Message]:
-        found: Callable[[bytes], Message] = self._cdr.decoder(self._feedback, place=GOAL_ID.stop)
-        return found
 
 
 class EventFormat(WireFormat):
@@ -225,7 +195,7 @@ class EventFormat(WireFormat):
             gid: The gid of the client.
             sequence: The sequence number of the request.
         """
-        return _EVENT.pack(self._header, kind, *divmod(stamp, SECOND), gid, sequence)
+        return _EVENT.pack(self._cdr.HEADER, kind, *divmod(stamp, SECOND), gid, sequence)
 
     def write(
         self, info: bytes, *, request: bytes | None = None, response: bytes | None = None
@@ -241,7 +211,7 @@ class EventFormat(WireFormat):
             InvalidMessage: if the request or a big-endian response cannot be decoded. A
                 little-endian response is copied without being decoded.
         """
-        if response is not None and response[:2] == self._order:
+        if response is not None and response[:2] == self._cdr.HEADER[:2]:
             # It begins at a multiple of the widest alignment, so its padding stays as it is. What
             # ROS 2 leaves behind a message does no harm at the end.
             return b"".join((info, _NONE, _ONE, response[4:]))
@@ -251,7 +221,8 @@ class EventFormat(WireFormat):
         if request is None:
             return info + _NONE + _NONE
         # It begins where its padding may differ, and nothing may be left behind it.
-        written = self._write_request(self._requests.decode(request), info + _ONE)
+        write = self._cdr.encoder(self._service.Request)
+        written: bytes = write(self._requests.decode(request), info + _ONE)
         return b"".join((written, bytes(-len(written) % 4), _NONE))
 
     @cached_property
@@ -265,8 +236,3 @@ class EventFormat(WireFormat):
     @cached_property
     def _responses(self) -> WireFormat:
         return WireFormat(self._service.Response)
-
-    @cached_property
-    def _write_request(self) -> Callable[[object, bytes], bytes]:
-        found: Callable[[object, bytes], bytes] = self._cdr.encoder(self._service.Request)
-        return found

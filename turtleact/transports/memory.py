@@ -59,6 +59,7 @@ class MemoryTransport:
         self.discovery_ends = -math.inf
         self._topics: dict[Key, _Topic] = {}
         self._handlers: dict[Key, list[_Offer]] = {}
+        self._servers: dict[tuple[str, str, str], Leave] = {}  # by service and node
         self._endpoints: dict[int, Endpoint] = {}
         self._by_name: dict[str, dict[int, Endpoint]] = {}  # the same endpoints by name
         self._nodes: dict[int, str] = {}
@@ -122,12 +123,12 @@ class MemoryTransport:
         """
         key, offer = _key(endpoint), _Offer(handler, endpoint.node)
         offers = self._handlers.setdefault(key, [])
-        is_first = all(each.node != offer.node for each in offers)
         offers.append(offer)
-        if is_first:
-            offer.leave = self._appear_as(endpoint, _nothing)
-        else:
+        server = (*key, endpoint.node)
+        if server in self._servers:
             self.tell_change()
+        else:
+            self._servers[server] = self._appear_as(endpoint, _nothing)
         return _Opened(partial(self._revoke, key, offer))
 
     def join(
@@ -225,16 +226,10 @@ class MemoryTransport:
         offers.remove(offer)
         if not offers:
             del self._handlers[key]
-        if offer.leave is None:
+        if any(each.node == offer.node for each in offers):
             self.tell_change()
-            return
-        leave, offer.leave = offer.leave, None
-        heir = next((each for each in offers if each.node == offer.node), None)
-        if heir is None:
-            leave()
         else:
-            heir.leave = leave
-            self.tell_change()
+            self._servers.pop((*key, offer.node))()
 
     def _appear_as(self, endpoint: Endpoint, leave: Callable[[], None]) -> Leave:
         """Show an endpoint on the graph, and return the function that removes it.
@@ -493,17 +488,11 @@ class _Caller:
 
 
 class _Offer:
-    """A handler that a node offers. Two offers of the same handler are not equal.
+    """A handler that a node offers. Two offers of the same handler are not equal."""
 
-    Attributes:
-        leave: Removes the node's server from the graph; None if another offer of the same node and
-            service removes the server.
-    """
-
-    __slots__ = ("handler", "leave", "node")
+    __slots__ = ("handler", "node")
 
     def __init__(self, handler: ServiceHandler, node: str) -> None:
-        self.leave: Leave | None = None
         self.handler = handler
         self.node = node
 
