@@ -122,7 +122,31 @@ else:
 
 
 class ServerOptions(TypedDict, total=False):
-    """Options of an action server; see `turtleact.Node.action_server`."""
+    """Options of an action server.
+
+    Attributes:
+        goal_callback: Takes the goal, and returns a `GoalResponse` or raises `turtleact.Reject`;
+            may be a coroutine function.
+        cancel_callback: Takes the handle, and returns a `CancelResponse`; may be a coroutine
+            function.
+        policy: What happens to a new goal while another goal runs: "parallel", "reject", "queue" or
+            "preempt".
+        max_active: Under "parallel", how many goals run at a time; further goals wait.
+        queue_limit: How many goals may wait.
+        slot: Servers of one node with the same slot apply their policy together, like one server.
+        result_timeout: How long a result is kept after the goal's end (s, 10 by default; None keeps
+            it for ever).
+        on_client_lost: "keep", or "cancel" to cancel a client's goals when the client closes.
+        grace: When the server closes, how long a cancelled body has to clean up (s, event loop
+            time, 5 by default); see `turtleact.ActionServer.aclose`.
+        journal: Keeps the goals on disk; see `turtleact.open_journal`.
+        on_restart: What to do with goals in the journal that an earlier process did not end:
+            "abort" or "resume".
+        pausable: Whether a coroutine body awaits ``handle.checkpoint()``, where it can be paused.
+        on_pause: A coroutine function that takes the handle and stops the robot.
+        on_resume: A coroutine function that takes the handle and starts the robot again.
+        introspection: See `turtleact.Node`.
+    """
 
     goal_callback: Callable[..., GoalResponse | Awaitable[GoalResponse]] | None
     cancel_callback: Callable[..., CancelResponse | Awaitable[CancelResponse]] | None

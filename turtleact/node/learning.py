@@ -112,23 +112,26 @@ class Use(NamedTuple):
         )
 
 
-def uses_of(
-    transport: Transport, name: str, kind: Kind | None = None, *, but: str = ""
-) -> dict[Use, list[str]]:
+def uses_of(transport: Transport, name: str, kind: Kind | None = None) -> dict[Use, list[str]]:
     """Return the types that a name has on the graph, each with the nodes that use it.
 
     Args:
         transport: The transport to the graph.
         name: The full name of an action, a service or a topic.
         kind: Which of the three; None for any.
-        but: A node whose endpoints do not count.
     """
     found = defaultdict[Use, list[str]](list)
     for each in (kind,) if kind else ENDPOINTS:
         for use, node in _uses(transport, name, each):
-            if node != but and node not in found[use]:
+            if node not in found[use]:
                 found[use].append(node)
-    return {use: nodes for use, nodes in found.items() if nodes}
+    # An endpoint of this process has no hash on the graph.
+    hashed = {(use.kind, use.type_name) for use in found if any(use.hashes)}
+    return {
+        use: nodes
+        for use, nodes in found.items()
+        if any(use.hashes) or (use.kind, use.type_name) not in hashed
+    }
 
 
 def _uses(transport: Transport, name: str, kind: Kind) -> Iterator[tuple[Use, str]]:
@@ -175,14 +178,14 @@ async def learn_interface(
     check_timeout(timeout)
     full_name = resolve_name(name, node.namespace, node.name)
     deadline = deadline_of(timeout)
-    found: dict[Use, list[str]] = {}
+    learner = node.learner
     with anyio.move_on_after(timeout):
-        while not (found := uses_of(node.transport, full_name, kind)):
+        while not learner.uses(full_name, kind):
             await node.transport.wait_for_change()
-    if not found:
+    if not learner.uses(full_name, kind):
         what = kind or "action, service or topic"
         raise TurtleactError(f"the graph has no {what} '{full_name}'")
-    return await node.learner.learn(*_only(full_name, found), deadline)
+    return await learner.learn_name(full_name, kind, deadline)
 
 
 def deadline_of(timeout: float | None) -> float | None:
@@ -219,6 +222,21 @@ class Learner:
         self.is_on = True
         self.note: Callable[[str], object] = logger.warning
 
+    @property
+    def transport(self) -> Transport:
+        """The transport to the graph."""
+        return self._node.transport
+
+    def uses(self, name: str, kind: Kind | None = None) -> dict[Use, list[str]]:
+        """Return the types that a name has on the graph, with the nodes that use them."""
+        return uses_of(self.transport, name, kind)
+
+    async def learn_name(
+        self, name: str, kind: Kind | None = None, deadline: float | None = None
+    ) -> Interface:
+        """Return the class of a name that is on the graph; see `learn_interface`."""
+        return await self.learn(*_only(name, self.uses(name, kind)), deadline)
+
     async def learn_used(
         self, name: str, kind: Kind, type_name: str, timeout: float | None = None
     ) -> Interface | None:
@@ -237,11 +255,8 @@ class Learner:
             NotLearned: if no node describes the type, or a description cannot be used.
             TurtleactError: if the type has several definitions, all unknown here.
         """
-        own = self._node.fully_qualified_name
-        found = uses_of(self._node.transport, name, kind, but=own)
-        fitting = {
-            use: nodes for use, nodes in found.items() if _is_name_of(type_name, use.type_name)
-        }
+        found = self.uses(name, kind).items()
+        fitting = {use: nodes for use, nodes in found if _is_name_of(type_name, use.type_name)}
         known = [known_class(use, nodes) for use, nodes in fitting.items()]
         for each in known:
             if each is not None:

@@ -57,7 +57,7 @@ from turtleact.tasks import LoopGuard, current_tasks
 from turtleact.tasks.clock import Clock, check_timeout
 from turtleact.transports import MemoryTransport, QoS, Transport
 from turtleact.transports.base import CallObserver, Closeable, Endpoint, EndpointKind
-from turtleact.transports.graph import Graph, graph_of
+from turtleact.transports.graph import Graph, Kind, graph_of
 
 __all__ = [
     "ActionServer",
@@ -72,6 +72,7 @@ __all__ = [
 
 if TYPE_CHECKING:  # few nodes have parameters or introspection; the modules import slowly
     from turtleact.goals.introspection import Introspection
+    from turtleact.node import untyped as by_name
     from turtleact.node.learning import Learner
     from turtleact.node.parameter_rules import Bounds, ParameterDeclaration, Value
     from turtleact.node.parameters import NodeParameters, Parameter
@@ -88,16 +89,19 @@ Res = TypeVar("Res", bound=Message)
 class Node:
     """A participant of a graph. `open_node` makes one.
 
-    Methods that open something raise `TurtleactError` if the node is closed. They raise TypeError
-    if you pass a wrong class, for example a message class as ``action_type``.
+    Methods that open something raise `TurtleactError` if the node is closed, `InvalidName` if a
+    name breaks ROS 2's rules, and TypeError if you pass a wrong class, for example a message class
+    as ``action_type``. Relative names are resolved in the node's namespace.
+
+    A client or subscription that is opened with a name alone learns its type from the graph when it
+    is first awaited or read; see `turtleact.node.untyped`.
 
     With ``on_demand=True``, an endpoint stays hidden from other processes until one of them opens
     an endpoint of the same name.
 
     With ``introspection="contents"``, requests and responses are published on the topics
     ``SERVICE/_service_event``, as in ROS 2. "metadata" leaves out the contents of requests and
-    responses. If the argument is None, the node's attribute ``introspection`` decides. With
-    introspection, calls within a process also pass through the transport, which is slower.
+    responses. If the argument is None, the node's attribute ``introspection`` decides.
 
     Attributes:
         name: The node's name, without the namespace.
@@ -190,7 +194,7 @@ class Node:
 
         Args:
             action_type: The action, a subclass of `turtleact.Action`.
-            name: The action's name. A relative name is resolved in the node's namespace.
+            name: The action's name.
             execute: The body: an async generator function or a coroutine function. It takes the
                 goal and, if it has a second parameter, the `ServerGoalHandle`.
             on_demand: See `Node`.
@@ -198,29 +202,12 @@ class Node:
                 `ActionConflict`. "wait" begins to serve when no other node serves the name.
                 "withdraw" is for built-in actions: the server withdraws while another node serves
                 the name, and a new one replaces it when the name is free again.
-            **options: ``goal_callback(goal)`` returns a `GoalResponse` or raises
-                `turtleact.Reject`; ``cancel_callback(handle)`` returns a `CancelResponse`. Both may
-                be coroutine functions. ``policy`` decides what happens to a new goal while another
-                one runs: "parallel" (at most ``max_active`` at a time), "reject", "queue" or
-                "preempt". At most ``queue_limit`` goals wait. Servers of this node with the same
-                ``slot`` apply their policy together. ``result_timeout`` is how long a result is
-                kept after the goal's end (s, 10 by default; None keeps it for ever).
-                ``on_client_lost`` is "keep", or "cancel" to cancel a client's goals when the client
-                closes. When the server closes, a cancelled body has ``grace`` seconds to clean up
-                (event loop time, 5 by default; see `ActionServer.aclose`). ``journal`` keeps the
-                goals on disk (see `turtleact.open_journal`); ``on_restart`` says what to do with
-                goals that an earlier process did not end: "abort" or "resume". Set
-                ``pausable=True`` if a coroutine body awaits ``handle.checkpoint()``, where it can
-                be paused. The coroutine functions ``on_pause(handle)`` and ``on_resume(handle)``
-                stop and restart the robot. For ``introspection``, see `Node`.
+            **options: See `turtleact.goals.body.ServerOptions`.
 
         Raises:
-            ActionConflict: if this node already serves the name with the same type, or if
-                ``on_conflict`` is "refuse" and another node serves the name.
-            InvalidName: if the name breaks ROS 2's rules.
+            ActionConflict: if this node, or with "refuse" another one, serves the name already.
             InvalidBody: if ``execute`` cannot be a body.
             InvalidOption: if the value of an option is not allowed.
-            TypeError: if an option does not exist.
         """
         self._home.check()
         expect_interface(Action, action_type)
@@ -267,41 +254,48 @@ class Node:
     def on_transition(self, hook: Transition) -> None:
         """Call ``hook(goal, old, new)`` when a goal that this node serves changes its state.
 
-        The hook is called in the event loop. For a new goal, ``old`` is UNKNOWN. An exception that
-        the hook raises is logged.
-
-        Args:
-            hook: Takes the goal's `ServerGoalHandle`, the old `GoalStatus` and the new one.
+        The hook takes the `ServerGoalHandle`, the old `GoalStatus` (UNKNOWN for a new goal) and the
+        new one. It is called in the event loop, and an exception that it raises is logged.
         """
         self._home.check()
         self._hooks.append(hook)
         for server in self._servers():
             server._watch(hook)
 
+    @overload
+    def action_client(
+        self, action_type: ActionType[G, R, F], name: str, **options: Unpack[by_name.ClientOptions]
+    ) -> ActionClient[G, R, F]: ...
+    @overload
+    def action_client(
+        self, action_type: str, **options: Unpack[by_name.ClientOptions]
+    ) -> by_name.UntypedActionClient: ...
     def action_client(
         self,
-        action_type: ActionType[G, R, F],
-        name: str,
+        action_type: Any,  # see the overloads
+        name: str | None = None,
         *,
         cancel_timeout: float | None = 6.0,
         introspection: Introspection | None = None,
-    ) -> ActionClient[G, R, F]:
+    ) -> Any:
         """Open a client of an action. The action need not be served yet.
 
         Args:
-            action_type: The action, a subclass of `turtleact.Action`.
-            name: The action's name. A relative name is resolved in the node's namespace.
+            action_type: The action, a subclass of `turtleact.Action`. You may leave it out.
+            name: The action's name.
             cancel_timeout: How long a task waits for the end of a goal after canceling the goal (s,
                 event loop time; None for no limit). A goal is canceled if its task is cancelled, or
                 leaves the goal's ``async with`` block early.
             introspection: See `Node`.
 
         Raises:
-            InvalidName: if the name breaks ROS 2's rules.
             InvalidOption: if the value of an option is not allowed.
         """
-        expect_interface(Action, action_type)
         check_timeout(cancel_timeout, "cancel_timeout")
+        if name is None:
+            options = {"cancel_timeout": cancel_timeout, "introspection": introspection}
+            return self._untyped(action_type, "action", partial(self.action_client, **options))
+        expect_interface(Action, action_type)
         patience = math.inf if cancel_timeout is None else cancel_timeout
         names = self._action_names(name)
         shown = introspection or self.introspection
@@ -321,15 +315,11 @@ class Node:
 
         Args:
             message_type: The class of the messages.
-            topic: The topic's name. A relative name is resolved in the node's namespace.
+            topic: The topic's name.
             qos: Quality of service.
             on_demand: See `Node`. This argument has no effect on a latched publisher.
-            on_matched: Called when the topic gets its first reader and when the last reader has
-                left. The first call may come before this method returns. Do not use this argument
-                with latched topics.
-
-        Raises:
-            InvalidName: if the topic's name breaks ROS 2's rules.
+            on_matched: Called when the topic gets its first reader, perhaps before this method
+                returns, and when the last reader has left. Not for latched topics.
         """
         expect_interface(Message, message_type)
         name = resolve_name(topic, self.namespace, self.name)
@@ -338,16 +328,29 @@ class Node:
         publication = self.transport.advertise(end, WireFormat(message_type), matching)
         return Publisher(name, message_type, publication, self._resources)
 
+    @overload
     def subscription(
         self, message_type: type[M], topic: str, qos: QoS | None = None, *, on_demand: bool = False
-    ) -> Subscription[M]:
+    ) -> Subscription[M]: ...
+    @overload
+    def subscription(
+        self, message_type: str, *, qos: QoS | None = None, on_demand: bool = False
+    ) -> by_name.UntypedSubscription: ...
+    def subscription(
+        self,
+        message_type: Any,  # see the overloads
+        topic: str | None = None,
+        qos: QoS | None = None,
+        *,
+        on_demand: bool = False,
+    ) -> Any:
         """Open a subscription to a topic. Read its messages with ``async for``.
 
-        For the arguments, see `publisher`.
-
-        Raises:
-            InvalidName: if the topic's name breaks ROS 2's rules.
+        For the arguments, see `publisher`. You may leave out ``message_type``.
         """
+        if topic is None:
+            open = partial(self.subscription, qos=qos, on_demand=on_demand)
+            return self._untyped(message_type, "topic", open)
         expect_interface(Message, message_type)
         name = resolve_name(topic, self.namespace, self.name)
         end = self._endpoint("subscription", name, message_type.type_name, qos, on_demand=on_demand)
@@ -367,15 +370,12 @@ class Node:
 
         Args:
             service_type: The service, a subclass of `turtleact.Service`.
-            name: The service's name. A relative name is resolved in the node's namespace.
+            name: The service's name.
             handler: A function or coroutine function that takes a request and returns the response.
                 Each request has its own task. If the handler raises, the caller gets
                 `ServiceError`.
             on_demand: See `Node`.
             introspection: See `Node`.
-
-        Raises:
-            InvalidName: if the name breaks ROS 2's rules.
         """
         expect_interface(Service, service_type)
         full_name = resolve_name(name, self.namespace, self.name)
@@ -386,20 +386,28 @@ class Node:
             registration = self.transport.serve(endpoint, format, server)
         return ServiceServer(server, self._resources, registration)
 
+    @overload
     def service_client(
         self,
         service_type: ServiceType[Req, Res],
         name: str,
         *,
         introspection: Introspection | None = None,
-    ) -> ServiceClient[Req, Res]:
+    ) -> ServiceClient[Req, Res]: ...
+    @overload
+    def service_client(
+        self, service_type: str, *, introspection: Introspection | None = None
+    ) -> by_name.UntypedServiceClient: ...
+    def service_client(
+        self, service_type: Any, name: str | None = None, *, introspection: Any = None
+    ) -> Any:
         """Open a client of a service. The service need not be served yet.
 
-        For the arguments, see `service`.
-
-        Raises:
-            InvalidName: if the name breaks ROS 2's rules.
+        For the arguments, see `service`. You may leave out ``service_type``.
         """
+        if name is None:
+            open = partial(self.service_client, introspection=introspection)
+            return self._untyped(service_type, "service", open)
         expect_interface(Service, service_type)
         full_name = resolve_name(name, self.namespace, self.name)
         endpoint = self._endpoint("client", full_name, service_type.type_name)
@@ -446,9 +454,8 @@ class Node:
         The first declaration opens the node's six parameter services.
 
         Args:
-            name: The parameter's name. If you give only a name, this method finds a declared
-                parameter. If you give a declaration of `turtleact.parameter` instead, this method
-                declares the parameter, unless the node already has it.
+            name: The parameter's name; alone, it finds a declared parameter. A declaration of
+                `turtleact.parameter` declares the parameter, unless the node already has it.
             default: The initial value. For ``default`` and the options, see `turtleact.parameter`.
 
         Raises:
@@ -460,11 +467,7 @@ class Node:
         return self._node_parameters().get(name, default, options)
 
     def count_publishers(self, topic: str) -> int:
-        """Count the publishers of a topic on all nodes of the graph.
-
-        Raises:
-            InvalidName: if the topic's name breaks ROS 2's rules.
-        """
+        """Count the publishers of a topic on all nodes of the graph."""
         name = resolve_name(topic, self.namespace, self.name)
         return sum(endpoint.kind == "publisher" for endpoint in self.transport.endpoints(name))
 
@@ -519,6 +522,14 @@ class Node:
         if self._parameters is None:
             self._parameters = NodeParameters(self, self._resources, self._home, self._tasks)
         return self._parameters
+
+    def _untyped(self, name: str, kind: Kind, open: Callable[..., Any]) -> Any:  # noqa: ANN401  # see there
+        """Return a client or subscription that learns its type, and then calls ``open``."""
+        from turtleact.node.untyped import untyped  # few programs need it
+
+        self._check_open()
+        full_name = resolve_name(name, self.namespace, self.name)
+        return untyped(kind, full_name, self.learner, self._resources, open)
 
     def _action_names(self, name: str) -> ActionNames:
         return action_names(resolve_name(name, self.namespace, self.name))
@@ -596,11 +607,7 @@ class ActionServer(Generic[G, R, F]):
 
     @property
     def is_serving(self) -> bool:
-        """Whether the server is on the graph under its name.
-
-        This is False while the server waits because another node serves the name, and after the
-        server has withdrawn in favour of another node.
-        """
+        """Whether the server has its name on the graph, neither waiting nor withdrawn."""
         return self._served_name.is_serving
 
     @property
@@ -628,10 +635,7 @@ class ActionServer(Generic[G, R, F]):
         await self._endpoints.aclose()
 
     async def wait_until_serving(self) -> bool:
-        """Wait until the server is on the graph; return False if it closes or withdraws first.
-
-        Cancelling: safe. The server itself continues to wait for its name.
-        """
+        """Wait until the server is on the graph; return False if it closes or withdraws first."""
         return await self._served_name.wait()
 
     def _watch(self, hook: Transition) -> None:
