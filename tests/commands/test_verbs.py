@@ -17,7 +17,7 @@ from turtleact.commands.goals import moment
 from turtleact.commands.message_text import GoalText
 from turtleact.commands.options import BUNDLES
 from turtleact.commands.settings import Fleet, Placing, Policies, Reach, endpoints
-from turtleact.commands.targets import Modules
+from turtleact.commands.user_modules import Modules
 from turtleact.errors import UsageError
 from turtleact.sim.start_poses import PLACINGS
 

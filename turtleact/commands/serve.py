@@ -354,7 +354,7 @@ def _node_name(targets: list[str] | None, *, no_sim: bool) -> str:
     node is called ``turtleact``. A server without a world often runs beside a server with a world,
     and ROS 2 warns if two nodes have the same name.
     """
-    from turtleact.commands.targets import read_target
+    from turtleact.commands.user_modules import read_target
 
     module = read_target(targets[0]).module.rpartition(".")[2] if no_sim and targets else ""
     is_fit = _NODE_NAME.fullmatch(module) and module not in _WORLD_NODES
