@@ -13,7 +13,7 @@ import anyio
 import pytest
 
 from turtleact import open_node
-from turtleact.commands.node_parameters import parameter_value
+from turtleact.commands.node_parameters import parameter_value, print_names
 from turtleact.errors import InvalidMessage, UsageError
 from turtleact.interfaces.standard import (
     DescribeParameters,
@@ -27,6 +27,7 @@ from turtleact.interfaces.standard import (
     SetParameters,
     SetParametersResult,
 )
+from turtleact.transports import open_zenoh
 
 GOLDEN = {
     case["case"]: case
@@ -130,6 +131,27 @@ def test_a_node_that_does_not_answer_hides_no_other(on_graph, graphs):
         "/turtlesim:\n  yes\n",
         "turtleact: service '/camera/list_parameters': no response within 5 s\n",
     )
+
+
+@pytest.mark.anyio
+async def test_services_on_demand_are_brought_up_by_who_waits_for_them(tmp_path, capsys):
+    address = f"unixsock-stream/{tmp_path}/socket"
+    async with (
+        open_zenoh([], listen=[address]) as there,
+        open_zenoh([address], listen=[]) as here,
+        open_node("camera", transport=there) as camera,
+        open_node("asker", transport=here) as asker,
+    ):
+        names = ListParameters.Response(ListParametersResult(["rate"]))
+        camera.service(ListParameters, "~/list_parameters", lambda _: names, on_demand=True)
+        camera.service(
+            GetParameters, "~/get_parameters", lambda _: GetParameters.Response(), on_demand=True
+        )
+        await here.explore()
+        listed = await print_names(
+            asker, None, pattern=None, prefixes=(), types=False, hidden=False
+        )
+    assert (listed, capsys.readouterr().out) == (0, "/camera:\n  rate\n")
 
 
 @pytest.fixture

@@ -88,6 +88,9 @@ DONE, FAILED = 0, 1
 PATIENCE = 5.0
 """How long to wait for a node's answer (s, by the clock of the graph)."""
 
+ON_DEMAND = 0.5
+"""How long a node may take to open parameter services that a client waits for (s)."""
+
 
 class Owner(NamedTuple):
     """The node that has the parameters.
@@ -144,7 +147,7 @@ async def print_names(
         return DONE
     status = DONE
     for owner in sorted(_nodes(node, hidden=hidden)):
-        if not _has_parameters(node, owner):
+        if not await _has_parameters(node, owner):
             continue
         try:
             shown = await lines(owner)
@@ -388,7 +391,7 @@ async def _find(node: Node, owner: Owner) -> str:
     known = _nodes(node, hidden=owner.hidden)
     if name not in known:
         raise TurtleactError(f"there is no node '{name}'{names_like(name, known)}")
-    if not _has_parameters(node, name):
+    if not await _has_parameters(node, name):
         raise TurtleactError(
             f"node '{name}' has no parameters: nobody serves {name}/get_parameters"
         )
@@ -399,9 +402,16 @@ def _nodes(node: Node, *, hidden: bool) -> list[str]:
     return [name for name in node.transport.nodes() if hidden or not is_hidden_node(name)]
 
 
-def _has_parameters(node: Node, name: str) -> bool:
-    services = types_by_name(node.transport.endpoints(), "service", hidden=True)
-    return f"{name}/get_parameters" in services
+async def _has_parameters(node: Node, name: str) -> bool:
+    """Whether a node serves its parameters, perhaps only since this client waits for them."""
+    service = f"{name}/get_parameters"
+    if service in types_by_name(node.transport.endpoints(), "service", hidden=True):
+        return True
+    client = node.service_client(GetParameters, service)
+    try:
+        return await client.wait_for_service(ON_DEMAND)
+    finally:
+        await client.aclose()
 
 
 async def _ask(node: Node, service_type: ServiceType[Req, Res], owner: str, request: Req) -> Res:
