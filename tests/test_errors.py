@@ -10,7 +10,7 @@ import pytest
 from turtleact import errors
 from turtleact.errors import TurtleactError
 from turtleact.goals.state import GoalEvent, GoalStatus
-from turtleact.summaries import summary, text_of
+from turtleact.tasks.failures import LONGEST, encodable, summary, text_of
 
 from .tables import together
 
@@ -133,16 +133,27 @@ def test_an_exception_can_be_sent_to_another_process(error):
     assert (type(sent), vars(sent), str(sent)) == (type(error), vars(error), str(error))
 
 
-class Mute(Exception):
-    """An exception that cannot be printed."""
-
-    def __str__(self) -> str:
-        raise RuntimeError("no words")
-
-
-def test_what_cannot_be_printed_is_said_to_be_so():
-    assert text_of(Mute()) == "(Mute, whose text failed with RuntimeError)"
-
-
 def test_a_text_of_several_lines_becomes_one():
     assert summary(ValueError("one\ntwo")) == "ValueError: one two"
+
+
+# --- the texts of what users' code raises ---------------------------------------------------
+
+
+def test_a_long_text_is_cut_and_its_length_said():
+    assert text_of("a" * LONGEST) == "a" * LONGEST
+    assert text_of("a" * 50_000) == "a" * LONGEST + "… (50,000 characters)"
+
+
+def test_a_group_of_long_texts_is_cut_as_a_whole():
+    group = ExceptionGroup("many", [ValueError("a" * 9_000) for _ in range(9)])
+    assert len(summary(group)) < LONGEST + 40
+
+
+@pytest.mark.parametrize("text", ["plain", "naïve 🐢", ""])
+def test_a_text_that_can_be_encoded_stays(text):
+    assert encodable(text) == text
+
+
+def test_half_a_surrogate_pair_is_escaped():
+    assert encodable("caf\udce9 🐢") == r"caf\udce9 🐢"

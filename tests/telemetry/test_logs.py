@@ -147,43 +147,6 @@ class Odd:
         return "odd"
 
 
-class Mute:
-    """A value without a text."""
-
-    def __repr__(self) -> str:
-        raise RuntimeError("no text")
-
-
-FAILED = "whose text failed with RuntimeError)"
-
-
-@pytest.mark.parametrize(
-    ("message", "arguments", "told"),
-    [
-        ("at %s", (Mute(),), f"at %s (tuple, {FAILED} (RuntimeError: no text)"),
-        (Mute(), (), f"(Mute, {FAILED} () (RuntimeError: no text)"),
-    ],
-)
-def test_a_message_whose_text_fails_is_one_line_of_json(message, arguments, told):
-    record = logging.makeLogRecord({"msg": message, "args": arguments})
-    assert json.loads(JsonFormatter().format(record))["message"] == told
-
-
-@pytest.mark.parametrize(
-    ("value", "told"),
-    [
-        (Mute(), f"(Mute, {FAILED}"),
-        ([1, Mute()], [1, f"(Mute, {FAILED}"]),
-        (["\ud800", Mute()], f"(list, {FAILED}"),
-    ],
-)
-def test_an_extra_whose_text_fails_is_described(handler, value, told):
-    handler.setFormatter(JsonFormatter())
-    logger.info("here", extra={"value": value})
-    (line,) = handler.lines
-    assert (json.loads(line)["message"], json.loads(line)["value"]) == ("here", told)
-
-
 @pytest.mark.parametrize(
     ("value", "told"),
     [(Odd(), "odd"), ("\ud800", "\\ud800"), ({1, 2}, [1, 2]), ({(1, 2): 3}, {"(1, 2)": 3})],

@@ -597,7 +597,7 @@ def _outputs_in(path: Path) -> Sequence[Output]:
         UsageError: if the file is not a valid options file, or has an option that turtleact lacks.
     """
     from turtleact.recording.metadata import read_yaml
-    from turtleact.summaries import summary
+    from turtleact.tasks.failures import summary
 
     try:
         text = path.read_text(encoding="utf-8")

@@ -289,11 +289,12 @@ def _types_by_name(ctx: typer.Context, kind: Kind) -> dict[str, tuple[str, ...]]
     If there is no graph, or an option selects the embedded world, return the actions of that world,
     but no services or topics.
     """
+    from turtleact.transports.graph import types_by_name  # help does without it
+
     given = ctx.params
     embedded = EMBEDDED if kind == "action" else {}
     if given.get("embedded") or given.get("seed") or given.get("speed"):
         return embedded
-    from turtleact.transports.graph import types_by_name
 
     where = _reach(ctx)
     try:

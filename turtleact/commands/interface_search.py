@@ -16,7 +16,7 @@ from turtleact.interfaces import (
     load_workspace,
     offer_interfaces,
 )
-from turtleact.workspace import find_interfaces
+from turtleact.interfaces.workspace import find_interfaces
 
 if TYPE_CHECKING:
     from turtleact.interfaces import Message

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn, TypeAlias
 
 from turtleact.commands.output import leave, note
 from turtleact.errors import TurtleactError, UsageError
-from turtleact.workspace import folders_near, package_name
+from turtleact.interfaces.workspace import folders_near, package_name
 
 if TYPE_CHECKING:
     from turtleact.rclpy.program import Options
@@ -323,9 +323,9 @@ def _told(error: BaseException) -> int:
     while trace is not None and _is_ours(trace.tb_frame.f_code.co_filename):
         trace = trace.tb_next
     error.__traceback__ = trace
-    from turtleact.summaries import field_hint, syntax_hint  # help does without it
+    from turtleact.tasks.failures import syntax_hint  # help does without it
 
-    if hint := field_hint(error) or syntax_hint(error):
+    if hint := syntax_hint(error):
         error.add_note(hint)
     traceback.print_exception(error)
     return FAILED

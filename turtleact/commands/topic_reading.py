@@ -25,8 +25,8 @@ from turtleact.interfaces import Message, encode, nanoseconds, type_hash
 from turtleact.interfaces.definition import did_you_mean, names_like
 from turtleact.interfaces.types import fields, nested_classes
 from turtleact.names import resolve_name
-from turtleact.summaries import summary
 from turtleact.tasks.clock import within
+from turtleact.tasks.failures import summary
 from turtleact.transports import QoS
 from turtleact.transports.graph import types_by_name
 

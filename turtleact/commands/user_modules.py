@@ -31,7 +31,7 @@ from turtleact.errors import TurtleactError, UsageError
 from turtleact.goals.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.interfaces.definition import did_you_mean, names_like
 from turtleact.node.parameter_rules import ParameterDeclaration
-from turtleact.summaries import summary, syntax_hint
+from turtleact.tasks.failures import summary, syntax_hint
 
 __all__ = ["Found", "Modules", "Target", "read_target"]
 

@@ -18,7 +18,7 @@ from turtleact.errors import GoalRejected, Reject
 from turtleact.goals.body import ServerOptions
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.state import CancelResponse, Goal, GoalRequest, GoalResponse
-from turtleact.summaries import loggable, summary, text_of
+from turtleact.tasks.failures import summary, text_of
 
 __all__ = ["Callbacks", "cancel_goals_of_lost_clients"]
 
@@ -81,7 +81,7 @@ class Callbacks:
             answer = await self._answer(self._cancel_callback(self._server.make_handle(goal)))
         except Exception as error:
             problem = "the cancel_callback of %s failed; the goal continues"
-            logger.error(problem, self._server.name, exc_info=loggable(error))
+            logger.error(problem, self._server.name, exc_info=error)
             return False
         return answer is CancelResponse.ACCEPT
 
@@ -107,7 +107,7 @@ class Callbacks:
             raise GoalRejected(text_of(verdict.reason)) from None
         except Exception as error:
             problem = "the goal_callback of %s failed; the goal is rejected"
-            logger.error(problem, self._server.name, exc_info=loggable(error))
+            logger.error(problem, self._server.name, exc_info=error)
             raise GoalRejected(f"the goal_callback failed: {summary(error)}") from None
         if answer is GoalResponse.REJECT:
             raise GoalRejected("the goal_callback rejected it")

@@ -29,8 +29,8 @@ from turtleact.goals.server import LocalActionServer
 from turtleact.goals.state import Goal, GoalEvent, GoalRequest, GoalStatus
 from turtleact.interfaces import Action, Message, WireFormat, type_hash
 from turtleact.interfaces.standard import CancelGoal
-from turtleact.summaries import encodable
 from turtleact.tasks import Tasks
+from turtleact.tasks.failures import encodable
 
 __all__ = ["DurableGoals", "Restoring"]
 

@@ -18,7 +18,6 @@ from typing import Any, Final, Protocol, TypeAlias
 from turtleact.errors import Abort, InvalidMessage
 from turtleact.goals.state import Goal
 from turtleact.interfaces import Message
-from turtleact.summaries import loggable
 
 __all__ = ["BURST", "RunningBody", "Steps", "drive"]
 
@@ -130,7 +129,7 @@ async def _finish(run: RunningBody, steps: Steps) -> None:
         raise
     except Exception as error:
         problem = "the body of %s failed after it had yielded its result; the result stands"
-        logger.error(problem, run.action, exc_info=loggable(error))
+        logger.error(problem, run.action, exc_info=error)
     except BaseException:
         problem = "the body of %s was canceled after it had yielded its result; the result stands"
         logger.info(problem, run.action)

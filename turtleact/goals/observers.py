@@ -19,7 +19,7 @@ from typing import Any, Final, TypeAlias
 import msgspec
 
 from turtleact.goals.state import CURRENT_GOAL, Goal, GoalRequest, GoalStatus
-from turtleact.summaries import STOPS, loggable
+from turtleact.tasks.failures import STOPS
 
 __all__ = [
     "BodyFailed",
@@ -280,4 +280,4 @@ class Observers:
                 raise
             except BaseException as error:  # also a stray cancellation
                 problem = "an observer of the goals of %s failed"
-                logger.error(problem, self._action, exc_info=loggable(error))
+                logger.error(problem, self._action, exc_info=error)

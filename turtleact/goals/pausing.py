@@ -37,8 +37,8 @@ from turtleact.goals.observers import GoalObserver, News
 from turtleact.goals.running import BodyTask
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.state import Goal, GoalStatus
-from turtleact.summaries import loggable, summary
 from turtleact.tasks import Background
+from turtleact.tasks.failures import summary
 
 __all__ = ["PauseRequest", "Pauses"]
 
@@ -339,8 +339,8 @@ class Pauses(GoalObserver):
         try:
             await callback(self._server.make_handle(goal))
         except Exception as error:
-            problem, told = "the %s of a goal failed (goal %s)", loggable(error)
-            logger.error(problem, what, goal.hex, exc_info=told)
+            problem = "the %s of a goal failed (goal %s)"
+            logger.error(problem, what, goal.hex, exc_info=error)
             raise PauseRefused(f"{what} failed: {summary(error)}") from error
 
     # the goals that the body has sent

@@ -51,8 +51,8 @@ from turtleact.goals.state import (
 from turtleact.goals.wire import GoalMetadata, State
 from turtleact.interfaces import SECOND, Message, nanoseconds, snapshotter, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
-from turtleact.summaries import STOPS, loggable, summary
 from turtleact.tasks import Cancelable, Tasks, wait_while
+from turtleact.tasks.failures import STOPS, summary
 from turtleact.transports.base import REQUEST_NOTE, Reply
 
 __all__ = ["RemoteActionServer"]
@@ -466,9 +466,8 @@ class RemoteActionServer:
             except STOPS:
                 raise
             except BaseException as error:  # also a stray cancellation
-                told = loggable(error)
                 problem = "the feedback_callback of a goal of %s failed (goal %s)"
-                logger.error(problem, self._endpoints.name, goal.hex, exc_info=told)
+                logger.error(problem, self._endpoints.name, goal.hex, exc_info=error)
         goal.changed.fire()
 
     # states

@@ -24,8 +24,8 @@ from turtleact.goals.observers import BodyFailed
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.state import CURRENT_GOAL, Cancelable, Goal, GoalEvent, GoalStatus
 from turtleact.interfaces import Message
-from turtleact.summaries import CUT_OFF, STOPPED, loggable, summary, text_of
 from turtleact.tasks import is_cancellation, wait_while
+from turtleact.tasks.failures import CUT_OFF, STOPPED, summary, text_of
 
 __all__ = ["BLOCKING", "BodyRunner", "BodyTask"]
 
@@ -144,8 +144,8 @@ class BodyRunner:
             # result. This error only tells the body that its goal has ended.
             pass
         else:
-            problem, told = "the body of %s failed (goal %s)", loggable(error)
-            logger.error(problem, server.name, goal.hex, exc_info=told)
+            problem = "the body of %s failed (goal %s)"
+            logger.error(problem, server.name, goal.hex, exc_info=error)
             if server.observers.are_any:
                 server.observers.noted(goal, BodyFailed(error))
             server.end(goal, GoalEvent.ABORT, None, summary(error))

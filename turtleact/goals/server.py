@@ -43,8 +43,8 @@ from turtleact.goals.state import (
 )
 from turtleact.interfaces import Message, snapshotter, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
-from turtleact.summaries import STOPS, loggable
 from turtleact.tasks import GRACE, LoopGuard, Signal, Tasks, wait_while
+from turtleact.tasks.failures import STOPS
 
 if TYPE_CHECKING:
     from turtleact.goals.body import ActionType, Body
@@ -333,9 +333,8 @@ class LocalActionServer:
             except STOPS:
                 raise
             except BaseException as error:  # also a stray cancellation: this body was not cancelled
-                told = loggable(error)
                 problem = "the feedback_callback of a goal of %s failed (goal %s)"
-                logger.error(problem, self.name, goal.hex, exc_info=told)
+                logger.error(problem, self.name, goal.hex, exc_info=error)
         if self.publisher is not None:
             self.publisher.send(goal, message)
         if self.observers.want_feedback:

@@ -39,8 +39,8 @@ from turtleact.errors import (
     TurtleactError,
 )
 from turtleact.interfaces import Message, snapshotter
-from turtleact.summaries import STOPPED, loggable, summary
 from turtleact.tasks import GRACE, Cancelable, Signal, Tasks, is_cancellation, wait_while
+from turtleact.tasks.failures import STOPPED, summary
 from turtleact.transports.base import (
     CallObserver,
     Endpoint,
@@ -216,7 +216,7 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
         """
         if is_cancellation(error, self._tasks):
             return "the handler was canceled from within"
-        logger.error("the handler of service %s failed", self.name, exc_info=loggable(error))
+        logger.error("the handler of service %s failed", self.name, exc_info=error)
         return f"the handler failed: {summary(error)}"
 
     def _end(

@@ -32,7 +32,7 @@ import msgspec
 
 from turtleact.interfaces import Message, Service, bool_, float64, int8, string
 from turtleact.interfaces.standard import UUID
-from turtleact.summaries import encodable
+from turtleact.tasks.failures import encodable
 
 __all__ = [
     "GoalMetadata",

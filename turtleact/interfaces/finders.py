@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 import msgspec
 
 from turtleact.interfaces.definition import type_name_pattern
-from turtleact.workspace import KINDS
+from turtleact.interfaces.workspace import KINDS
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable

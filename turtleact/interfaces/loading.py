@@ -42,7 +42,7 @@ from turtleact.interfaces.finders import (
 )
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.types import REGISTRY, Action, Message, Service, definition
-from turtleact.workspace import KINDS, interface_files, proper_name
+from turtleact.interfaces.workspace import KINDS, interface_files, proper_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -237,7 +237,7 @@ def load_workspace(*prefixes: str | Path) -> None:
 def offer_interfaces(
     files: Mapping[str, Path], on_use: Callable[[str, str], object] | None = None
 ) -> None:
-    """Register the interface files that `turtleact.workspace` has found.
+    """Register the interface files that `turtleact.interfaces.workspace` has found.
 
     A file is read when its interface is first used, so a malformed file raises no error before
     then. If a file and a built-in interface have different definitions, the file is used.

@@ -35,8 +35,8 @@ from turtleact.journal.database import (
     Withdraw,
     explain,
 )
-from turtleact.opening import opening
 from turtleact.tasks import LoopGuard, Tasks, current_tasks, thread_work
+from turtleact.tasks.opening import opening
 
 __all__ = ["Journal", "open_journal"]
 

@@ -18,7 +18,7 @@ from mcp.server.transport_security import TransportSecuritySettings
 from starlette.responses import PlainTextResponse
 
 from turtleact.http_server import Config, bound, serving, token_for
-from turtleact.opening import opening
+from turtleact.tasks.opening import opening
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Receive, Scope, Send

@@ -47,8 +47,8 @@ from turtleact.mcp.replies import failure
 from turtleact.mcp.schema import message_from, plain
 from turtleact.mcp.tasks import TASK_IDS, Tasks, declares_tasks, require_tasks
 from turtleact.mcp.tools import Tools, picture, read_topic
-from turtleact.opening import opening
 from turtleact.tasks import Background
+from turtleact.tasks.opening import opening
 
 if TYPE_CHECKING:
     from mcp.server.context import CallNext, HandlerResult

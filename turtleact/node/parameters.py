@@ -35,7 +35,7 @@ from turtleact.node.parameter_rules import (
     parameter,
     value_of,
 )
-from turtleact.summaries import loggable, summary, text_of
+from turtleact.tasks.failures import summary, text_of
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
@@ -339,7 +339,7 @@ class Parameter(Generic[P]):
             try:
                 hook(self.value)
             except Exception as error:
-                logger.error("a hook of parameter '%s' failed", self.name, exc_info=loggable(error))
+                logger.error("a hook of parameter '%s' failed", self.name, exc_info=error)
 
     def wake(self) -> None:
         """Wake the readers of `changes`."""
@@ -392,9 +392,7 @@ def _checker(declaration: ParameterDeclaration[P]) -> Callable[[ParameterValue],
         except (ValueError, TurtleactError) as refusal:
             return text_of(refusal) or "the node refuses this value"
         except Exception as error:
-            logger.error(
-                "'validate' of parameter '%s' failed", declaration.name, exc_info=loggable(error)
-            )
+            logger.error("'validate' of parameter '%s' failed", declaration.name, exc_info=error)
             return f"its 'validate' failed: {summary(error)}"
         return "the node refuses this value" if answer is False else ""
 

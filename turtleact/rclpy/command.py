@@ -15,10 +15,10 @@ from pathlib import Path
 
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import load_workspace, offer_interfaces
+from turtleact.interfaces.workspace import find_interfaces
 from turtleact.rclpy.face import FACES
 from turtleact.rclpy.impl.settings import Place
 from turtleact.rclpy.program import Options, end_threads, leave, prepare
-from turtleact.workspace import find_interfaces
 
 __all__ = ["run"]
 

@@ -18,10 +18,10 @@ from typing import NoReturn
 import msgspec
 
 from turtleact.interfaces import load_interfaces, offer_interfaces
+from turtleact.interfaces.workspace import find_interfaces
 from turtleact.rclpy.face import chosen_face
 from turtleact.rclpy.finder import install
 from turtleact.rclpy.impl.settings import SETTINGS, Place
-from turtleact.workspace import find_interfaces
 
 __all__ = ["Options", "end_threads", "leave", "offer_neighbours", "prepare"]
 

@@ -24,7 +24,6 @@ from turtleact.goals.wire import GoalReason, reason_topic
 from turtleact.interfaces import Message, WireFormat, get_interface, type_hash
 from turtleact.names import EVENT_SUFFIX, event_topic, resolve_name
 from turtleact.node import Node, check_open
-from turtleact.opening import opening
 from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.mcap_writing import Compression
 from turtleact.recording.metadata import BagError, Offer
@@ -34,6 +33,7 @@ from turtleact.recording.spool import CAPACITY, Spool
 from turtleact.recording.storage import Channel, in_nanoseconds
 from turtleact.tasks import Background, current_tasks, thread_work
 from turtleact.tasks.clock import WallClock
+from turtleact.tasks.opening import opening
 from turtleact.transports.base import Closeable, Endpoint, QoS, RawFormat
 from turtleact.transports.graph import SEND_GOAL
 

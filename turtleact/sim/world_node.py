@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, TypeAlias
 from turtleact.actions import serve_built_ins
 from turtleact.goals.records import GoalJournal, OnRestart
 from turtleact.node import Node, Transition, close_withdrawn, open_node
-from turtleact.opening import opening
 from turtleact.sim.kinematics import SIDE
 from turtleact.sim.pictures import Snapshot
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
 from turtleact.tasks import Background
 from turtleact.tasks.clock import Clock, make_clock
+from turtleact.tasks.opening import opening
 from turtleact.transports import MemoryTransport, Transport
 
 if TYPE_CHECKING:

@@ -32,8 +32,8 @@ from opentelemetry.sdk.trace import TracerProvider
 from opentelemetry.sdk.trace.export import BatchSpanProcessor
 
 from turtleact.errors import TurtleactError
-from turtleact.summaries import summary
 from turtleact.tasks import run_in_daemon
+from turtleact.tasks.failures import summary
 
 __all__ = ["FLUSH_WITHIN", "exporting"]
 

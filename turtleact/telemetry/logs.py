@@ -22,7 +22,7 @@ import msgspec
 
 from turtleact.goals.running import BodyTask
 from turtleact.goals.state import CURRENT_GOAL
-from turtleact.summaries import encodable, summary, text_of
+from turtleact.tasks.failures import encodable, summary, text_of
 
 __all__ = ["GoalFilter", "JsonFormatter", "TextFormatter"]
 

@@ -14,9 +14,9 @@ from functools import partial
 from typing import TypeAlias
 
 from turtleact.errors import ServerUnavailable, ServiceError, TurtleactError
-from turtleact.summaries import summary
 from turtleact.tasks import Signal, current_tasks
 from turtleact.tasks.clock import Clock, WallClock
+from turtleact.tasks.failures import summary
 from turtleact.transports.base import (
     EVERY_SERVER,
     Caller,

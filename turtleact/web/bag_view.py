@@ -28,13 +28,13 @@ from starlette.responses import Response
 from turtleact.http_server import bound, serving
 from turtleact.interfaces import to_json
 from turtleact.interfaces.types import fields
-from turtleact.opening import opening
 from turtleact.recording.bag import Bag, reader_of
 from turtleact.recording.metadata import BagError
 from turtleact.recording.recorded_goals import ENDED, RecordedGoal, goals
 from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import part_of
 from turtleact.recording.storage import Channel, Range, Raw
+from turtleact.tasks.opening import opening
 from turtleact.web.access import Access, Refusals
 from turtleact.web.bridge import FILES, HEADERS, page_file, plain_text
 from turtleact.web.page_values import hues

@@ -22,7 +22,7 @@ from starlette.websockets import WebSocket
 
 from turtleact.errors import TurtleactError
 from turtleact.node import Node
-from turtleact.opening import opening
+from turtleact.tasks.opening import opening
 from turtleact.web.access import Access, Refusals
 from turtleact.web.connection import TRY_AGAIN_LATER, Connection
 from turtleact.web.shared import Limits, Shared

@@ -24,7 +24,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import Message
 from turtleact.node.topics import Publisher
-from turtleact.summaries import summary
+from turtleact.tasks.failures import summary
 from turtleact.transports import QoS
 from turtleact.web import operations
 from turtleact.web.mailbox import Mailbox, Throttle

@@ -31,7 +31,7 @@ from turtleact import http_server
 from turtleact.errors import TurtleactError
 from turtleact.http_server import bound, serving, token_for
 from turtleact.node import Node
-from turtleact.opening import opening
+from turtleact.tasks.opening import opening
 from turtleact.web.access import Refusals
 from turtleact.web.bridge import Bridge, open_bridge
 from turtleact.web.connection import TRY_AGAIN_LATER

@@ -34,8 +34,8 @@ from turtleact.interfaces import Message
 from turtleact.node import Node
 from turtleact.node.services import ServiceClient, ServiceType
 from turtleact.node.topics import Subscription
-from turtleact.summaries import summary
 from turtleact.tasks import Background, current_tasks
+from turtleact.tasks.failures import summary
 from turtleact.transports import QoS
 from turtleact.transports.base import REQUEST_NOTE
 from turtleact.web.mailbox import Budget

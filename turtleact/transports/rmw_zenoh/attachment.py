@@ -36,7 +36,7 @@ from turtleact.errors import (
     ServiceTimeout,
     TurtleactError,
 )
-from turtleact.summaries import shortened, summary
+from turtleact.tasks.failures import shortened, summary
 from turtleact.transports.rmw_zenoh.config import PATIENCE
 
 __all__ = [

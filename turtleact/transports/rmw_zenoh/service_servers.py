@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from turtleact.errors import InvalidMessage, ServerUnavailable, ServiceError, TurtleactError
-from turtleact.summaries import loggable, summary
+from turtleact.tasks.failures import summary
 from turtleact.transports.base import (
     REQUEST_NOTE,
     Closeable,
@@ -247,7 +247,7 @@ class _Request(msgspec.Struct, eq=False):
         name = self.service.name
         if isinstance(error, TurtleactError):
             return error
-        logger.error("the handler of service %s failed", name, exc_info=loggable(error))
+        logger.error("the handler of service %s failed", name, exc_info=error)
         return ServiceError(name, f"the handler failed: {summary(error)}")
 
 

@@ -25,7 +25,7 @@ from zenoh import ext
 from zenoh.handlers import Callback
 
 from turtleact.errors import InvalidOption, TurtleactError
-from turtleact.summaries import encodable
+from turtleact.tasks.failures import encodable
 from turtleact.transports.rmw_zenoh.config import (
     PATIENCE,
     Mode,

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from turtleact import workspace
-from turtleact.workspace import (
+from turtleact.interfaces.workspace import (
     find_interfaces,
     folders_near,
     interface_files,

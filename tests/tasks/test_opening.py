@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import turtleact
-from turtleact.opening import opening
+from turtleact.tasks.opening import opening
 
 pytestmark = pytest.mark.loops("asyncio")
 
