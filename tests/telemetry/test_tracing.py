@@ -30,7 +30,7 @@ from turtleact.telemetry import instrument, new_traces, tracing
 from turtleact.transports import MemoryTransport
 from turtleact.transports.base import REQUEST_NOTE
 
-from ..client.test_remote_server import Apart
+from ..goals.test_remote_server import Apart
 from ..lab import Count, Gate, count, goal, result, settle
 from .collector import Collector, collecting, events, exporting_to, values
 

@@ -13,8 +13,8 @@ from turtleact import GoalStatus
 from turtleact.errors import GoalAborted
 
 from ..lab import Count, feedback, goal, lab, result, running, settle, take_turns
-from ..test_policies import Send
 from .test_execution import awaited, entered
+from .test_policies import Send
 
 
 @pytest.fixture(params=[awaited, entered])

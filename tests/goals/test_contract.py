@@ -20,7 +20,7 @@ from turtleact.errors import (
 from turtleact.goals.state import CancelCode
 from turtleact.interfaces.standard import GoalStatusArray
 
-from .lab import (
+from ..lab import (
     ON_ASYNCIO,
     Count,
     Gate,

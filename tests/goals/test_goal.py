@@ -26,7 +26,7 @@ from turtleact.goals.state import (
     transition,
 )
 
-from .tables import together
+from ..tables import together
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND

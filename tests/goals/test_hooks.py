@@ -18,7 +18,7 @@ from turtleact.interfaces import implied
 from turtleact.interfaces.standard import UUID
 from turtleact.transports import MemoryTransport
 
-from .lab import Count, Gate, count, feedback, goal, lab, result, running, settle, take_turns
+from ..lab import Count, Gate, count, feedback, goal, lab, result, running, settle, take_turns
 
 ACCEPT = ("UNKNOWN", "ACCEPTED")
 EXECUTE = ("ACCEPTED", "EXECUTING")

@@ -16,8 +16,8 @@ from turtleact.errors import InvalidOption
 from turtleact.goals.policies import Decision, Rules, Slot, Slots
 from turtleact.goals.state import Goal
 
-from .lab import bare_goal
-from .tables import together
+from ..lab import bare_goal
+from ..tables import together
 
 START, WAIT, REFUSE = Decision.START, Decision.WAIT, Decision.REJECT
 

@@ -26,16 +26,7 @@ from turtleact.errors import (
 )
 from turtleact.goals.state import CancelCode
 
-from .client.test_action_client import (
-    Busy,
-    await_it,
-    cancel_after,
-    cancel_it,
-    leave_it,
-    on_asyncio,
-    take,
-)
-from .lab import (
+from ..lab import (
     ON_ASYNCIO,
     ON_TRIO,
     Count,
@@ -52,8 +43,17 @@ from .lab import (
     settle,
     take_turns,
 )
-from .server.test_execution import awaited, entered
-from .server.test_local_server import ids
+from .test_action_client import (
+    Busy,
+    await_it,
+    cancel_after,
+    cancel_it,
+    leave_it,
+    on_asyncio,
+    take,
+)
+from .test_execution import awaited, entered
+from .test_local_server import ids
 
 Send = Callable[[Lab, Count.Goal], Awaitable[Outcome[Count.Result]]]
 

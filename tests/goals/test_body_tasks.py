@@ -1,7 +1,7 @@
 """A body runs in a task of its own: how its client waits never changes what the body sees.
 
 Each claim is tested for every way to wait for a goal, with the server in the client's process and
-behind Zenoh. A client that is cancelled has its own tests, in ``client/test_cancelling.py``.
+behind Zenoh. A client that is cancelled has its own tests, in ``goals/test_cancelling.py``.
 """
 
 from __future__ import annotations
@@ -21,19 +21,8 @@ from turtleact.errors import GoalAborted, GoalCanceled
 from turtleact.tasks import current_tasks
 from turtleact.testing import virtual_backend
 
-from .client.test_cancelling import (
-    address,
-    by_a_scope,
-    by_a_task_group,
-    by_a_task_group_of_asyncio,
-    by_a_timeout_of_asyncio,
-    by_its_task,
-    by_move_on_after,
-    in_process,
-    over_zenoh,
-)
-from .conftest import INSTALLED, LOOPS
-from .lab import (
+from ..conftest import INSTALLED, LOOPS
+from ..lab import (
     ON_ASYNCIO,
     ON_EVERY_LOOP,
     Count,
@@ -43,6 +32,17 @@ from .lab import (
     result,
     running,
     settle,
+)
+from .test_cancelling import (
+    address,
+    by_a_scope,
+    by_a_task_group,
+    by_a_task_group_of_asyncio,
+    by_a_timeout_of_asyncio,
+    by_its_task,
+    by_move_on_after,
+    in_process,
+    over_zenoh,
 )
 
 pytestmark = ON_EVERY_LOOP

@@ -12,8 +12,8 @@ import turtleact
 from turtleact.errors import InvalidBody, InvalidName
 from turtleact.goals.body import ActionDeclaration, Body, action, background
 
-from .lab import Count, bare_goal, count, feedback, goal, lab, result
-from .tables import together
+from ..lab import Count, bare_goal, count, feedback, goal, lab, result
+from ..tables import together
 
 
 async def plain(goal):

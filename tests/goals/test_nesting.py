@@ -25,8 +25,7 @@ from turtleact.errors import (
 )
 from turtleact.goals.state import Goal
 
-from .client.test_action_client import Busy, cancel_after, on_asyncio, take
-from .lab import (
+from ..lab import (
     ON_ASYNCIO,
     Count,
     Lab,
@@ -40,7 +39,8 @@ from .lab import (
     running,
     settle,
 )
-from .server.test_execution import awaited, entered
+from .test_action_client import Busy, cancel_after, on_asyncio, take
+from .test_execution import awaited, entered
 from .test_policies import (
     CANCELED,
     ID,

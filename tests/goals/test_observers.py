@@ -7,7 +7,7 @@ import pytest
 from turtleact.goals.observers import FeedbackLost, GoalObserver, Lost, News, Observers
 from turtleact.goals.state import Goal, GoalStatus
 
-from .lab import bare_goal
+from ..lab import bare_goal
 
 
 class OfPauses(GoalObserver):

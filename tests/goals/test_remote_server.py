@@ -53,8 +53,8 @@ from ..lab import (
     running,
     settle,
 )
-from ..server.test_execution import awaited, entered
-from ..test_policies import Send
+from .test_execution import awaited, entered
+from .test_policies import Send
 
 ID = bytes(range(16))
 

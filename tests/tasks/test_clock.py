@@ -24,7 +24,7 @@ from turtleact.tasks.clock import (
     make_clock,
 )
 
-from .lab import ON_A_LOOP_THAT_TELLS, ON_ASYNCIO, running, settle
+from ..lab import ON_A_LOOP_THAT_TELLS, ON_ASYNCIO, running, settle
 
 SECOND = 1_000_000_000
 

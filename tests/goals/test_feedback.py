@@ -15,7 +15,7 @@ from turtleact import GoalStatus
 from turtleact.goals.feedback import FeedbackLog
 from turtleact.goals.generators import BURST
 
-from .lab import Count, Gate, feedback, goal, lab, result, running, settle
+from ..lab import Count, Gate, feedback, goal, lab, result, running, settle
 
 KEPT = FeedbackLog.KEPT
 BUDGET = FeedbackLog.BUDGET

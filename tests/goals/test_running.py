@@ -1,4 +1,4 @@
-"""The task of a body watches how long each step takes. ``test_body_tasks.py`` has all the rest."""
+"""The task of a body watches how long each step takes. ``test_body_tasks.py`` has the rest."""
 
 from __future__ import annotations
 

@@ -50,8 +50,8 @@ from turtleact.tasks import wait_until_idle
 from turtleact.testing import virtual_backend
 from turtleact.transports import MemoryTransport
 
-from .conftest import INSTALLED
-from .lab import Count, HandClock, Running, feedback, local_server, other_tasks, result, take_turns
+from ..conftest import INSTALLED
+from ..lab import Count, HandClock, Running, feedback, local_server, other_tasks, result, take_turns
 
 T = TypeVar("T")
 

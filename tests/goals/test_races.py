@@ -26,7 +26,7 @@ from turtleact.errors import (
 from turtleact.goals.state import TRANSITIONS, CancelCode, GoalStatus
 from turtleact.tasks import current_tasks
 
-from .lab import (
+from ..lab import (
     ON_TRIO,
     TURNS,
     Count,

@@ -17,7 +17,6 @@ from turtleact.journal import open_journal
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 
-from ..client.test_remote_server import Apart
 from ..lab import (
     Count,
     Gate,
@@ -30,6 +29,7 @@ from ..lab import (
     running,
     take_turns,
 )
+from .test_remote_server import Apart
 
 ID = bytes(range(16))
 
