@@ -29,6 +29,7 @@ from turtleact.transports import QoS, Transport
 from turtleact.transports.base import (
     Endpoint,
     EndpointKind,
+    Publication,
     RawFormat,
     Reply,
     ServiceHandler,
@@ -165,6 +166,25 @@ def numbers(*values: int) -> Sum.Request:
     return Sum.Request(numbers=list(values))
 
 
+async def connected(peers: Any, end: str = "there") -> tuple[Publication, Inbox]:
+    """A publisher here, and what a subscription at some end gets, once they know each other."""
+    inbox = Inbox()
+    getattr(peers, end).subscribe(subscription(), SPEECH, inbox.deliver)
+    publication = peers.here.advertise(publisher(), SPEECH)
+    await peers.settle()
+    return publication, inbox
+
+
+async def served(
+    peers: Any, handler: ServiceHandler, end: str = "there", *, by: str = "here"
+) -> Any:
+    """A client by one of two peers, once it knows the handler at the other end."""
+    getattr(peers, end).serve(service(), SERVING, handler)
+    caller = getattr(peers, by).join(client(), ASKING)
+    await peers.settle()
+    return caller
+
+
 def of_kind(kind: EndpointKind, name: str = "/it") -> Endpoint:
     return Endpoint(kind, name, TYPE, "/lab")
 
@@ -290,10 +310,7 @@ class TransportConformance:
 
     async def test_a_message_is_delivered_where_the_event_loop_runs(self, transport):
         async with transport() as peers:
-            inbox = Inbox()
-            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
+            publication, inbox = await connected(peers)
             publication.publish(feedback(7))
             await peers.settle()
             assert inbox.threads == {threading.get_ident()}
@@ -489,10 +506,7 @@ class TransportConformance:
 
     async def test_a_closed_publisher_gives_nothing_more(self, transport):
         async with transport() as peers:
-            inbox = Inbox()
-            peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
+            publication, inbox = await connected(peers)
             publication.publish(feedback(1))
             await peers.settle()
             publication.close()
@@ -600,9 +614,7 @@ class TransportConformance:
 
     async def test_as_long_as_nothing_changes_no_change_is_counted(self, transport):
         async with transport() as peers:
-            peers.here.serve(service(), SERVING, Adder())
-            caller = peers.there.join(client(), ASKING)
-            await peers.settle()
+            caller = await served(peers, Adder(), "here", by="there")
             before = peers.here.changes, peers.there.changes
             await caller.call(numbers(1))
             await peers.settle()
@@ -710,17 +722,13 @@ class TransportConformance:
     @BOTH_WAYS
     async def test_a_call_gets_the_servers_reply(self, transport, end):
         async with transport() as peers:
-            getattr(peers, end).serve(service(), SERVING, Adder())
-            caller = peers.here.join(client(), ASKING)
-            await peers.settle()
+            caller = await served(peers, Adder(), end)
             assert await caller.call(numbers(2, 3)) == Reply(Sum.Response(total=5), "added up")
 
     @BOTH_WAYS
     async def test_a_threaded_handler_may_answer_in_another_thread(self, transport, end):
         async with transport() as peers:
-            getattr(peers, end).serve(service(), SERVING, ThreadedAdder())
-            caller = peers.here.join(client(), ASKING)
-            await peers.settle()
+            caller = await served(peers, ThreadedAdder(), end)
             assert (await caller.call(numbers(2, 3))).message == Sum.Response(total=5)
 
     @BOTH_WAYS
@@ -752,9 +760,8 @@ class TransportConformance:
     async def test_several_calls_are_under_way_at_once(self, transport, end):
         gate = anyio.Event()
         async with transport() as peers:
-            getattr(peers, end).serve(service(), SERVING, adder := Adder(gate=gate))
-            caller = peers.here.join(client(), ASKING)
-            await peers.settle()
+            adder = Adder(gate=gate)
+            caller = await served(peers, adder, end)
             async with (
                 running(lambda: caller.call(numbers(1))) as one,
                 running(lambda: caller.call(numbers(2))) as other,
@@ -792,9 +799,8 @@ class TransportConformance:
     async def test_a_caller_that_is_closed_leaves_when_its_calls_are_over(self, transport, end):
         gate = anyio.Event()
         async with transport() as peers:
-            getattr(peers, end).serve(service(), SERVING, adder := Adder(gate=gate))
-            caller = peers.here.join(client(), ASKING)
-            await peers.settle()
+            adder = Adder(gate=gate)
+            caller = await served(peers, adder, end)
             async with running(lambda: caller.call(numbers(4))) as called:
                 await peers.settle()
                 caller.close()
@@ -825,9 +831,7 @@ class TransportConformance:
     @BOTH_WAYS
     async def test_a_handler_that_fails_says_why(self, transport, end):
         async with transport() as peers:
-            getattr(peers, end).serve(service(), SERVING, Adder(fail=ValueError("no room")))
-            caller = peers.here.join(client(), ASKING)
-            await peers.settle()
+            caller = await served(peers, Adder(fail=ValueError("no room")), end)
             said = "service '/add': the handler failed: ValueError: no room"
             with pytest.raises(ServiceError, match=said):
                 await caller.call(numbers())
@@ -844,9 +848,7 @@ class TransportConformance:
     )
     async def test_what_a_handler_raises_on_purpose_comes_as_it_is(self, transport, end, error):
         async with transport() as peers:
-            getattr(peers, end).serve(service(), SERVING, Adder(fail=error))
-            caller = peers.here.join(client(), ASKING)
-            await peers.settle()
+            caller = await served(peers, Adder(fail=error), end)
             with pytest.raises(TurtleactError) as caught:
                 await caller.call(numbers())
             assert (type(caught.value), caught.value.args) == (type(error), error.args)
@@ -869,9 +871,7 @@ class TransportConformance:
     async def test_a_call_that_is_canceled_harms_no_other(self, transport, end):
         gate = anyio.Event()
         async with transport() as peers:
-            getattr(peers, end).serve(service(), SERVING, Adder(gate=gate))
-            caller = peers.here.join(client(), ASKING)
-            await peers.settle()
+            caller = await served(peers, Adder(gate=gate), end)
             async with (
                 running(lambda: caller.call(numbers(1))) as one,
                 running(lambda: caller.call(numbers(2))) as other,
@@ -884,9 +884,7 @@ class TransportConformance:
 
     async def test_a_closed_caller_calls_no_more(self, transport):
         async with transport() as peers:
-            peers.there.serve(service(), SERVING, Adder())
-            caller = peers.here.join(client(), ASKING)
-            await peers.settle()
+            caller = await served(peers, Adder())
             caller.close()
             with pytest.raises(TurtleactError, match="the client of service '/add' is closed"):
                 await caller.call(numbers())
@@ -895,9 +893,7 @@ class TransportConformance:
 
     async def test_a_publisher_that_sends_little_is_not_congested(self, transport):
         async with transport() as peers:
-            peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
-            publication = peers.here.advertise(publisher(), SPEECH)
-            await peers.settle()
+            publication, _ = await connected(peers)
             publication.publish(feedback(1))
             await publication.drained()
             assert not publication.is_congested

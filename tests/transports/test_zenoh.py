@@ -71,8 +71,10 @@ from .conformance import (
     Sum,
     TransportConformance,
     client,
+    connected,
     numbers,
     publisher,
+    served,
     service,
     subscription,
 )
@@ -888,10 +890,7 @@ async def test_a_node_without_parameters_answers_those_who_ask_for_them(address)
 
 async def test_a_flood_arrives_whole_and_in_order(address):
     async with two(address) as peers:
-        inbox = Inbox()
-        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
-        publication = peers.here.advertise(publisher(), SPEECH)
-        await peers.settle()
+        publication, inbox = await connected(peers)
         for number in range(5_000):
             publication.publish(feedback(number))
             if publication.is_congested:
@@ -905,9 +904,7 @@ async def test_a_flood_arrives_whole_and_in_order(address):
 async def test_who_publishes_more_than_goes_out_can_wait(address):
     gate = threading.Event()
     async with two(address) as peers:
-        peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
-        publication = peers.here.advertise(publisher(), SPEECH)
-        await peers.settle()
+        publication, _ = await connected(peers)
         peers.here.context.send_queue.post(gate.wait)  # as a reader that takes nothing does
         while not publication.is_congested:
             publication.publish(feedback(*range(1000)))
@@ -942,9 +939,7 @@ async def test_what_is_sent_between_two_messages_keeps_its_place(address, monkey
         seen.append(SPEECH.decode(payload))
 
     async with two(address) as peers:
-        peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
-        publication = peers.here.advertise(publisher(), SPEECH)
-        await peers.settle()
+        publication, _ = await connected(peers)
         monkeypatch.setattr(Publisher, "put", note)
         outbox = peers.here.context.send_queue
         outbox.post(gate.wait)
@@ -979,9 +974,7 @@ class PromptAdder(Adder):
 @pytest.mark.parametrize(("numbers", "total"), [([5], -1), ([2, 3], 5)])
 async def test_a_server_may_answer_at_once_or_in_a_while(address, numbers, total):
     async with two(address) as peers:
-        peers.here.serve(service(), SERVING, PromptAdder())
-        caller = peers.there.join(client(), ASKING)
-        await peers.settle()
+        caller = await served(peers, PromptAdder(), "here", by="there")
         reply = await caller.call(Sum.Request(numbers=numbers))
         assert reply.message == Sum.Response(total=total)
 
@@ -1036,9 +1029,7 @@ async def test_a_request_to_be_answered_later_is_refused_when_the_transport_clos
 )
 async def test_a_server_that_fails_at_once_tells_its_client(address, caplog, fail, raised):
     async with two(address) as peers:
-        peers.here.serve(service(), SERVING, PromptAdder(fail))
-        caller = peers.there.join(client(), ASKING)
-        await peers.settle()
+        caller = await served(peers, PromptAdder(fail), "here", by="there")
         with pytest.raises(type(raised), match=re.escape(str(raised))):
             await caller.call(Sum.Request(numbers=[0]))
     assert ("the handler of service /add failed" in caplog.text) == (fail is None)
@@ -1046,9 +1037,7 @@ async def test_a_server_that_fails_at_once_tells_its_client(address, caplog, fai
 
 async def test_replies_that_come_with_the_news_that_their_server_has_gone_are_all_taken(address):
     async with two(address) as peers:
-        peers.here.serve(service(), SERVING, Adder(gate=anyio.Event()))
-        caller: Any = peers.there.join(client(), ASKING)
-        await peers.settle()
+        caller: Any = await served(peers, Adder(gate=anyio.Event()), "here", by="there")
         taken: list[Any] = []
 
         async def take(call: Any) -> None:
@@ -1071,9 +1060,7 @@ async def test_replies_that_come_with_the_news_that_their_server_has_gone_are_al
 async def test_a_call_of_a_closed_client_ends_when_its_server_has_gone(address, monkeypatch):
     monkeypatch.setattr(service_clients, "LOST", 0.0)
     async with two(address) as peers:
-        peers.here.serve(service(), SERVING, Adder(gate=anyio.Event()))
-        caller = peers.there.join(client(), ASKING)
-        await peers.settle()
+        caller = await served(peers, Adder(gate=anyio.Event()), "here", by="there")
         async with running(lambda: caller.call(numbers(1))) as called:
             await peers.settle()
             caller.close()
@@ -1126,9 +1113,7 @@ async def test_a_handler_is_canceled_once_the_client_of_its_caller_has_gone(addr
 async def test_closing_a_publisher_ends_the_waiting_for_it(address):
     gate = threading.Event()
     async with two(address) as peers:
-        peers.there.subscribe(subscription(), SPEECH, Inbox().deliver)
-        publication = peers.here.advertise(publisher(), SPEECH)
-        await peers.settle()
+        publication, _ = await connected(peers)
         peers.here.context.send_queue.post(gate.wait)
         while not publication.is_congested:
             publication.publish(feedback(*range(1000)))
@@ -1183,9 +1168,7 @@ async def test_a_server_that_closes_its_transport_answers_first(address):
 async def test_a_transport_that_closes_ends_its_own_calls(address):
     gate = anyio.Event()
     async with two(address) as peers:
-        peers.there.serve(service(), SERVING, Adder(gate=gate))
-        caller = peers.here.join(client(), ASKING)
-        await peers.settle()
+        caller = await served(peers, Adder(gate=gate))
         async with running(lambda: caller.call(numbers())) as called:
             await peers.here.aclose()
             await called.done.wait()
@@ -1447,9 +1430,7 @@ async def counted(address: str, body: Any):
 
 async def test_a_service_error_that_utf_8_cannot_encode_is_escaped(address):
     async with two(address) as peers:
-        peers.there.serve(service(), SERVING, Adder(ServiceError("/add", "caf\udce9")))
-        caller = peers.here.join(client(), ASKING)
-        await peers.settle()
+        caller = await served(peers, Adder(ServiceError("/add", "caf\udce9")))
         with pytest.raises(ServiceError, match=re.escape(r"caf\udce9")):
             await caller.call(numbers())
 
@@ -1774,10 +1755,7 @@ async def test_what_waits_behind_a_message_that_cannot_be_sent_is_sent(
         put(self, payload, attachment)
 
     async with two(address) as peers:
-        inbox = Inbox()
-        peers.there.subscribe(subscription(), SPEECH, inbox.deliver)
-        publication = peers.here.advertise(publisher(), SPEECH)
-        await peers.settle()
+        publication, inbox = await connected(peers)
         monkeypatch.setattr(Publisher, "put", fail_once)
         peers.here.context.send_queue.post(gate.wait)
         for number in range(4):
