@@ -19,7 +19,7 @@ from turtleact.testing import run
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint, EndpointKind
 from turtleact.transports.rmw_zenoh import session
-from turtleact.transports.rmw_zenoh.keys import Graph, endpoint_token, node_token
+from turtleact.transports.rmw_zenoh.wire import Graph, endpoint_token, node_token
 
 ON_THE_GRAPH: list[tuple[EndpointKind, str, str]] = [
     ("publisher", "/turtle1/pose", "turtlesim/msg/Pose"),

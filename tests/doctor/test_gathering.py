@@ -29,7 +29,7 @@ from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION
 from turtleact.transports import MemoryTransport, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint
 from turtleact.transports.rmw_zenoh import service_servers
-from turtleact.transports.rmw_zenoh.keys import endpoint_token
+from turtleact.transports.rmw_zenoh.wire import endpoint_token
 
 from ..lab import Count, count
 

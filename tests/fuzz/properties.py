@@ -26,19 +26,17 @@ from turtleact.interfaces.definition import (
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.types import REGISTRY, Action, Message, Service
 from turtleact.names import action_names, resolve_name, validate_name, validate_node_name
-from turtleact.transports.rmw_zenoh.attachment import (
+from turtleact.transports.rmw_zenoh.wire import (
+    data_key,
     decode_error,
     encode_error,
-    gid_in,
-    read_attachment,
-    write_attachment,
-)
-from turtleact.transports.rmw_zenoh.keys import (
-    data_key,
     endpoint_token,
+    gid_in,
     gid_of,
     node_token,
     parse_token,
+    read_attachment,
+    write_attachment,
 )
 
 if TYPE_CHECKING:

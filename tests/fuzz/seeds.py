@@ -7,8 +7,7 @@ from pathlib import Path
 from turtleact.interfaces import cdr, known_interfaces, to_json, to_yaml
 from turtleact.interfaces.loading import interface_source
 from turtleact.transports.base import Endpoint, QoS
-from turtleact.transports.rmw_zenoh.attachment import write_attachment
-from turtleact.transports.rmw_zenoh.keys import endpoint_token, node_token
+from turtleact.transports.rmw_zenoh.wire import endpoint_token, node_token, write_attachment
 
 from .properties import CLASSES, KINDS
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from turtleact import workspace
+from turtleact.interfaces import workspace
 from turtleact.interfaces.workspace import (
     find_interfaces,
     folders_near,

@@ -36,18 +36,6 @@ def test_the_lines_of_zenohs_source_are_left_out(text):
     assert ".rs" not in words(text)
 
 
-def test_what_names_no_line_is_told_as_it_is():
-    said = "unknown variant `boat`, expected one of `router`, `peer`, `client`"
-    assert words(said) == said
-
-
-def test_where_an_address_is_taken_somebody_else_may_be_the_router():
-    assert why_not_open(config([], [AT]), words(TAKEN)) == (
-        f"cannot listen at {AT}: Address already in use (os error 98); "
-        "if a router listens there, connect to it; if not, end that program or use another port"
-    )
-
-
 def test_what_keeps_it_from_listening_is_told_though_it_connects_too():
     at = "tls/127.0.0.1:0"
     assert why_not_open(config([AT], [at]), words(NO_KEY)) == (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from functools import partial
 
 import anyio
 import pytest
@@ -17,7 +16,6 @@ from turtleact.transports.rmw_zenoh.context import (
     MOST_PEERS,
     Crew,
     RateLimitedLog,
-    ReceiveQueue,
     SendQueue,
 )
 from turtleact.transports.rmw_zenoh.topics import CAPACITY, ENTRY, BoundedQueue
@@ -25,21 +23,6 @@ from turtleact.transports.rmw_zenoh.topics import CAPACITY, ENTRY, BoundedQueue
 from ..lab import settle
 
 # a queue
-
-
-def test_what_is_put_in_comes_out_in_order():
-    queue: BoundedQueue[str] = BoundedQueue()
-    assert [queue.put(each, 1) for each in "abc"] == [True] * 3
-    assert [queue.take() for _ in range(4)] == ["a", "b", "c", None]
-
-
-def test_a_queue_weighs_what_waits_in_it():
-    queue: BoundedQueue[str] = BoundedQueue()
-    queue.put("a", 10)
-    queue.put("b", 20)
-    assert queue.weight == 30 + 2 * ENTRY
-    queue.take()
-    assert queue.weight == 20 + ENTRY
 
 
 def test_a_queue_of_a_length_keeps_the_newest():
@@ -71,76 +54,7 @@ def test_a_queue_is_told_of_as_many_entries_as_can_be_taken(script, longest):
     assert (left, queue.weight) == (told, 0)
 
 
-# an queue
-
-
-async def test_what_another_thread_pushes_is_done_in_the_event_loop():
-    queue, done = ReceiveQueue(current_tasks()), anyio.Event()
-    seen: list[object] = []
-
-    def work() -> None:
-        seen.append(threading.get_ident())
-        done.set()
-
-    thread = threading.Thread(target=queue.push, args=(work,))
-    thread.start()
-    await done.wait()
-    thread.join()
-    assert seen == [threading.get_ident()]
-
-
-async def test_many_things_are_done_in_order_and_in_more_than_one_turn():
-    queue = ReceiveQueue(current_tasks())
-    seen: list[int] = []
-    for number in range(context.IN_A_ROW * 2 + 1):
-        queue.push(partial(seen.append, number))
-    while len(seen) <= context.IN_A_ROW * 2:
-        await settle()
-    assert seen == list(range(context.IN_A_ROW * 2 + 1))
-
-
-async def test_what_fails_is_logged_and_the_rest_is_done(caplog):
-    queue, seen = ReceiveQueue(current_tasks()), []
-    queue.push(lambda: 1 / 0)
-    queue.push(lambda: seen.append("done"))
-    await settle()
-    assert seen == ["done"]
-    assert caplog.messages == ["the Zenoh transport failed to handle a message"]
-
-
-async def test_a_closed_queue_does_nothing_more():
-    queue, seen = ReceiveQueue(current_tasks()), []
-    queue.push(queue.close)
-    queue.push(lambda: seen.append("done"))
-    await settle()
-    queue.push(lambda: seen.append("done"))
-    await settle()
-    assert seen == []
-
-
-# an queue
-
-
-async def test_what_is_posted_is_done_in_order_in_a_thread_before_the_end():
-    queue = SendQueue("a thread")
-    seen: list[tuple[int, str]] = []
-
-    def note(number: int) -> None:
-        seen.append((number, threading.current_thread().name))
-
-    for number in range(3):
-        queue.post(partial(note, number))
-    await queue.aclose()
-    assert seen == [(number, "a thread") for number in range(3)]
-
-
-async def test_a_job_that_fails_is_logged_and_the_next_is_done(caplog):
-    queue, seen = SendQueue("a thread"), []
-    queue.post(lambda: 1 / 0)
-    queue.post(lambda: seen.append("done"))
-    await queue.aclose()
-    assert seen == ["done"]
-    assert caplog.messages == ["the Zenoh transport failed to send"]
+# a queue
 
 
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
@@ -182,15 +96,6 @@ async def test_a_peer_that_sends_nonsense_fills_no_log(log, caplog):
         "service /add: a request cannot be read: 2,877 more such warnings in 0.01 s"
         " from the peer of gid 0a0b"
     ]
-
-
-async def test_after_a_while_a_peer_is_complained_of_again(log, caplog):
-    warnings = log()
-    for round in range(2):
-        for _ in range(LOGGED + 1):
-            warnings.warn(f"round {round}", b"", ValueError("no CDR"))
-        await until_counted(caplog, f"round {round}: 1 more such warnings in 0.01 s")
-    assert caplog.text.count("round 1: no CDR") == LOGGED
 
 
 async def test_peers_without_number_fill_no_log(log, caplog):

@@ -50,12 +50,17 @@ from turtleact.names import PARAMETER_SERVICES
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
 from turtleact.transports.base import REQUEST_NOTE, Endpoint, Reply, ServiceHandler, Target
 from turtleact.transports.rmw_zenoh import service_clients
-from turtleact.transports.rmw_zenoh.attachment import read_attachment, write_attachment
 from turtleact.transports.rmw_zenoh.config import session_config
-from turtleact.transports.rmw_zenoh.keys import data_key, endpoint_token, gid_of
 from turtleact.transports.rmw_zenoh.service_clients import WireCaller
 from turtleact.transports.rmw_zenoh.session import Declared, Publisher, Query, Session
 from turtleact.transports.rmw_zenoh.topics import WirePublication
+from turtleact.transports.rmw_zenoh.wire import (
+    data_key,
+    endpoint_token,
+    gid_of,
+    read_attachment,
+    write_attachment,
+)
 
 from .. import warm
 from ..lab import Count, Gate, count, feedback, goal, result, running, settle
@@ -1033,28 +1038,6 @@ async def test_a_server_that_fails_at_once_tells_its_client(address, caplog, fai
         with pytest.raises(type(raised), match=re.escape(str(raised))):
             await caller.call(Sum.Request(numbers=[0]))
     assert ("the handler of service /add failed" in caplog.text) == (fail is None)
-
-
-async def test_replies_that_come_with_the_news_that_their_server_has_gone_are_all_taken(address):
-    async with two(address) as peers:
-        caller: Any = await served(peers, Adder(gate=anyio.Event()), "here", by="there")
-        taken: list[Any] = []
-
-        async def take(call: Any) -> None:
-            taken.append((await call.reply()).message)
-
-        calls = [caller.ask(numbers(number)) for number in (1, 2)]
-        async with anyio.create_task_group() as group:
-            for call in calls:
-                group.start_soon(take, call)
-            await settle()
-            for number, call in enumerate(calls, 1):
-                # as in a thread of Zenoh; the loop hears of it behind the news
-                call.replied(SERVING.encode(Sum.Response(total=number)), b"")
-            (token,) = peers.there.graph.tokens
-            peers.there.token_gone(token)
-            await settle()
-        assert sorted(each.total for each in taken) == [1, 2]
 
 
 async def test_a_call_of_a_closed_client_ends_when_its_server_has_gone(address, monkeypatch):

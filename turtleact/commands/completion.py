@@ -25,7 +25,7 @@ from turtleact.errors import TurtleactError, UnknownInterface
 if TYPE_CHECKING:
     from turtleact.node import Node
     from turtleact.transports.graph import Kind
-    from turtleact.transports.rmw_zenoh.keys import Graph
+    from turtleact.transports.rmw_zenoh.wire import Graph
 
 __all__ = [
     "EMBEDDED",

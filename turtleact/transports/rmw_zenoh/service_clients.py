@@ -28,13 +28,13 @@ from turtleact.transports.base import (
     Target,
     why_not_served,
 )
-from turtleact.transports.rmw_zenoh.attachment import (
+from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named
+from turtleact.transports.rmw_zenoh.wire import (
     Attachments,
     decode_error,
     note_in,
     read_attachment,
 )
-from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named
 
 if TYPE_CHECKING:
     from turtleact.tasks import Signal

@@ -26,13 +26,13 @@ from turtleact.transports.base import (
     Reply,
     ServiceHandler,
 )
-from turtleact.transports.rmw_zenoh.attachment import (
+from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named
+from turtleact.transports.rmw_zenoh.wire import (
     encode_error,
     gid_in,
     read_attachment,
     write_attachment,
 )
-from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named
 
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Query

@@ -34,7 +34,7 @@ from turtleact.transports.rmw_zenoh.config import (
     why_not_open,
     words,
 )
-from turtleact.transports.rmw_zenoh.keys import Graph, all_tokens
+from turtleact.transports.rmw_zenoh.wire import Graph, all_tokens
 
 __all__ = ["Declared", "Publisher", "Querier", "Query", "Session", "census", "stay_attached"]
 

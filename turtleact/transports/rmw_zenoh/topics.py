@@ -20,8 +20,8 @@ import anyio
 
 from turtleact.errors import InvalidMessage
 from turtleact.transports.base import Deliver, Format, Publication, QoS, Source
-from turtleact.transports.rmw_zenoh.attachment import Attachments, count_in, gid_in
 from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named, Opened
+from turtleact.transports.rmw_zenoh.wire import Attachments, count_in, gid_in
 
 if TYPE_CHECKING:
     from turtleact.transports.rmw_zenoh.session import Declared, Publisher

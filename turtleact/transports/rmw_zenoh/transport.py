@@ -44,7 +44,15 @@ from turtleact.transports.base import (
 from turtleact.transports.memory import MemoryTransport
 from turtleact.transports.rmw_zenoh.config import Mode, domain_of, session_config
 from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named, Opened
-from turtleact.transports.rmw_zenoh.keys import (
+from turtleact.transports.rmw_zenoh.service_clients import WireCaller
+from turtleact.transports.rmw_zenoh.service_servers import WireService
+from turtleact.transports.rmw_zenoh.session import Session
+from turtleact.transports.rmw_zenoh.topics import (
+    DirectSubscription,
+    WirePublication,
+    WireSubscription,
+)
+from turtleact.transports.rmw_zenoh.wire import (
     Graph,
     all_nodes,
     all_tokens,
@@ -53,14 +61,6 @@ from turtleact.transports.rmw_zenoh.keys import (
     endpoint_token,
     gid_of,
     node_token,
-)
-from turtleact.transports.rmw_zenoh.service_clients import WireCaller
-from turtleact.transports.rmw_zenoh.service_servers import WireService
-from turtleact.transports.rmw_zenoh.session import Session
-from turtleact.transports.rmw_zenoh.topics import (
-    DirectSubscription,
-    WirePublication,
-    WireSubscription,
 )
 
 __all__ = ["ZenohTransport", "open_zenoh"]

@@ -7,9 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from turtleact.errors import InvalidMessage
-from turtleact.transports.rmw_zenoh.attachment import (
+from turtleact.transports.rmw_zenoh.wire import (
     Attachment,
-    note_in,
     read_attachment,
     write_attachment,
 )
@@ -54,15 +53,6 @@ def test_half_a_character_does_not_keep_a_note_from_being_written():
     assert read_attachment(write_attachment(1, 0, GID, "a\ud800b")).note == r"a\ud800b"
 
 
-@pytest.mark.parametrize("data", [b"", WRITTEN[:32], WRITTEN])
-def test_there_may_be_no_note(data):
-    assert note_in(data) == ""
-
-
-def test_a_note_is_read_by_itself():
-    assert note_in(WRITTEN + b"too far") == "too far"
-
-
 def test_a_note_that_is_no_text_is_read_all_the_same():
     assert read_attachment(WRITTEN + b"\xff" + b"x" * 9000).note == "\ufffd" + "x" * 4095
 
@@ -91,13 +81,3 @@ def test_what_is_none_is_refused(data, said):
     with pytest.raises(InvalidMessage) as caught:
         read_attachment(data)
     assert str(caught.value) == said
-
-
-@given(st.binary(min_size=33, max_size=60))
-def test_any_bytes_are_read_or_refused(data):
-    readable = data[7] < 128 and data[15] < 128 and data[16] == 16
-    if readable:
-        assert read_attachment(data).gid == data[17:33]
-    else:
-        with pytest.raises(InvalidMessage, match=r"^attachment: "):
-            read_attachment(data)

@@ -1,4 +1,4 @@
-"""Names on Zenoh (data keys, liveliness tokens, gids), and the graph that the tokens describe.
+"""All that rmw_zenoh writes beside the encoded messages: names, attachments and errors.
 
 A topic or service has a *key expression*. Endpoints with the same key communicate with each other,
 so the key includes the type and its hash. A node or endpoint is on the graph while its *liveliness
@@ -14,29 +14,69 @@ the node or endpoint. An endpoint's gid is a hash of its token.
 This module writes tokens in rmw_zenoh's form. It also reads tokens with additional chunks or with
 an unknown quality of service, because newer and older peers send such tokens.
 
-Source: rmw_zenoh_cpp ``detail/liveliness_utils.cpp`` and ``docs/design.md``, Jazzy to Rolling.
+An *attachment* travels with each message and holds its sender, time and sequence number.
+
+==  ====  =============================================================================
+at  size
+==  ====  =============================================================================
+0   8     sequence number, a little-endian int64 from 1, counted by publisher or client
+8   8     time of sending, a little-endian int64: ns since the Unix epoch
+16  1     16, the size of the gid
+17  16    gid of the publisher; in requests and replies, of the client
+33  …     a note: text in UTF-8, written and read only by turtleact
+==  ====  =============================================================================
+
+A reply carries the sequence number and gid of its request. rmw_zenoh reads only the first 33 bytes
+of an attachment, so it ignores the note that turtleact appends.
+
+The error of a service is a text and a kind, which names the exception's class. Servers encode
+errors and clients decode them. Zenoh itself sends an error if a call takes too long.
+
+Source: rmw_zenoh_cpp ``detail/liveliness_utils.cpp``, ``detail/attachment_helpers.cpp`` and
+``docs/design.md``, Jazzy from 0.2.4 to Rolling.
 """
 
 from __future__ import annotations
 
+import struct
+from functools import lru_cache
+from time import time_ns
+
 import msgspec
 import xxhash
 
+from turtleact.errors import (
+    InvalidMessage,
+    ServerUnavailable,
+    ServiceError,
+    ServiceTimeout,
+    TurtleactError,
+)
 from turtleact.transports.base import Endpoint, EndpointKind, QoS, TimePolicies
+from turtleact.transports.rmw_zenoh.config import PATIENCE
 
 __all__ = [
+    "Attachment",
+    "Attachments",
     "Graph",
     "Token",
     "all_nodes",
     "all_tokens",
+    "count_in",
     "data_key",
     "dds_type",
+    "decode_error",
     "domain_of_node",
+    "encode_error",
     "endpoint_token",
+    "gid_in",
     "gid_of",
     "node_token",
+    "note_in",
     "parse_token",
+    "read_attachment",
     "ros_type",
+    "write_attachment",
 ]
 
 PREFIX = "@ros2_lv"
@@ -318,3 +358,135 @@ def _duration(text: str) -> int | None:
 
 def _is_number(text: str) -> bool:
     return text.isascii() and text.isdigit() and len(text) <= 20
+
+
+GID_SIZE = 16
+
+#: An attachment without a note.
+LAYOUT = struct.Struct("<qqB16s")
+
+#: The size of an attachment without a note.
+SIZE = LAYOUT.size
+
+#: The longest note (bytes); longer ones are cut.
+LONGEST_NOTE = 4096
+
+#: Where the note is in an attachment.
+NOTE = slice(SIZE, SIZE + LONGEST_NOTE)
+
+
+class Attachment(msgspec.Struct, frozen=True):
+    """The data attached to a message.
+
+    Attributes:
+        sequence: The sequence number, at least 0.
+        stamp: When the message was sent (ns since the Unix epoch).
+        gid: The 16 bytes that identify the publisher or client.
+        note: A text that only turtleact writes and reads; empty if there is none.
+    """
+
+    sequence: int
+    stamp: int
+    gid: bytes
+    note: str = ""
+
+
+class Attachments:
+    """Makes the attachments of one endpoint's messages, with sequence numbers and times.
+
+    Args:
+        gid: The gid of the endpoint.
+    """
+
+    def __init__(self, gid: bytes) -> None:
+        self._gid = gid
+        self._sequence = 0
+
+    def next(self, note: str = "") -> bytes:
+        """Return the attachment of the next message."""
+        self._sequence += 1
+        return write_attachment(self._sequence, time_ns(), self._gid, note)
+
+
+def write_attachment(sequence: int, stamp: int, gid: bytes, note: str = "") -> bytes:
+    """Encode an attachment. A note longer than 4,096 bytes is cut to that size."""
+    data = LAYOUT.pack(sequence, stamp, GID_SIZE, gid)
+    return data + _note_tail(note) if note else data
+
+
+@lru_cache(maxsize=4)  # almost all replies of a server have the same note
+def _note_tail(note: str) -> bytes:
+    tail = note.encode(errors="backslashreplace")  # a note must never make its message fail
+    if len(tail) > LONGEST_NOTE:
+        tail = tail[:LONGEST_NOTE].decode(errors="ignore").encode()
+    return tail
+
+
+def read_attachment(data: bytes) -> Attachment:
+    """Decode an attachment.
+
+    A note longer than 4,096 bytes is cut. Bytes of a note that are not UTF-8 are replaced.
+
+    Raises:
+        InvalidMessage: if the bytes are not an attachment.
+    """
+    if len(data) < SIZE:
+        raise _invalid(f"expected {SIZE} bytes, got {len(data)}")
+    sequence, stamp, size, gid = LAYOUT.unpack_from(data)
+    if size != GID_SIZE:
+        raise _invalid(f"expected a gid of {GID_SIZE} bytes, not of {size}")
+    if sequence < 0 or stamp < 0:
+        raise _invalid(f"sequence number and time must not be negative: {sequence}, {stamp}")
+    note = note_in(data) if len(data) > SIZE else ""  # most requests carry none
+    return Attachment(sequence, stamp, gid, note)
+
+
+def note_in(data: bytes) -> str:
+    """Return the note in an attachment. Unlike `read_attachment`, this accepts any bytes."""
+    return data[NOTE].decode(errors="replace")
+
+
+def gid_in(data: bytes) -> bytes:
+    """Return the gid in an attachment. Unlike `read_attachment`, this accepts any bytes."""
+    return data[SIZE - GID_SIZE : SIZE]
+
+
+def count_in(data: bytes) -> int:
+    """Return the sequence number in an attachment. Like `gid_in`, this accepts any bytes."""
+    return int.from_bytes(data[:8], "little")
+
+
+def _invalid(problem: str) -> InvalidMessage:
+    return InvalidMessage("attachment", problem)
+
+
+def encode_error(error: TurtleactError) -> tuple[str, str]:
+    """Encode an error as the text and the kind from which `decode_error` restores the error."""
+    from turtleact.tasks.failures import shortened, summary  # slow to import, for completion
+
+    if isinstance(error, InvalidMessage):
+        return shortened(str(error)), "InvalidMessage"
+    if isinstance(error, ServerUnavailable):
+        return shortened(error.problem), "ServerUnavailable"
+    if isinstance(error, ServiceError):
+        return shortened(error.reason), "ServiceError"
+    return summary(error), "ServiceError"
+
+
+def decode_error(name: str, text: str, kind: str) -> TurtleactError:
+    """Restore an error of the service ``name`` from the text and the kind.
+
+    An error from a program other than turtleact becomes a `ServiceError` with the same text.
+
+    >>> text, kind = encode_error(ServiceError("/add", "too many: at most 3"))
+    >>> decode_error("/add", text, kind)
+    ServiceError('/add', 'too many: at most 3')
+    """
+    if kind == "InvalidMessage":
+        path, _, problem = text.partition(": ")
+        return InvalidMessage(path, problem)
+    if kind == "Timeout":
+        return ServiceTimeout(name, PATIENCE)
+    if kind == "ServerUnavailable":
+        return ServerUnavailable(name, text, kind="service")
+    return ServiceError(name, text)

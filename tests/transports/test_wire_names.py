@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint, EndpointKind, TimePolicies
-from turtleact.transports.rmw_zenoh.keys import (
+from turtleact.transports.rmw_zenoh.wire import (
     Token,
     all_tokens,
     data_key,
