@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import io
 import json
-import logging
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
-from contextlib import redirect_stderr
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import httpx
 import pytest
-from opentelemetry import metrics, trace
 from prometheus_client.parser import text_string_to_metric_families
 
 import turtleact
-from turtleact import TurtleactError
-from turtleact.commands.observing import json_line, observing, set_up_logging
-from turtleact.commands.settings import Watched
 from turtleact.interfaces.standard import Fibonacci
 
 from .. import warm
@@ -103,142 +99,86 @@ async def test_serve_exports_traces_and_serves_metrics_and_logs_in_json(lab):
     assert collector.points("ros.action.goals")["/outer", "succeeded"].as_int == 1
 
 
+class Refuses(BaseHTTPRequestHandler):
+    """A collector that takes nothing."""
+
+    def do_POST(self):
+        self.send_error(404)
+
+    def log_message(self, *_):
+        pass
+
+
 @pytest.fixture
-def root() -> Iterator[logging.Logger]:
-    """The root logger, which is put right afterwards."""
-    root = logging.getLogger()
-    uvicorn, before, level = logging.getLogger("uvicorn"), list(root.handlers), root.level
-    uvicorn_level = uvicorn.level
-    yield root
-    root.handlers[:] = before
-    root.setLevel(level)
-    uvicorn.setLevel(uvicorn_level)
+def refusing() -> Iterator[str]:
+    """The address of a collector that answers with an error."""
+    with HTTPServer(("127.0.0.1", 0), Refuses) as server:
+        threading.Thread(target=server.serve_forever).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
 
 
-def test_records_as_text_are_harmless_for_a_terminal(root, capsys):
-    set_up_logging("text")
-    logging.getLogger("robot").info("\x1b[2J")
-    assert capsys.readouterr().err.rstrip().endswith("INFO robot: \\x1b[2J")
-
-
-def test_records_follow_stderr_where_a_dashboard_redirects_it(root, capsys, monkeypatch):
-    set_up_logging("text")
-    shown = io.StringIO()
-    with redirect_stderr(shown):
-        logging.getLogger("robot").info("here")
-    assert shown.getvalue().endswith("INFO robot: here\n")
-    assert capsys.readouterr().err == ""
-    monkeypatch.setattr(sys, "stderr", None)
-    logging.getLogger("robot").info("nowhere")
-
-
-def test_a_record_that_cannot_be_written_is_told_by_logging(root, capsys, monkeypatch):
-    set_up_logging("text")
-    monkeypatch.delattr(root.handlers[-1], "formatter")
-    logging.getLogger("robot").info("here")
-    assert "--- Logging error ---" in capsys.readouterr().err
-
-
-def test_without_a_format_logging_is_left_alone(root):
-    before = list(root.handlers)
-    set_up_logging(None)
-    assert root.handlers == before
-
-
-def test_a_line_in_json_has_the_members_that_are_given():
-    line = json.loads(json_line("ready", goal_id="1f", status="ACCEPTED"))
-    assert line.pop("time")
-    assert line == {
-        "level": "INFO",
-        "logger": "turtleact.serve",
-        "message": "ready",
-        "goal_id": "1f",
-        "status": "ACCEPTED",
-    }
-
-
-KINDS = "metric", "trace"
-REFUSED = (
-    "Transient error HTTPConnectionPool(host='127.0.0.1', port=4318): Max retries exceeded with "
-    "url: /v1/traces (Caused by NewConnectionError(\"HTTPConnection(host='127.0.0.1', port=4318): "
-    'Failed to establish a new connection: [Errno 111] Connection refused")) encountered while '
-    "exporting spans batch, retrying in 1.07s."
-)
-BUSY = (
-    "Transient error Service Unavailable encountered while exporting spans batch, retrying in 1s."
-)
-GIVEN_UP = "Failed to export spans batch due to timeout, max retries or shutdown."
-MISSING = "Failed to export metrics batch code: 404, reason: Not Found"
-MOVED = "Failed to export spans batch code: 307, reason: Temporary Redirect to https://a"
-AT = "spans and measurements do not reach the collector at http://localhost:4318"
-SET = "start it, or set OTEL_EXPORTER_OTLP_ENDPOINT"
-
-
-@pytest.mark.parametrize(
-    ("problems", "told"),
-    [
-        ([REFUSED, GIVEN_UP], [f"{AT}: Connection refused; {SET}"]),
-        ([BUSY, GIVEN_UP], [f"{AT}: Service Unavailable; {SET}"]),
-        (
-            [MOVED],
-            [
-                f"the collector takes no {what}: 307 Temporary Redirect to https://a; "
-                "set OTEL_EXPORTER_OTLP_ENDPOINT to the address that it redirects to"
-                for what in ("measurements", "spans")
-            ],
-        ),
-        ([GIVEN_UP], [f"{AT}: no answer; {SET}"]),
-        (
-            [MISSING],
-            [
-                "the collector takes no measurements: 404 Not Found; OTEL_METRICS_EXPORTER=none "
-                "sends none",
-                "the collector takes no spans: 404 Not Found; OTEL_TRACES_EXPORTER=none sends none",
-            ],
-        ),
-    ],
-)
-async def test_a_collector_that_takes_nothing_is_told_of_once(monkeypatch, caplog, problems, told):
-    monkeypatch.delenv("OTEL_EXPORTER_OTLP_ENDPOINT", raising=False)
-    for signal_ in ("TRACES", "METRICS"):
-        monkeypatch.setenv(f"OTEL_{signal_}_EXPORTER", "none")
-    monkeypatch.setattr(trace, "set_tracer_provider", lambda _: None)  # a process can do so once
-    monkeypatch.setattr(metrics, "set_meter_provider", lambda _: None)
-    names = [f"opentelemetry.exporter.otlp.proto.http.{kind}_exporter" for kind in KINDS]
-    exporters = [logging.getLogger(name) for name in names]
-    before = [list(each.filters) for each in exporters]
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_collector_that_takes_nothing_is_told_of_once(lab, refusing, is_there):
+    at = refusing if is_there else "http://127.0.0.1:1"
+    fast = {"OTEL_BSP_SCHEDULE_DELAY": "20", "OTEL_EXPORTER_OTLP_TIMEOUT": "3"}
+    listen = free_endpoint()
+    options = ["serve", "tracedlab", "--no-sim", "--otel", "--listen", listen]
+    process = warm.start(
+        [sys.executable, "-m", "turtleact", *options],
+        cwd=lab,
+        env={**os.environ, **fast, "ROS_DOMAIN_ID": "0", "OTEL_EXPORTER_OTLP_ENDPOINT": at},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     try:
-        async with observing(Watched(otel=True), print):
-            for problem in problems * 2:
-                for each in exporters:
-                    each.error(problem)
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.readline()
+        goal = ["send-goal", "inner", "--plain", "--connect", listen]
+        for _ in range(2):
+            warm.run(
+                [sys.executable, "-m", "turtleact", *goal],
+                env={**os.environ, "ROS_DOMAIN_ID": "0"},
+                capture_output=True,
+                check=True,
+                timeout=30,
+            )
+        told = process.stderr.readline()
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=30)
     finally:
-        for each, filters in zip(exporters, before, strict=True):
-            each.filters[:] = filters
-    assert [each.getMessage() for each in caplog.records] == told
+        process.kill()
+        process.wait()
+    assert told.startswith(f"spans do not reach the collector at {at}: ")
+    assert ("404" if is_there else "Connection refused") in told
+    assert told.endswith("_ENDPOINT. OTEL_TRACES_EXPORTER=none sends no spans\n")
+    assert err.count("do not reach the collector") <= 1  # measurements are sent at the end
 
 
-async def test_a_missing_package_for_traces_is_named(monkeypatch):
+OTEL = "serve", "--no-sim", "--otel"
+
+
+def test_a_missing_package_for_traces_is_named(turtleact, monkeypatch):
     monkeypatch.setitem(sys.modules, "opentelemetry", None)
     monkeypatch.delitem(sys.modules, "turtleact.telemetry.exporting", raising=False)
-    with pytest.raises(TurtleactError, match="--otel needs the extra otel-export: pip install"):
-        async with observing(Watched(otel=True), print):
-            pytest.fail("it was not missed")
+    ran = turtleact(*OTEL)
+    assert ran.status == 1
+    assert ran.err.startswith("turtleact: --otel needs the extra otel-export: pip install '")
 
 
-async def test_a_variable_that_the_sdk_reads_at_its_import_is_named(monkeypatch):
+def test_a_variable_that_the_sdk_reads_at_its_import_is_named(turtleact, monkeypatch):
     monkeypatch.setenv("OTEL_SPAN_ATTRIBUTE_COUNT_LIMIT", "many")
     monkeypatch.delitem(sys.modules, "turtleact.telemetry.exporting", raising=False)
     monkeypatch.delitem(sys.modules, "opentelemetry.sdk.trace", raising=False)
-    with pytest.raises(TurtleactError, match="cannot be set up: OTEL_SPAN_ATTRIBUTE_COUNT_LIMIT"):
-        async with observing(Watched(otel=True), print):
-            pytest.fail("it was not read")
+    ran = turtleact(*OTEL)
+    assert "OpenTelemetry cannot be set up: OTEL_SPAN_ATTRIBUTE_COUNT_LIMIT" in ran.err
 
 
-async def test_a_port_that_cannot_be_bound_is_told_with_its_option():
-    said: list[str] = []
-    async with observing(Watched(metrics=("127.0.0.1", 0)), said.append):
-        port = int(said[0].rpartition(":")[2].partition("/")[0])
-        with pytest.raises(TurtleactError, match=f"--metrics: 127.0.0.1:{port} cannot be bound"):
-            async with observing(Watched(metrics=("127.0.0.1", port)), print):
-                pytest.fail("it was bound")
+def test_a_port_that_cannot_be_bound_is_told_with_its_option(turtleact):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        ran = turtleact("serve", "--no-sim", "--metrics", str(port))
+    assert ran.status == 1
+    assert ran.err.startswith(f"turtleact: --metrics: 127.0.0.1:{port} cannot be bound")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import io
 import json
 import os
 import signal
@@ -25,10 +23,8 @@ from websockets.sync.client import ClientConnection, connect
 
 import turtleact
 from turtleact import GoalStatus
-from turtleact.commands.serving import ServerLog, listed, serve_declared
-from turtleact.errors import TurtleactError, UsageError
+from turtleact.errors import TurtleactError
 from turtleact.interfaces.standard import Fibonacci
-from turtleact.transports import MemoryTransport
 
 from .. import warm
 
@@ -79,55 +75,6 @@ async def stubborn(goal):
             pass
 """
 
-RUTHLESS = """
-import asyncio
-import turtleact
-from turtleact.interfaces.standard import Fibonacci
-
-
-@turtleact.action(Fibonacci, "stopping")
-async def stopping(goal):
-    asyncio.get_running_loop().stop()
-    return Fibonacci.Result()
-
-
-@turtleact.action(Fibonacci, "cancelling")
-async def cancelling(goal):
-    for task in asyncio.all_tasks():
-        task.cancel()
-    return Fibonacci.Result()
-"""
-
-LASTING = """
-import asyncio
-import threading
-import time
-import turtleact
-from turtleact.interfaces.standard import Fibonacci
-
-kept = []
-
-
-async def last():
-    while True:
-        try:
-            await asyncio.sleep(60)
-        except asyncio.CancelledError:
-            pass
-
-
-@turtleact.action(Fibonacci, "lasting")
-async def lasting(goal):
-    kept.append(asyncio.create_task(last(), name="endless task"))
-    return Fibonacci.Result()
-
-
-@turtleact.action(Fibonacci, "threaded")
-async def threaded(goal):
-    threading.Thread(target=time.sleep, args=(60,), name="endless thread").start()
-    return Fibonacci.Result()
-"""
-
 FAILING = """
 import turtleact
 from turtleact.interfaces.standard import Fibonacci
@@ -137,6 +84,9 @@ from turtleact.interfaces.standard import Fibonacci
 async def failing(goal):
     raise ValueError("\\x1b[2J")
 """
+
+HERE = {**os.environ, "ROS_DOMAIN_ID": "0"}
+NAMED = "--node-name", "other"
 
 PATIENCE = 30.0
 """Seconds after which a process is taken to hang."""
@@ -200,7 +150,7 @@ def start_python(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     return warm.start(
         [sys.executable, *arguments],
         cwd=folder,
-        env={**os.environ, "ROS_DOMAIN_ID": "0"},
+        env=HERE,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -379,9 +329,10 @@ def test_sys_exit_in_a_body_ends_the_server_with_its_status(lab):
     assert (server.process.returncode, EXITED.endswith(err)) == (7, True)
 
 
-def test_the_log_of_a_body_that_fails_commands_no_terminal(tmp_path):
+@pytest.mark.parametrize("options", [[], ["--log-format", "text"]])
+def test_the_log_of_a_body_that_fails_commands_no_terminal(tmp_path, options):
     (tmp_path / "servedfailing.py").write_text(FAILING)
-    with serving(tmp_path, "servedfailing", "--no-sim") as server:
+    with serving(tmp_path, "servedfailing", "--no-sim", *options) as server:
         assert server.send("failing") is GoalStatus.ABORTED
         _, _, err = server.end(signal.SIGTERM)
     assert "\nValueError: \\x1b[2J\n" in err
@@ -476,38 +427,47 @@ def test_what_is_said_of_the_world_reaches_it(turtleact, monkeypatch):
     }
 
 
-@pytest.mark.parametrize(
-    ("count", "said"),
-    [
-        (0, "no actions"),
-        (2, "/0, /1"),
-        (12, "/0, /1, /2, /3, /4, /5, /6, /7, /8, /9, /10, /11"),
-        (13, "/0, /1, /2, /3, /4, /5, /6, /7, /8, /9, /10, and 2 more"),
-    ],
-)
-def test_a_server_tells_of_a_few_of_many_actions(count, said):
-    assert listed([f"/{number}" for number in range(count)]) == said
+MANY = """
+import turtleact
+from turtleact.interfaces.standard import Fibonacci
 
 
-class Unwritable(io.StringIO):
-    def write(self, text: str) -> int:
-        raise OSError(errno.EBADF, "Bad file descriptor")
+async def nothing(goal):
+    return Fibonacci.Result()
 
 
-@pytest.mark.parametrize(
-    ("stdout", "why"),
-    [(io.StringIO(), "it was closed by your code"), (Unwritable(), "Bad file descriptor")],
-)
-def test_a_stdout_that_a_body_has_closed_does_not_end_the_server(monkeypatch, capsys, stdout, why):
-    if why.startswith("it"):
-        stdout.close()
-    monkeypatch.setattr(sys, "stdout", stdout)
-    log = ServerLog(None)
-    log.say("one")
-    log.say("two")
-    assert capsys.readouterr().err == (
-        f"turtleact: stdout cannot be written ({why}), so goals are no longer listed\n"
-    )
+for number in range(10, 24):
+    globals()[f"a{number}"] = turtleact.action(Fibonacci, f"a{number}")(nothing)
+"""
+
+
+def test_a_server_tells_of_a_few_of_many_actions(tmp_path):
+    (tmp_path / "servedmany.py").write_text(MANY)
+    with serving(tmp_path, "servedmany", "--no-sim") as server:
+        assert server.ready.partition(": ")[2] == (
+            "/a10, /a11, /a12, /a13, /a14, /a15, /a16, /a17, /a18, /a19, /a20, and 3 more\n"
+        )
+
+
+def test_a_server_whose_output_cannot_be_written_says_so_and_goes_on(lab):
+    command = [sys.executable, "-m", "turtleact", "serve", "servedlab", "--no-sim", "--listen"]
+    with Path("/dev/full").open("w") as full:
+        at = free_endpoint()
+        process = warm.start(
+            [*command, at], cwd=lab, stdout=full, stderr=subprocess.PIPE, text=True, env=HERE
+        )
+    assert process.stderr is not None
+    try:
+        assert process.stderr.readline() == (
+            "turtleact: stdout cannot be written (No space left on device), so goals are no longer "
+            "listed\n"
+        )
+        assert Served(process, at, "", lab).send("quick", order=1) is GoalStatus.SUCCEEDED
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE) == 0
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def test_the_world_is_served_with_its_actions(tmp_path):
@@ -532,48 +492,21 @@ def test_turtlesim_node_serves_what_turtlesim_serves_and_nothing_else(turtleact,
     assert (asked["turtlesim_only"], asked["turtles"]) == (True, 1)
 
 
-@turtleact.action(Fibonacci, "quick")
-async def quick(goal):
-    return Fibonacci.Result()
-
-
-async def test_an_action_that_another_node_serves_is_refused_with_its_name():
-    transport = MemoryTransport()
-    async with (
-        turtleact.open_node("robot", transport=transport) as robot,
-        turtleact.open_node("turtleact", transport=transport) as node,
-    ):
-        robot.serve(quick)
-        with pytest.raises(TurtleactError) as caught:
-            await serve_declared(node, [quick], wait=False)
-    assert str(caught.value) == (
-        "action '/quick' is served by node /robot already: choose another name, or give --wait to "
-        "serve it once that node has gone"
+def test_an_action_that_another_node_serves_is_refused_with_its_name(shared, lab):
+    other = start(lab, "serve", "servedlab", "--no-sim", "--connect", shared.at, *NAMED)
+    assert ended(other) == (
+        1,
+        "",
+        "turtleact: action '/quick' is served by node /servedlab already: choose another name, or "
+        "give --wait to serve it once that node has gone\n",
     )
 
 
-async def test_an_action_that_is_given_twice_is_refused():
-    async with turtleact.open_node("turtleact") as node:
-        with pytest.raises(UsageError, match="action '/quick' is given twice"):
-            await serve_declared(node, [quick, quick], wait=False)
-
-
-async def test_an_action_is_served_once_the_other_node_is_gone(caplog):
-    transport = MemoryTransport()
-    async with turtleact.open_node("turtleact", transport=transport) as node:
-        async with (
-            turtleact.open_node("robot", transport=transport) as robot,
-            anyio.create_task_group() as beside,
-        ):
-            robot.serve(quick)
-            beside.start_soon(partial(serve_declared, node, [quick], wait=True))
-            await anyio.wait_all_tasks_blocked()
-            assert caplog.messages == [
-                "/quick is served by /robot: waiting until that node has gone"
-            ]
-            await robot.aclose()
-        assert node.graph().actions == {"/quick": (Fibonacci.type_name,)}
-        assert caplog.messages[1:] == ["/quick is free: serving it now"]
+def test_an_action_that_is_given_twice_is_refused(shared, lab):
+    (lab / "servedtwice.py").write_text(LAB)
+    twice = "servedlab:quick", "servedtwice:quick"
+    other = start(lab, "serve", *twice, "--no-sim", "--listen", free_endpoint())
+    assert ended(other) == (2, "", "turtleact: action '/quick' is given twice\n")
 
 
 def test_a_standby_takes_over_when_the_first_server_is_killed(served, lab):
@@ -592,28 +525,17 @@ def test_a_standby_takes_over_when_the_first_server_is_killed(served, lab):
         standby.communicate()
 
 
-@pytest.mark.loops("asyncio")
-async def test_a_server_of_the_same_node_that_lives_is_not_waited_for_for_ever(
-    tmp_path, monkeypatch, caplog
+def test_a_server_of_the_same_node_that_lives_is_not_waited_for_for_ever(
+    shared, turtleact, monkeypatch, caplog
 ):
-    """Two sessions, as of two processes: whether the other is a predecessor cannot be seen."""
+    """Whether the other server is a predecessor that was killed cannot be seen."""
     monkeypatch.setattr("turtleact.commands.serving.LEASE", 0.1)
-    here = f"unixsock-stream/{tmp_path}/router"
-    async with (
-        turtleact.open_zenoh(mode="router", listen=[here]) as first,
-        turtleact.open_zenoh(mode="peer", connect=[here]) as second,
-        turtleact.open_node("turtleact", transport=first) as one,
-        turtleact.open_node("turtleact", transport=second) as other,
-    ):
-        one.serve(quick)
-        await first.flush()
-        await second.explore()
-        with pytest.raises(TurtleactError, match="'/quick' is served by node /turtleact already"):
-            await serve_declared(other, [quick], wait=False)
-    assert caplog.messages[-2:] == [
-        "/quick is served by /turtleact: waiting until that node has gone",
-        "waiting for up to 0.1 s: /turtleact may be an earlier run that was killed",
-    ]
+    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
+    monkeypatch.chdir(shared.folder)
+    ran = turtleact("serve", "servedlab.py", "--no-sim", "--connect", shared.at)
+    assert ran.status == 1
+    assert "waiting for up to 0.1 s: /servedlab may be an earlier run that was" in caplog.text
+    assert "'/quick' is served by node /servedlab already" in ran.err
 
 
 STUDENT = """

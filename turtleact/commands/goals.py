@@ -75,7 +75,7 @@ Ids: TypeAlias = Annotated[
 ]
 Journal: TypeAlias = Annotated[
     Path | None,
-    value("--journal", metavar="FILE", text="Read this journal instead of asking the servers."),
+    value(metavar="FILE", text="Read this journal instead of asking the servers."),
 ]
 AllPaused: TypeAlias = Annotated[
     bool, flag("--all", text="All goals of the action, or of all actions.")
@@ -163,7 +163,7 @@ def send_goal(
     reattach: Reattach = 0.0,
     stdin: Annotated[bool, stdin_of("goal")] = False,
     goal_file: Annotated[
-        Path | None, value("--goal-file", metavar="PATH", text="Read the goal from a file.")
+        Path | None, value(metavar="PATH", text="Read the goal from a file.")
     ] = None,
     json: Annotated[
         bool, flag("--json", text="Print one JSON object per line, including feedback.")
@@ -229,7 +229,6 @@ def goals(
     since: Annotated[
         str | None,
         value(
-            "--since",
             metavar="TIME",
             text="With --journal: only goals accepted within this time, such as 1h, or since "
             "then, such as 2026-11-21T20:15.",
@@ -260,7 +259,6 @@ def cancel(
     before: Annotated[
         str | None,
         value(
-            "--before",
             metavar="TIME",
             text="Cancel the goals accepted up to this time: 2026-11-21T20:15, or seconds since "
             "1970.",
@@ -306,12 +304,12 @@ def _change(
     timeout: float = 0.0,
 ) -> int:
     """Cancel, pause or resume goals, selected by their ids or by their actions."""
-    from turtleact.commands import graph, held_goals
-    from turtleact.names import resolve_name
-
     is_many = is_many or bool(before)
     if not (is_many or what):
         raise WrongOptions("give the ids of goals, or --all; 'turtleact goals' lists them")
+    from turtleact.commands import graph, held_goals
+    from turtleact.names import resolve_name
+
     names = [resolve_name(text) if is_many else _id_or_name(text) for text in what or ()]
     selected = held_goals.Selection(names, is_many, before)
     return graph.run(reach, lambda node: held_goals.change(node, selected, change, timeout))

@@ -43,7 +43,6 @@ def prune(
     keep: Annotated[
         float,
         value(
-            "--keep",
             metavar="TIME",
             text="Keep the goals that ended within this time, such as 7d, 12h or 30min.",
             parser=span,

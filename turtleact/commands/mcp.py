@@ -42,7 +42,6 @@ app = typer.Typer(**SETTINGS)
 Actions: TypeAlias = Annotated[
     str | None,
     value(
-        "--actions",
         metavar="NAMES",
         text="The actions to offer, such as /patrol,/go_to.",
         panel=OFFER,
@@ -51,7 +50,6 @@ Actions: TypeAlias = Annotated[
 Services: TypeAlias = Annotated[
     str | None,
     value(
-        "--services",
         metavar="NAMES",
         text="The services to offer, such as /spawn,/clear.",
         panel=OFFER,
@@ -60,7 +58,6 @@ Services: TypeAlias = Annotated[
 Topics: TypeAlias = Annotated[
     str | None,
     value(
-        "--topics",
         metavar="NAMES",
         text="The topics that may be read, such as /turtle1/pose.",
         panel=OFFER,
@@ -69,7 +66,6 @@ Topics: TypeAlias = Annotated[
 Http: TypeAlias = Annotated[
     str | None,
     value(
-        "--http",
         metavar="[HOST:]PORT",
         text="Serve over HTTP instead of stdin and stdout.",
         panel=HTTP,
@@ -78,7 +74,6 @@ Http: TypeAlias = Annotated[
 Token: TypeAlias = Annotated[
     str | None,
     value(
-        "--token",
         metavar="TEXT",
         text="The secret that clients must send over HTTP.",
         panel=HTTP,
@@ -108,7 +103,6 @@ def mcp(
     allow_host: Annotated[
         str | None,
         value(
-            "--allow-host",
             metavar="NAMES",
             text="Names and addresses of this machine that clients may use over HTTP.",
             panel=HTTP,

@@ -21,7 +21,6 @@ from turtleact.commands.settings import (
     Placing,
     Reach,
     Service,
-    Watched,
     WrongOptions,
     endpoints,
     quoted,
@@ -77,7 +76,6 @@ app = typer.Typer(**SETTINGS)
 MaxStarts: TypeAlias = Annotated[
     int | None,
     value(
-        "--max-starts",
         metavar="N",
         parser=whole,
         text="With --on-restart resume: abort a goal that has crashed the server so often "
@@ -88,7 +86,6 @@ MaxStarts: TypeAlias = Annotated[
 AllowHost: TypeAlias = Annotated[
     str | None,
     value(
-        "--allow-host",
         metavar="NAME",
         text="A name of this machine that web clients may use, besides its addresses. "
         "Separate several with commas.",
@@ -98,7 +95,6 @@ AllowHost: TypeAlias = Annotated[
 AllowOrigin: TypeAlias = Annotated[
     str | None,
     value(
-        "--allow-origin",
         metavar="ORIGIN",
         text="A site whose pages may connect, such as https://example.com. "
         "Separate several with commas.",
@@ -117,7 +113,6 @@ Targets: TypeAlias = Annotated[
 NodeName: TypeAlias = Annotated[
     str | None,
     value(
-        "--node-name",
         metavar="NAME",
         text="With --no-sim: the name of the node with your actions. If left out, the name of "
         "the first file or module.",
@@ -126,8 +121,7 @@ NodeName: TypeAlias = Annotated[
 Param: TypeAlias = Annotated[
     list[str] | None,
     value(
-        "--param",
-        "-p",
+        *("--param", "-p"),
         metavar="NAME:=VALUE",
         text="The initial value of a parameter of your modules.",
     ),
@@ -135,7 +129,6 @@ Param: TypeAlias = Annotated[
 OnRestart: TypeAlias = Annotated[
     Literal["abort", "resume"] | None,
     value(
-        "--on-restart",
         text="What to do with unfinished goals in the journal: end them, or go on with "
         "them. By default, abort.",
         panel=GOALS,
@@ -160,18 +153,11 @@ Speed: TypeAlias = Annotated[
     ),
 ]
 Seed: TypeAlias = Annotated[
-    int,
-    value(
-        metavar="N",
-        parser=whole,
-        text="The seed of its random choices.",
-        panel=WORLD,
-    ),
+    int, value(metavar="N", parser=whole, text="The seed of its random choices.", panel=WORLD)
 ]
 Listen: TypeAlias = Annotated[
     str | None,
     value(
-        "--listen",
         metavar="ENDPOINT",
         text="Where others connect, such as tcp/0.0.0.0:7447. Separate several with commas.",
         panel="Graph",
@@ -180,7 +166,6 @@ Listen: TypeAlias = Annotated[
 Web: TypeAlias = Annotated[
     str | None,
     value(
-        "--web",
         metavar="[HOST:]PORT",
         text="Serve a web page that shows the world, and rosbridge. Without a port, at 9090.",
         panel=WEB,
@@ -188,17 +173,11 @@ Web: TypeAlias = Annotated[
 ]
 Token: TypeAlias = Annotated[
     str | None,
-    value(
-        "--token",
-        metavar="TEXT",
-        text="The secret that web clients must send.",
-        panel=WEB,
-    ),
+    value(metavar="TEXT", text="The secret that web clients must send.", panel=WEB),
 ]
 Introspection: TypeAlias = Annotated[
     Literal["off", "metadata", "contents"],
     value(
-        "--introspection",
         text="Publish the requests and responses of all actions and services, for action echo, "
         "service echo and bag record. With metadata, without their contents.",
         panel="Graph",
@@ -206,28 +185,14 @@ Introspection: TypeAlias = Annotated[
 ]
 Metrics: TypeAlias = Annotated[
     str | None,
-    value(
-        "--metrics",
-        metavar="[HOST:]PORT",
-        text="Serve metrics for Prometheus at /metrics.",
-        panel=WATCHING,
-    ),
+    value(metavar="[HOST:]PORT", text="Serve metrics for Prometheus at /metrics.", panel=WATCHING),
 ]
 ParamsFile: TypeAlias = Annotated[
     list[Path] | None,
-    value(
-        "--params-file",
-        metavar="FILE",
-        text="A file with values of parameters, as 'param dump' prints it.",
-    ),
+    value(metavar="FILE", text="A file with values of parameters, as 'param dump' prints it."),
 ]
 Paused: TypeAlias = Annotated[
-    bool,
-    flag(
-        "--paused",
-        text="Start with time stopped, until a client resumes it.",
-        panel=WORLD,
-    ),
+    bool, flag("--paused", text="Start with time stopped, until a client resumes it.", panel=WORLD)
 ]
 Insecure: TypeAlias = Annotated[
     bool,
@@ -248,14 +213,12 @@ Otel: TypeAlias = Annotated[
 ServeLogFormat: TypeAlias = Annotated[
     LogFormat | None,
     value(
-        "--log-format",
-        text="Write log records from level INFO up, with the goal they belong to.",
-        panel=WATCHING,
+        text="Write log records from level INFO up, with the goal they belong to.", panel=WATCHING
     ),
 ]
 Journal: TypeAlias = Annotated[
     Path | None,
-    value("--journal", metavar="FILE", text="Keep the goals in this file.", panel=GOALS),
+    value(metavar="FILE", text="Keep the goals in this file.", panel=GOALS),
 ]
 Wait: TypeAlias = Annotated[
     bool, flag("--wait", text="If another node serves an action, wait until it is gone.")
@@ -269,9 +232,7 @@ NoSim: TypeAlias = Annotated[
 Turtles: TypeAlias = Annotated[
     int, value(metavar="N", min=1, max=MOST_TURTLES, text="How many turtles.", panel=WORLD)
 ]
-ServePlacing: TypeAlias = Annotated[
-    Placing, value("--placing", text="How they are placed.", panel=WORLD)
-]
+ServePlacing: TypeAlias = Annotated[Placing, value(text="How they are placed.", panel=WORLD)]
 Collide: TypeAlias = Annotated[
     bool, flag("--collide", text="Turtles stop each other.", panel=WORLD)
 ]
@@ -315,7 +276,6 @@ def serve(
     at = endpoints("--listen", listen)
     fleet = Fleet(speed, turtles, placing, seed, collide=collide, paused=paused)
     _check_use(targets, fleet, node_name, no_sim=no_sim, reload=reload)
-    address = None if metrics is None else host_and_port("--metrics", metrics)
     keeping = _keeping(journal, on_restart, max_starts, abort_goals=abort_goals)
     page = _page(web, token, allow_host, allow_origin)
     from turtleact.commands.serving import run
@@ -334,7 +294,9 @@ def serve(
         keeping=keeping,
         overrides=_overrides(params_file, param),
         introspection=introspection,
-        watched=Watched(otel, address, log_format),
+        otel=otel,
+        metrics=None if metrics is None else host_and_port("--metrics", metrics),
+        log_format=log_format,
     )
     return run(service)
 

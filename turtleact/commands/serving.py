@@ -10,19 +10,19 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeAlias, TypedDict, Unpack, cast
+from typing import TYPE_CHECKING, Any, NoReturn, TypedDict, Unpack, cast
 
 import anyio
 
 from turtleact.commands.interrupts import Interrupts
 from turtleact.commands.node_parameters import of_node, unheard
-from turtleact.commands.observing import json_line, observing, set_up_logging
 from turtleact.commands.output import abandon, note, printable
 from turtleact.commands.screen import can_move
 from turtleact.commands.user_modules import Found, Modules
@@ -39,15 +39,16 @@ if TYPE_CHECKING:
     from contextlib import AbstractAsyncContextManager
 
     from turtleact.commands.live import Dashboard
-    from turtleact.commands.settings import Page, Service
+    from turtleact.commands.settings import LogFormat, Page, Service
     from turtleact.goals.records import OnRestart
     from turtleact.journal import Journal
     from turtleact.node import ActionServer, ServerGoalHandle
     from turtleact.node.conflicts import OnConflict
     from turtleact.tasks.clock import Clock
     from turtleact.transports import Transport, ZenohTransport
+    from turtleact.transports.rmw_zenoh.config import Mode
 
-__all__ = ["ServerLog", "listed", "run", "serve_declared"]
+__all__ = ["run"]
 
 logger = logging.getLogger("turtleact.serve")
 
@@ -63,11 +64,22 @@ The time is longer than Zenoh's own lease of 10 s.
 STANDBY = 0.2
 """The interval at which a standby tries to open the journal of another process (s)."""
 
+CHECK_INTERVAL = 0.15
+"""How often ``--reload`` checks the files (s)."""
+
 RELOAD = -1
 """In place of an exit status: start the program again."""
 
 MOST_LISTED = 12
 """The ready line names at most this many actions."""
+
+EXPORTER = "opentelemetry.exporter.otlp.proto.http"
+
+REPEAT = 600.0
+"""A failure of an exporter is reported again after this time (s)."""
+
+NO_ANSWER = re.compile(r"Transient error (.*\[Errno -?\d+\] )?(?P<reason>.*?)[\")]* encountered")
+"""The pattern of the line that an exporter logs before it repeats a failed attempt."""
 
 
 def run(service: Service) -> int:
@@ -77,19 +89,15 @@ def run(service: Service) -> int:
         UsageError: if a target has no action, or a token is missing.
         TurtleactError: if the graph cannot be opened.
     """
-    if logging.lastResort is not None:  # it serves modules that configure no logging
-        logging.lastResort.setFormatter(_Escaping())
-    set_up_logging(service.watched.log_format)
-    modules = Modules(service.targets)
-    log = ServerLog(_dashboard(service), is_json=service.watched.log_format == "json")
-    found = _find(modules, service, log)
-    work = Work(modules, found, _stamps_of(modules))
+    _set_up_logging(service.log_format)
     interrupts = Interrupts()
     interrupts.forced = 0
-    if log.board is not None:
-        interrupts.restore = log.board.close
+    board = _dashboard(service)
+    if board is not None:
+        interrupts.restore = board.close
+    log = ServerLog(board, is_json=service.log_format == "json")
     try:
-        status = interrupts.run(_serve(service, work, log, interrupts))
+        status = interrupts.run(Server(service, log, interrupts).serve())
     finally:
         interrupts.restore()
     if interrupts.received:
@@ -99,7 +107,7 @@ def run(service: Service) -> int:
 
 def _dashboard(service: Service) -> Dashboard | None:
     """Return a dashboard, if the user wants one and the terminal can show it; otherwise None."""
-    is_live = service.is_live and service.watched.log_format != "json"
+    is_live = service.is_live and service.log_format != "json"
     if not (is_live and can_move(sys.stdout)):
         return None
     from turtleact.commands.live import Dashboard
@@ -107,22 +115,10 @@ def _dashboard(service: Service) -> Dashboard | None:
     return Dashboard()
 
 
-def _find(modules: Modules, service: Service, log: ServerLog) -> Found:
-    """Import the user's modules, and return what they declare.
-
-    With ``--reload``, an error in a module is only printed, and nothing from the user's modules is
-    served until a file changes.
-    """
-    if not service.reload:
-        return modules.find()
-    sys.dont_write_bytecode = True  # a change within the same second could be taken for no change
-    try:
-        return modules.find()
-    except UsageError:
-        raise
-    except TurtleactError as error:
-        log.note(f"{error}; nothing of it is served until the next change")
-        return Found([], [])
+def _restart() -> NoReturn:
+    """Replace this process by a new one with the same command line."""
+    sys.stdout.flush()
+    os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606  # no shell needed
 
 
 class Kept(TypedDict, total=False):
@@ -132,257 +128,309 @@ class Kept(TypedDict, total=False):
     on_restart: OnRestart
 
 
-class Running:
-    """The user's actions and background tasks while they run.
+class Server:
+    """Opens what ``serve`` needs, in order, and closes it again.
 
     Args:
-        node: The node that serves the actions.
+        service: What to serve, and where.
+        log: What tells the user what happens.
+        interrupts: The signals that end the server.
+
+    Raises:
+        UsageError: if a target has no action.
+        TurtleactError: if a module cannot be imported. With ``--reload``, the error is only
+            printed, and nothing from the user's modules is served until a file changes.
     """
 
-    def __init__(self, node: Node) -> None:
-        self.node = node
+    def __init__(self, service: Service, log: ServerLog, interrupts: Interrupts) -> None:
+        self._service = service
+        self._log = log
+        self._interrupts = interrupts
+        self._modules = Modules(service.targets)
+        self._found = self._find()
+        self._before = self._times()
+        self._kept: Kept = {}
+        self._where = ""
+        self._nodes: list[Node] = []
+        self._watchers: list[Callable[[Node], None]] = [self._nodes.append]
         self._servers: list[ActionServer[Any, Any, Any]] = []
         self._tasks: list[Background] = []
 
-    def start(self, found: Found, servers: list[ActionServer[Any, Any, Any]]) -> None:
-        """Take charge of the actions that the node serves, and start the background tasks."""
-        self._servers = servers
+    async def serve(self) -> int:
+        """Serve until a signal comes or a file changes."""
+        service, log = self._service, self._log
+        # The stack closes in reverse. First the goals, the background tasks and the reloads end,
+        # all at the same time. The web page, the node, the journal, the exporters and the dashboard
+        # close after that, because they tell of the ends of goals.
+        async with AsyncExitStack() as stack:
+            if log.board is not None:
+                drawing = Background(log.board.run(), "the dashboard")
+                await stack.enter_async_context(aclosing(drawing))
+            await self._observe(stack)
+            await self._open_journal(stack)
+            node = await stack.enter_async_context(self._open_node())
+            # The web page is opened last, once there is something to show, but the goals end while
+            # it is still there. So its place in the stack is taken here.
+            pages = await stack.enter_async_context(AsyncExitStack())
+            stack.push_async_callback(self._end_goals, node)
+            await self._begin(node)
+            if service.page is not None:
+                url = await _open_web(pages, service.page, node)
+                log.say(f"web page, and rosbridge, at {url}")
+            if service.keeping is not None:
+                from turtleact.goals.fault_reports import watching_disk
+
+                name, file = node.fully_qualified_name, Path(service.keeping.path)
+                check = self._kept["journal"].problem
+                watching = watching_disk(node.transport, name, file, "journal", check)
+                await stack.enter_async_context(watching)
+            await cast("ZenohTransport", node.transport).flush()
+            log.say(self._ready_line(node.transport))
+            self._interrupts.cancels = False
+            if service.reload:
+                reloading = Background(self._end_at_change(), "reloading")
+                await stack.enter_async_context(aclosing(reloading))
+            await self._interrupts.wait()
+            log.note(f"no more goals are accepted; running goals {self._fate()}")
+        return 0 if self._interrupts.received else RELOAD
+
+    def _ready_line(self, transport: Transport) -> str:
+        """Return the line that says where the server is ready, and for which actions."""
+        names = list(types_by_name(transport.local_endpoints(), "action"))
+        if len(names) > MOST_LISTED:
+            names[MOST_LISTED - 1 :] = [f"and {len(names) - MOST_LISTED + 1} more"]
+        actions = ", ".join(names) or "no actions"
+        return f"ready at {self._where}, domain {self._service.reach.domain}: {actions}"
+
+    def _fate(self) -> str:
+        """Return a phrase that says what happens to running goals when the server ends."""
+        keeping = self._service.keeping
+        if keeping is None or not keeping.resumes:
+            return "are ended"
+        if problem := self._kept["journal"].problem():
+            return f"are lost, unless the journal can be written in time: {problem}"
+        return "go on when the server is back"
+
+    # the graph and the node
+
+    @asynccontextmanager
+    async def _open_node(self) -> AsyncIterator[Node]:
+        """Open the node that serves the targets and, unless there is no fleet, a world."""
+        service, log = self._service, self._log
+
+        def watch(node: Node) -> None:
+            for each in self._watchers:
+                each(node)
+
+        async with AsyncExitStack() as stack:
+            if service.fleet is not None:
+                from turtleact.sim.world_node import open_world
+
+                world = open_world(
+                    **service.fleet._asdict(),
+                    turtlesim_only=service.turtlesim_only,
+                    graph=self._open_graph,
+                    on_transition=log.tell,
+                    on_start=None if log.board is None else log.board.begin,
+                    introspection=service.introspection,
+                    on_node=watch,
+                    **self._kept,
+                )
+                node: Node = await stack.enter_async_context(world)
+            else:
+                from turtleact.tasks.clock import WallClock
+
+                transport = await stack.enter_async_context(self._open_graph(WallClock()))
+                opening = open_node(service.node_name, transport=transport)
+                node = await stack.enter_async_context(opening)
+                node.introspection = service.introspection
+                watch(node)
+            node.on_transition(log.tell)
+            yield node
+
+    @asynccontextmanager
+    async def _open_graph(self, clock: Clock) -> AsyncIterator[Transport]:
+        """Open the graph that the user asked for.
+
+        By default, this process becomes the router of this machine. If there is a router already,
+        this process joins that router's graph as a peer.
+        """
+        service = self._service
+        connect, domain = service.reach.connect, service.reach.domain
+        opening = partial(open_zenoh, domain=domain, config=service.config, clock=clock)
+        async with AsyncExitStack() as stack:
+            if service.listen or connect:
+                self._where = ", ".join(service.listen or connect)
+                mode: Mode = "router" if service.listen else "peer"
+                opened = opening(mode=mode, listen=service.listen or None, connect=connect)
+                transport = await stack.enter_async_context(opened)
+            else:
+                self._where = ROUTER
+                transport = await _open_default(stack, opening)
+            await transport.explore()
+            if service.fleet is not None and "/turtlesim" in transport.nodes():
+                raise TurtleactError(
+                    f"there is a world already in domain {domain} at {self._where}: give another "
+                    "--domain, or --no-sim to serve your own actions beside it"
+                )
+            yield transport
+
+    async def _open_journal(self, stack: AsyncExitStack) -> None:
+        """Open the journal, if there is one.
+
+        With ``--wait``, wait until no other process writes to the journal.
+
+        Raises:
+            JournalError: if the journal cannot be opened.
+        """
+        keeping = self._service.keeping
+        if keeping is None:
+            return
+        from turtleact.journal import open_journal
+        from turtleact.journal.database import JournalHeld
+
+        limit, aborts, told = keeping.max_starts, keeping.abort_goals, False
+        while True:
+            opening = open_journal(keeping.path, max_starts=limit, abort_at_close=aborts)
+            try:
+                journal = await stack.enter_async_context(opening)
+                break
+            except JournalHeld as held:
+                if not self._service.wait:
+                    raise
+                if not told:
+                    self._log.note(f"{held}: waiting until that process has gone")
+                told = True
+                await anyio.sleep(STANDBY)
+        self._kept = {"journal": journal, "on_restart": keeping.on_restart}
+
+    # the user's actions
+
+    async def _begin(self, node: Node) -> None:
+        """Serve the user's actions, declare the parameters, and start the background tasks."""
+        service, found = self._service, self._found
+        name = node.fully_qualified_name
+        node.initial_values |= of_node(service.overrides, name)
+        for declaration in found.parameters:
+            node.parameter(declaration)
+        declared = [each.name for each in found.parameters]
+        for text in unheard(service.overrides, name, declared):
+            self._log.note(text)
+        self._servers = await _serve(node, found.actions, wait=service.wait, **self._kept)
         self._tasks = [
-            Background(_run(each, self.node), f"the background task {each.run.__name__}")
+            Background(_run(each, node), f"the background task {each.run.__name__}")
             for each in found.tasks
         ]
 
-    async def aclose(self, others: list[ActionServer[Any, Any, Any]]) -> None:
+    async def _end_goals(self, own: Node) -> None:
         """End the background tasks and the goals of all servers at the same time.
 
         Tasks that ignore their cancellation are waited for together, for `GRACE` seconds in all.
+        Actions that web clients serve on the user's node are left alone. They end when the
+        connections of these clients close.
         """
-        async with anyio.create_task_group() as closing:
-            # The tasks come first: one that waits for a goal is cancelled before the goal ends.
-            for task in self._tasks:
-                closing.start_soon(task.aclose, GRACE)
-            for server in [*self._servers, *others]:
-                closing.start_soon(server.aclose)
+        servers = list(self._servers)
+        with anyio.CancelScope(shield=True):
+            for node in self._nodes:
+                # A withdrawn built-in action would serve again once the user's action has closed.
+                await close_withdrawn(node)
+                if node is not own:
+                    servers += cast("Any", resources_of(node).action_servers())
+            async with anyio.create_task_group() as closing:
+                # The tasks come first: one that waits for a goal is cancelled before the goal ends.
+                for task in self._tasks:
+                    closing.start_soon(task.aclose, GRACE)
+                for server in servers:
+                    closing.start_soon(server.aclose)
+
+    # reload
+
+    def _find(self) -> Found:
+        """Import the user's modules, and return what they declare."""
+        if not self._service.reload:
+            return self._modules.find()
+        sys.dont_write_bytecode = True  # a change within the same second may be taken for no change
+        try:
+            return self._modules.find()
+        except UsageError:
+            raise
+        except TurtleactError as error:
+            self._log.note(f"{error}; nothing of it is served until the next change")
+            return Found([], [])
+
+    def _times(self) -> dict[Path, int]:
+        """Return when the user's modules and interfaces were changed (ns); 0 for missing files."""
+        finders = REGISTRY.finders
+        interfaces = (*finders.loaded.files.values(), *finders.nearby.files.values())
+        own = {each for each in interfaces if self._modules.has(each)}
+        files = self._modules.files | own
+        return {file: file.stat().st_mtime_ns if file.exists() else 0 for file in sorted(files)}
+
+    async def _end_at_change(self) -> None:
+        """End the server when a file changes. An interface may have been loaded since the start."""
+        changed: list[str] = []
+        while not changed:
+            await anyio.sleep(CHECK_INTERVAL)
+            times = self._times()
+            self._before = times | self._before
+            changed = [each.name for each, time in times.items() if time != self._before[each]]
+        await anyio.sleep(CHECK_INTERVAL)  # an editor may write a file in parts, or several files
+        self._log.note(f"reloading: {', '.join(changed)} changed")
+        self._interrupts.end()
+
+    # what watches
+
+    async def _observe(self, stack: AsyncExitStack) -> None:
+        """Export traces, and serve metrics, if the user wants that.
+
+        Raises:
+            TurtleactError: if a package is missing, or the port cannot be opened.
+        """
+        if self._service.otel:
+            self._watchers.append(await _export(stack))
+        if self._service.metrics is not None:
+            from turtleact.telemetry import GoalMetrics
+            from turtleact.web.metrics import open_metrics
+
+            metrics = GoalMetrics()
+            self._watchers.append(metrics.watch)
+            try:
+                opening = open_metrics(metrics.text, *self._service.metrics)
+                url = await stack.enter_async_context(opening)
+            except InvalidOption as error:
+                raise TurtleactError(f"--metrics: {error.problem}") from None
+            lag = Background(metrics.watch_loop(), "measuring the event loop")
+            await stack.enter_async_context(aclosing(lag))
+            self._log.say(f"metrics at {url}")
+
+
+async def _open_default(
+    stack: AsyncExitStack, opening: Callable[..., AbstractAsyncContextManager[ZenohTransport]]
+) -> ZenohTransport:
+    """Become the router of this machine, or join it.
+
+    Whoever comes first is the router. A later server cannot listen at its port, and joins as a
+    peer. If no router lets it in either, something else holds the port, as the first error says.
+    """
+    try:
+        return await stack.enter_async_context(opening(mode="router", listen=[ROUTER]))
+    except TurtleactError as taken:
+        try:
+            return await stack.enter_async_context(opening(mode="peer"))
+        except TurtleactError:
+            raise taken from None
 
 
 async def _run(declared: BackgroundDeclaration[Any], node: Node) -> None:
     await declared.run(node)
 
 
-class Work(NamedTuple):
-    """The part of a server that comes from the user's modules.
-
-    Attributes:
-        modules: The modules that the targets name.
-        found: The actions, parameters and background tasks in these modules.
-        stamps: The state of the files of these modules.
-    """
-
-    modules: Modules
-    found: Found
-    stamps: Stamps
-
-
-async def _serve(service: Service, work: Work, log: ServerLog, interrupts: Interrupts) -> int:
-    opened: list[tuple[ZenohTransport, str]] = []
-    # The stack closes in reverse. First the goals, the background tasks and the reloads end, all at
-    # the same time. The web page, the node, the journal, the exporters and the dashboard close
-    # after that, because they tell of the ends of goals.
-    async with AsyncExitStack() as stack:
-        if log.board is not None:
-            drawing = Background(log.board.run(), "the dashboard")
-            await stack.enter_async_context(aclosing(drawing))
-        graph = partial(_open_graph, service, opened)
-        on_node = await stack.enter_async_context(observing(service.watched, log.say))
-        options = await stack.enter_async_context(_open_journal(service, log))
-        nodes: list[Node] = []
-        opening = _open_node(service, graph, log, options, _both(nodes.append, on_node))
-        node = await stack.enter_async_context(opening)
-        # The web page is opened last, once there is something to show, but the goals end while it
-        # is still there. So its place in the stack is taken here.
-        pages = await stack.enter_async_context(AsyncExitStack())
-        running = Running(node)
-        stack.push_async_callback(_end_goals, nodes, running)
-        await _begin(service, work.found, running, options, log)
-        if service.page is not None:
-            url = await pages.enter_async_context(_open_web(service.page, node))
-            log.say(f"web page, and rosbridge, at {url}")
-        (transport, where), *_ = opened
-        if service.keeping is not None:
-            from turtleact.goals.fault_reports import watching_disk
-
-            at, file = node.fully_qualified_name, Path(service.keeping.path)
-            check = options["journal"].problem
-            watching = watching_disk(transport, at, file, "journal", check)
-            await stack.enter_async_context(watching)
-        await transport.flush()
-        log.say(_ready_line(transport, where, service.reach.domain))
-        interrupts.cancels = False
-        if service.reload:
-            reloading = Background(_end_at_change(work, interrupts, log), "reloading")
-            await stack.enter_async_context(aclosing(reloading))
-        await interrupts.wait()
-        log.note(f"no more goals are accepted; running goals {_fate(service, options)}")
-    return 0 if interrupts.received else RELOAD
-
-
-async def _end_at_change(work: Work, interrupts: Interrupts, log: ServerLog) -> None:
-    changed = await _wait_for_change(work.modules, work.stamps)
-    log.note(f"reloading: {', '.join(file.name for file in changed)} changed")
-    interrupts.end()
-
-
-CHECK_INTERVAL = 0.15
-"""How often the files are checked (s, event loop time)."""
-
-Stamps: TypeAlias = dict[Path, tuple[int, int, int] | None]
-"""The time of change, size and identity of each file; None for a missing file."""
-
-
-async def _wait_for_change(modules: Modules, before: Stamps) -> list[Path]:
-    """Wait until a file of the user's modules or interfaces has changed, and return those files.
-
-    An editor may write a file in parts, remove it and rename another, or save several files in a
-    row. So a change counts once two checks in a row have found all files in the same state.
-
-    Args:
-        modules: The user's modules.
-        before: What `_stamps_of` returned after the modules were imported.
-    """
-    last = before
-    while True:
-        await anyio.sleep(CHECK_INTERVAL)
-        stamps = _stamps_of(modules)
-        before = stamps | before  # an interface may have been loaded since
-        changed = [file for file, stamp in stamps.items() if stamp != before[file]]
-        if changed and stamps == last:
-            return changed
-        last = stamps
-
-
-def _restart() -> NoReturn:
-    """Replace this process by a new one with the same command line."""
-    sys.stdout.flush()
-    os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606  # no shell needed
-
-
-def _stamps_of(modules: Modules) -> Stamps:
-    """Return the stamps of all files of the user's modules and interfaces."""
-    finders = REGISTRY.finders
-    interfaces = (*finders.loaded.files.values(), *finders.nearby.files.values())
-    own = {each for each in interfaces if modules.has(each)}
-    return {file: _stamp(file) for file in sorted(modules.files | own)}
-
-
-def _stamp(file: Path) -> tuple[int, int, int] | None:
-    try:
-        status = file.stat()
-    except OSError:
-        return None
-    return status.st_mtime_ns, status.st_size, status.st_ino
-
-
-def _ready_line(transport: Transport, where: str, domain: int) -> str:
-    """Return the line that says where the server is ready, and for which actions."""
-    actions = listed(list(types_by_name(transport.local_endpoints(), "action")))
-    return f"ready at {where}, domain {domain}: {actions}"
-
-
-def _both(
-    first: Callable[[Node], object], second: Callable[[Node], object]
-) -> Callable[[Node], None]:
-    def call(node: Node) -> None:
-        first(node)
-        second(node)
-
-    return call
-
-
-async def _end_goals(nodes: list[Node], running: Running) -> None:
-    """End all goals and the user's background tasks, and serve no more goals.
-
-    Actions that web clients serve on the same node are left alone. They end when the connections of
-    these clients close.
-    """
-    built_in: list[ActionServer[Any, Any, Any]] = []
-    with anyio.CancelScope(shield=True):
-        for node in nodes:
-            # A withdrawn built-in action would serve again as soon as the user's action has closed.
-            await close_withdrawn(node)
-            if node is not running.node:
-                built_in += cast("Any", resources_of(node).action_servers())
-        await running.aclose(built_in)
-
-
-def _fate(service: Service, options: Kept) -> str:
-    """Return a phrase that says what happens to running goals when the server ends."""
-    if service.keeping is None or not service.keeping.resumes:
-        return "are ended"
-    if problem := options["journal"].problem():
-        return f"are lost, unless the journal can be written in time: {problem}"
-    return "go on when the server is back"
-
-
-@asynccontextmanager
-async def _open_journal(service: Service, log: ServerLog) -> AsyncIterator[Kept]:
-    """Open the journal for a ``with`` block, and yield the options for action servers that use it.
-
-    Without a journal, the options are empty. With ``--wait``, wait until no other process writes to
-    the journal.
-
-    Raises:
-        JournalError: if the journal cannot be opened.
-    """
-    keeping = service.keeping
-    if keeping is None:
-        yield {}
-        return
-    from turtleact.journal import open_journal
-    from turtleact.journal.database import JournalHeld
-
-    opening = partial(
-        open_journal,
-        keeping.path,
-        max_starts=keeping.max_starts,
-        abort_at_close=keeping.abort_goals,
-    )
-    async with AsyncExitStack() as stack:
-        told = False
-        while True:
-            try:
-                journal = await stack.enter_async_context(opening())
-                break
-            except JournalHeld as held:
-                if not service.wait:
-                    raise
-                if not told:
-                    log.note(f"{held}: waiting until that process has gone")
-                told = True
-                await anyio.sleep(STANDBY)
-        yield {"journal": journal, "on_restart": keeping.on_restart}
-
-
-async def _begin(
-    service: Service, found: Found, running: Running, options: Kept, log: ServerLog
-) -> None:
-    """Serve the user's actions, declare the parameters, and start the background tasks."""
-    node = running.node
-    node.initial_values |= of_node(service.overrides, node.fully_qualified_name)
-    for declaration in found.parameters:
-        node.parameter(declaration)
-    declared = [each.name for each in found.parameters]
-    for text in unheard(service.overrides, node.fully_qualified_name, declared):
-        log.note(text)
-    servers = await serve_declared(node, found.actions, wait=service.wait, **options)
-    running.start(found, servers)
-
-
-async def serve_declared(
+async def _serve(
     node: Node,
     declared: list[ActionDeclaration[..., object]],
     *,
     wait: bool,
-    **options: Unpack[Kept],
+    **kept: Unpack[Kept],
 ) -> list[ActionServer[Any, Any, Any]]:
     """Serve actions, and return once all of them are on the graph.
 
@@ -392,23 +440,13 @@ async def serve_declared(
     ``wait``, this function waits at most `LEASE` seconds, because the other node may belong to a
     ``turtleact serve`` that still runs.
 
-    Args:
-        node: The node that serves the actions.
-        declared: The actions to serve. Actions of different types may have the same name.
-        wait: Whether to wait, without a time limit, until no other node serves any of these
-            actions.
-        **options: Options that replace those in the declarations; see `Node.action_server`.
-
-    Returns:
-        The action servers, in the order of ``declared``.
-
     Raises:
         TurtleactError: if another node serves one of the actions. The message names that node.
         UsageError: if ``declared`` contains an action twice.
     """
     try:
         on_conflict: OnConflict = "wait" if wait else "refuse"
-        servers = [node.serve(each, on_conflict=on_conflict, **options) for each in declared]
+        servers = [node.serve(each, on_conflict=on_conflict, **kept) for each in declared]
     except ActionConflict as taken:
         if taken.node == node.fully_qualified_name:
             raise UsageError(f"action '{taken.action}' is given twice") from None
@@ -434,9 +472,8 @@ def _refused(taken: ActionConflict) -> TurtleactError:
     )
 
 
-@asynccontextmanager
-async def _open_web(page: Page, node: Node) -> AsyncIterator[str]:
-    """Serve the web page and rosbridge during a block, and yield their address.
+async def _open_web(stack: AsyncExitStack, page: Page, node: Node) -> str:
+    """Serve the web page and rosbridge, and return their address.
 
     The message of an error names the command-line option to correct.
 
@@ -446,125 +483,108 @@ async def _open_web(page: Page, node: Node) -> AsyncIterator[str]:
     """
     from turtleact.web import open_web
 
-    async with AsyncExitStack() as stack:
-        host, port, token, hosts, origins = page
-        opening = open_web(node, host, port, token=token, hosts=hosts, origins=origins)
-        try:
-            web = await stack.enter_async_context(opening)
-        except InvalidOption as error:
-            if error.name == "token":
-                raise UsageError(f"--token: {error.problem}") from None
-            raise TurtleactError(f"--web: {error.problem}") from None
-        yield web.url
+    host, port, token, hosts, origins = page
+    opening = open_web(node, host, port, token=token, hosts=hosts, origins=origins)
+    try:
+        web = await stack.enter_async_context(opening)
+    except InvalidOption as error:
+        if error.name == "token":
+            raise UsageError(f"--token: {error.problem}") from None
+        raise TurtleactError(f"--web: {error.problem}") from None
+    return web.url
 
 
-@asynccontextmanager
-async def _open_node(
-    service: Service,
-    graph: Callable[[Clock], AbstractAsyncContextManager[Transport]],
-    log: ServerLog,
-    options: Kept,
-    on_node: Callable[[Node], None],
-) -> AsyncIterator[Node]:
-    """Open the node that serves the targets and, unless ``service.fleet`` is None, a world.
+async def _export(stack: AsyncExitStack) -> Callable[[Node], None]:
+    """Export traces and metrics. Return what makes a node take part."""
+    try:
+        from turtleact.telemetry import instrument
+        from turtleact.telemetry.exporting import exporting
+    except ModuleNotFoundError as missing:
+        if (missing.name or "").partition(".")[0] != "opentelemetry":
+            raise
+        raise TurtleactError(
+            "--otel needs the extra otel-export: "
+            "pip install 'opentelemetry-exporter-otlp-proto-http>=1.30,<2'"
+        ) from None
+    except ValueError as error:  # the SDK reads some variables when it is imported
+        raise TurtleactError(f"OpenTelemetry cannot be set up: {error}") from error
+    for kind, what in (("trace", "spans"), ("metric", "measurements")):
+        logging.getLogger(f"{EXPORTER}.{kind}_exporter").addFilter(_ExporterProblems(kind, what))
+    await stack.enter_async_context(exporting("turtleact"))
+    return instrument
 
-    The servers of the built-in actions get ``options``, which may contain a journal. ``on_node`` is
-    called with each node that is opened.
+
+class _ExporterProblems(logging.Filter):
+    """Reports a problem of an exporter in clear words, and only once per `REPEAT`.
+
+    Without this filter, the exporter would log the problem at each attempt.
     """
-    async with AsyncExitStack() as stack:
-        if service.fleet is not None:
-            from turtleact.sim.world_node import open_world
 
-            world = open_world(
-                **service.fleet._asdict(),
-                turtlesim_only=service.turtlesim_only,
-                graph=graph,
-                on_transition=log.tell,
-                on_start=None if log.board is None else log.board.begin,
-                introspection=service.introspection,
-                on_node=on_node,
-                **options,
-            )
-            node: Node = await stack.enter_async_context(world)
-        else:
-            from turtleact.tasks.clock import WallClock
+    def __init__(self, kind: str, what: str) -> None:
+        super().__init__()
+        self._way_out = f"OTEL_{kind.upper()}S_EXPORTER=none sends no {what}"
+        self._what = what
+        self._told = -REPEAT
 
-            transport = await stack.enter_async_context(graph(WallClock()))
-            opening = open_node(service.node_name, transport=transport)
-            node = await stack.enter_async_context(opening)
-            node.introspection = service.introspection
-            on_node(node)
-        node.on_transition(log.tell)
-        yield node
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether to report the record, which then gets a new message."""
+        if record.created - self._told < REPEAT:
+            return False
+        self._told = record.created
+        at = os.environ.get("OTEL_EXPORTER_OTLP_ENDPOINT") or "http://localhost:4318"
+        attempt = NO_ANSWER.search(record.getMessage())
+        reason = record.getMessage() if attempt is None else attempt["reason"]
+        record.msg, record.args = (
+            f"{self._what} do not reach the collector at {at}: {reason.rstrip('.')}; start it, or "
+            f"set OTEL_EXPORTER_OTLP_ENDPOINT. {self._way_out}",
+            (),
+        )
+        record.levelno, record.levelname = logging.WARNING, "WARNING"
+        return True
 
 
-@asynccontextmanager
-async def _open_graph(
-    service: Service, opened: list[tuple[ZenohTransport, str]], clock: Clock
-) -> AsyncIterator[Transport]:
-    """Open the graph that the user asked for.
+# the log
 
-    By default, this process becomes the router of this machine. If there is a router already, this
-    process joins that router's graph as a peer.
 
-    Args:
-        service: The options of ``serve``.
-        opened: A list to which this function appends the graph and a text with its endpoints.
-        clock: The clock of the graph.
+def _set_up_logging(log_format: LogFormat | None) -> None:
+    """Write log records of level INFO and above to stderr, in the format ``log_format``.
+
+    If ``log_format`` is None, leave Python's logging as it is.
     """
-    connect, domain = service.reach.connect, service.reach.domain
-    opening = partial(open_zenoh, domain=domain, config=service.config, clock=clock)
-    async with AsyncExitStack() as stack:
-        if service.listen or connect:
-            transport = await stack.enter_async_context(
-                opening(
-                    mode="router" if service.listen else "peer",
-                    listen=service.listen or None,
-                    connect=connect,
-                )
-            )
-            where = ", ".join(service.listen or connect)
-        else:
-            # Whoever comes first is the router. A later server cannot listen at its port, and joins
-            # as a peer. If no router lets it in either, something else holds the port, as the first
-            # error says.
-            try:
-                router = opening(mode="router", listen=[ROUTER])
-                transport = await stack.enter_async_context(router)
-            except TurtleactError as taken:
-                try:
-                    transport = await stack.enter_async_context(opening(mode="peer"))
-                except TurtleactError:
-                    raise taken from None
-            where = ROUTER
-        await transport.explore()
-        if service.fleet is not None and "/turtlesim" in transport.nodes():
-            raise TurtleactError(
-                f"there is a world already in domain {domain} at {where}: give another "
-                "--domain, or --no-sim to serve your own actions beside it"
-            )
-        opened.append((transport, where))
-        yield transport
+    if logging.lastResort is not None:  # it serves modules that configure no logging
+        logging.lastResort.setFormatter(_Escaping(logging.Formatter()))
+    if log_format is None:
+        return
+    from turtleact.telemetry.logs import GoalFilter, JsonFormatter, TextFormatter
+
+    handler = _ToStderr()
+    handler.addFilter(GoalFilter())
+    as_json = log_format == "json"
+    handler.setFormatter(JsonFormatter() if as_json else _Escaping(TextFormatter()))
+    logging.getLogger().addHandler(handler)
+    logging.getLogger().setLevel(logging.INFO)
+    logging.getLogger("uvicorn").setLevel(logging.WARNING)  # it tells of each start and end
 
 
-def listed(names: list[str]) -> str:
-    """Join names with commas.
+class _ToStderr(logging.StreamHandler[Any]):
+    """Writes log records to the current `sys.stderr`, which the dashboard may have redirected."""
 
-    If there are more than `MOST_LISTED` names, the last ones are replaced by their number.
-    """
-    some = names if len(names) <= MOST_LISTED else names[: MOST_LISTED - 1]
-    more = [f"and {len(names) - len(some)} more"] if some is not names else []
-    return ", ".join([*some, *more]) or "no actions"
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a record."""
+        self.setStream(sys.stderr)
+        super().emit(record)
 
 
 class _Escaping(logging.Formatter):
-    """Formats log records as usual, but escapes control characters.
+    """Escapes control characters, which an exception in a record may contain."""
 
-    An exception in a record may contain such characters.
-    """
+    def __init__(self, inner: logging.Formatter) -> None:
+        super().__init__()
+        self._inner = inner
 
     def format(self, record: logging.LogRecord) -> str:
-        return printable(super().format(record))
+        """Return a record as text."""
+        return printable(self._inner.format(record))
 
 
 class ServerLog:
@@ -611,8 +631,8 @@ class ServerLog:
     def say(self, line: str, **members: str) -> None:
         """Print a line on stdout at once, or add it to the heading of the dashboard.
 
-        If stdout is closed, nothing is printed, and the server goes on. If each line is a JSON
-        object, ``members`` are added to that object.
+        If stdout cannot be written, nothing more is printed, and the server goes on. If each line
+        is a JSON object, ``members`` are added to that object.
         """
         if self.board is not None:
             self.board.say(line)
@@ -620,10 +640,17 @@ class ServerLog:
         if sys.stdout is None:
             return
         try:
-            print(json_line(line, **members) if self._is_json else line, flush=True)
+            print(_as_json(line, members) if self._is_json else line, flush=True)
         except BrokenPipeError:
             abandon(sys.stdout)
-        except (OSError, ValueError) as error:  # a closed object is a ValueError
+        except OSError as error:
             sys.stdout = None
-            why = getattr(error, "strerror", None) or "it was closed by your code"
-            note(f"stdout cannot be written ({why}), so goals are no longer listed")
+            note(f"stdout cannot be written ({error.strerror}), so goals are no longer listed")
+
+
+def _as_json(text: str, members: dict[str, str]) -> str:
+    """Return a line that ``serve`` itself prints as a log record in JSON."""
+    from turtleact.telemetry.logs import JsonFormatter
+
+    said = {"name": logger.name, "levelname": "INFO", "msg": text, **members}
+    return JsonFormatter().format(logging.makeLogRecord(said))

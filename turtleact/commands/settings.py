@@ -30,7 +30,6 @@ __all__ = [
     "Reach",
     "Reliability",
     "Service",
-    "Watched",
     "WrongOptions",
     "endpoints",
     "quoted",
@@ -151,20 +150,6 @@ class Page(NamedTuple):
     origins: tuple[str, ...] = ()
 
 
-class Watched(NamedTuple):
-    """How other programs can watch the goals of a server.
-
-    Attributes:
-        otel: Whether traces and metrics are exported through OpenTelemetry.
-        metrics: The host and port at which metrics are served; None for no metrics.
-        log_format: The format of log records; None to leave Python's logging as it is.
-    """
-
-    otel: bool = False
-    metrics: tuple[str, int] | None = None
-    log_format: LogFormat | None = None
-
-
 class Override(NamedTuple):
     """The initial value of one parameter, from the command line or a file.
 
@@ -204,7 +189,9 @@ class Service(NamedTuple):
         keeping: How to keep a journal of the goals; None for no journal.
         overrides: The initial values of parameters.
         introspection: What all actions and services of the process publish for introspection.
-        watched: How other programs can watch the goals.
+        otel: Whether traces and metrics are exported through OpenTelemetry.
+        metrics: The host and port at which metrics are served; None for no metrics.
+        log_format: The format of log records; None to leave Python's logging as it is.
     """
 
     targets: tuple[str, ...]
@@ -221,7 +208,9 @@ class Service(NamedTuple):
     keeping: Keeping | None = None
     overrides: tuple[Override, ...] = ()
     introspection: Introspection = "off"
-    watched: Watched = Watched()
+    otel: bool = False
+    metrics: tuple[str, int] | None = None
+    log_format: LogFormat | None = None
 
 
 class Policies(NamedTuple):

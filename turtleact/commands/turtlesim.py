@@ -49,13 +49,13 @@ def teleop(
     *,
     turtle: Annotated[
         str | None,
-        value("--turtle", metavar="NAME", text="Which turtle. If left out, turtle1."),
+        value(metavar="NAME", text="Which turtle. If left out, turtle1."),
     ] = None,
     scale_linear: Annotated[
-        float, value("--scale-linear", metavar="SPEED", text="How fast it drives (m/s).")
+        float, value(metavar="SPEED", text="How fast it drives (m/s).")
     ] = SCALE,
     scale_angular: Annotated[
-        float, value("--scale-angular", metavar="RATE", text="How fast it turns (rad/s).")
+        float, value(metavar="RATE", text="How fast it turns (rad/s).")
     ] = SCALE,
     plain: Plain = False,
     embedded: Embedded = False,
