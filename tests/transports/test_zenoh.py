@@ -32,7 +32,6 @@ from turtleact.errors import (
 )
 from turtleact.interfaces import (
     Action,
-    FeedbackFormat,
     Message,
     WireFormat,
     implied,
@@ -40,7 +39,6 @@ from turtleact.interfaces import (
 )
 from turtleact.interfaces.standard import (
     UUID,
-    CancelGoal,
     Fibonacci,
     GoalStatusArray,
     ListParameters,
@@ -153,7 +151,7 @@ class Greeting:
     def _match(self, is_matching: bool) -> None:
         self._sender.receive_queue.push(self._ready.set)
 
-    def _take(self, payload: bytes) -> None:
+    def _take(self, payload: bytes, _attachment: bytes) -> None:
         self._receiver.receive_queue.push(lambda: self._arrived.set())
 
 
@@ -258,6 +256,15 @@ class Bare:
     def read(self, key: str) -> None:
         self._readers.append(self.session.declare_latched_subscriber(key, self._take, depth=1))
 
+    def publisher(self, key: str) -> Publisher:
+        """A publisher that has found its reader."""
+        found = threading.Event()
+        made = self.session.declare_publisher(
+            key, is_reliable=True, matching=lambda is_matching: found.set()
+        )
+        assert found.wait(10)
+        return made
+
     def serve(self, key: str) -> None:
         self.session.declare_queryable(key, self._asked)
 
@@ -312,6 +319,14 @@ async def until(transport: ZenohTransport, is_so: Any) -> None:
         await transport.wait_for_change()
 
 
+async def served_by(other: Bare, transport: ZenohTransport) -> Any:
+    """A client of a service of a bare session."""
+    caller = transport.join(client(), ASKING)
+    await anyio.to_thread.run_sync(other.serve, ADD_KEY)
+    await until(transport, lambda: caller.is_served)
+    return caller
+
+
 async def until_read(publication: Any) -> None:
     while not publication.is_read:
         await anyio.sleep(0)
@@ -348,14 +363,9 @@ async def test_a_message_goes_as_cdr_with_its_number_and_gid(address):
 
 async def test_messages_that_a_publisher_counted_and_that_did_not_arrive_are_told(address):
     async with beside(address) as (transport, other):
-        inbox, gaps, matching = Inbox(), list[int](), threading.Event()
+        inbox, gaps = Inbox(), list[int]()
         transport.subscribe(subscription(), SPEECH, inbox.deliver, on_gap=gaps.append)
-        sender = await anyio.to_thread.run_sync(
-            lambda: other.session.declare_publisher(
-                CHATTER_KEY, is_reliable=True, matching=lambda is_matching: matching.set()
-            )
-        )
-        await anyio.to_thread.run_sync(matching.wait, 10)
+        sender = await anyio.to_thread.run_sync(other.publisher, CHATTER_KEY)
         for number in (3, 4, 7, 8, 10):
             message = SPEECH.encode(feedback(number)) + b"garbage"
             sender.put(message, write_attachment(number, 0, GID))
@@ -369,13 +379,7 @@ async def test_a_message_that_cannot_be_read_is_logged_and_the_next_is_read(addr
     async with beside(address) as (transport, other):
         inbox = Inbox()
         transport.subscribe(subscription(), SPEECH, inbox.deliver)
-        matching = threading.Event()
-        sender = await anyio.to_thread.run_sync(
-            lambda: other.session.declare_publisher(
-                CHATTER_KEY, is_reliable=True, matching=lambda is_matching: matching.set()
-            )
-        )
-        await anyio.to_thread.run_sync(matching.wait, 10)
+        sender = await anyio.to_thread.run_sync(other.publisher, CHATTER_KEY)
         sender.put(b"no message", b"")
         sender.put(SPEECH.encode(feedback(7)), b"")
         while not inbox.numbers:
@@ -443,7 +447,7 @@ async def test_a_thread_that_brings_messages_stays_with_python(address):
     """A state made anew for each call would hold nothing of the one before."""
     fresh, state, last = [], threading.local(), threading.Event()
 
-    def take(payload):
+    def take(payload, _attachment):
         if not hasattr(state, "is_known"):
             state.is_known = True
             fresh.append(threading.get_ident())
@@ -495,9 +499,7 @@ async def test_a_note_follows_the_attachment_of_a_request(address):
         await caller.call(numbers(2, 3))
     assert heard == ["a note", ""]
     async with beside(address) as (transport, other):
-        caller = transport.join(client(), ASKING)
-        await anyio.to_thread.run_sync(other.serve, ADD_KEY)
-        await until(transport, lambda: caller.is_served)
+        caller = await served_by(other, transport)
         async with running(lambda: caller.call(numbers(2, 3), "a note")):
             await anyio.to_thread.run_sync(other.came.wait, 10)
             (query,) = other.queries
@@ -508,9 +510,7 @@ async def test_a_note_follows_the_attachment_of_a_request(address):
 
 async def test_a_server_of_ros_is_called(address):
     async with beside(address) as (transport, other):
-        caller = transport.join(client(), ASKING)
-        await anyio.to_thread.run_sync(other.serve, ADD_KEY)
-        await until(transport, lambda: caller.is_served)
+        caller = await served_by(other, transport)
         async with running(lambda: caller.call(numbers(2, 3))) as called:
             await anyio.to_thread.run_sync(other.came.wait, 10)
             (query,) = other.queries
@@ -532,9 +532,7 @@ async def test_a_server_of_ros_is_called(address):
 )
 async def test_a_server_of_ros_that_answers_badly(address, answer, error, said):
     async with beside(address) as (transport, other):
-        caller = transport.join(client(), ASKING)
-        await anyio.to_thread.run_sync(other.serve, ADD_KEY)
-        await until(transport, lambda: caller.is_served)
+        caller = await served_by(other, transport)
         async with running(lambda: caller.call(numbers())) as called:
             await anyio.to_thread.run_sync(other.came.wait, 10)
             answer(other.queries[0])
@@ -1199,11 +1197,6 @@ async def test_waiting_for_a_graph_ends_when_its_transport_is_closed(address, mo
         gate.set()
 
 
-async def forever(_goal):
-    await anyio.sleep_forever()
-    yield  # pragma: no cover
-
-
 async def test_the_domain_is_that_of_the_environment_unless_one_is_given(address, monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
     async with (
@@ -1551,54 +1544,6 @@ async def test_an_action_of_a_node_is_used_from_another_process(address):
         (status,) = statuses.status_list
         assert status.goal_info.goal_id == goal_id
         assert user.graph().actions == {"/count": (Count.type_name,)}
-
-
-async def test_two_actions_of_one_name_share_a_cancel_service_that_cancels_goals_of_both(address):
-    async with two_nodes(address) as (peers, lab, user):
-        clients = []
-        for action in (Count, Fibonacci):
-            lab.action_server(action, "count", forever)
-            clients.append(user.action_client(action, "count"))
-            assert await clients[-1].wait_for_server()
-        cancel = user.service_client(CancelGoal, "count/_action/cancel_goal")
-        assert await cancel.wait_for_service()
-        await peers.settle()
-        seen = peers.here.endpoints("/count/_action/cancel_goal")
-        assert [each.kind for each in seen].count("service") == 1
-        async with (
-            clients[0].send_goal(goal(1)) as first,
-            clients[1].send_goal(Fibonacci.Goal()) as second,
-        ):
-            answer = await cancel.call(CancelGoal.Request())
-            assert answer.return_code == 0
-            ids = {each.goal_id.uuid for each in answer.goals_canceling}
-            assert ids == {first.goal_id, second.goal_id}
-
-
-async def test_feedback_of_the_goals_of_others_is_not_read(address, monkeypatch):
-    told: list[object] = []
-    read = FeedbackFormat.read
-
-    def note(self: FeedbackFormat, data: bytes) -> Message:
-        told.append(read(self, data))
-        return read(self, data)
-
-    monkeypatch.setattr(FeedbackFormat, "read", note)
-    async with (
-        two(address) as peers,
-        turtleact.open_node("lab", transport=peers.there) as lab,
-        turtleact.open_node("idle", transport=peers.here) as idle,
-        turtleact.open_node("busy", transport=peers.here) as busy,
-    ):
-        lab.action_server(Count, "count", count)
-        clients = [node.action_client(Count, "count") for node in (idle, busy)]
-        for client in clients:  # each of them listens from its first goal on
-            assert await client.wait_for_server()
-            assert await client.send_goal(goal(0)) == result()
-        async with clients[1].send_goal(goal(3)) as handle:
-            assert len([each async for each in handle]) == 3
-        await peers.settle()
-        assert told == [feedback(0), feedback(0, 1), feedback(0, 1, 2)]
 
 
 async def test_a_goal_may_take_longer_than_zenoh_waits(address, monkeypatch):

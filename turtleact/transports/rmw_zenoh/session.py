@@ -271,20 +271,7 @@ class Session:
                 )
             )
 
-    def declare_subscriber(self, key: str, take: Callable[[bytes], object]) -> Declared:
-        """Subscribe to a topic. ``take`` is called with the payload of each message."""
-
-        def receive(sample: zenoh.Sample) -> None:  # like `_direct`, but without an extra call
-            stay_attached()
-            take(sample.payload.to_bytes())
-
-        with _mapped(f"declare {key}"):
-            subscriber: Declared = self._session.declare_subscriber(
-                key, Callback(receive, indirect=False), allowed_origin=REMOTE
-            )
-            return subscriber
-
-    def declare_counting_subscriber(self, key: str, take: Take) -> Declared:
+    def declare_subscriber(self, key: str, take: Take) -> Declared:
         """Subscribe to a topic. ``take`` is called with each message's payload and attachment."""
         receive = _direct(lambda sample: take(*_parts(sample)))
         with _mapped(f"declare {key}"):

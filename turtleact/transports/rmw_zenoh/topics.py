@@ -366,6 +366,7 @@ class WireSubscription:
         self._deliver = deliver
         self._unread: BoundedQueue[bytes] = _queue_for(endpoint.qos)
         self._on_gap = on_gap
+        self._is_latched = endpoint.qos.durability == "transient_local"
         self._counts: dict[bytes, int] = {}  # the newest sequence number of each publisher
         self._declared: Declared | None = None
         near = context.near.subscribe(endpoint, format, deliver)
@@ -378,19 +379,22 @@ class WireSubscription:
         """Close the subscription. A second call does nothing."""
         self._opened.close()
 
-    def _take_latched(self, payload: bytes, attachment: bytes) -> None:
-        """Receive a message of a latched topic. A thread of the session calls this."""
-        if gid_in(attachment) not in self._context.latched:  # otherwise it came as an object
-            self._take(payload)
+    def _receive(self, payload: bytes, attachment: bytes) -> None:
+        """Receive a message and look for a gap before it. A thread of the session calls this."""
+        if self._is_latched:
+            if gid_in(attachment) not in self._context.latched:  # otherwise it came as an object
+                self._take(payload)
+            return
+        if self._on_gap is not None:
+            self._look_for_gap(attachment, self._on_gap)
+        self._take(payload)
 
-    def _take_counted(self, payload: bytes, attachment: bytes) -> None:
-        """Receive a message, and look for a gap before it. A thread of the session calls this."""
+    def _look_for_gap(self, attachment: bytes, on_gap: Callable[[int], None]) -> None:
         gid, count = gid_in(attachment), count_in(attachment)
         missing = count - self._counts.get(gid, count - 1) - 1
         self._counts[gid] = count
-        if missing > 0 and self._on_gap is not None:
-            self._context.receive_queue.push(partial(self._on_gap, missing))
-        self._take(payload)
+        if missing > 0:
+            self._context.receive_queue.push(partial(on_gap, missing))
 
     def _take(self, payload: bytes) -> None:
         """Receive a message. A thread of the session calls this."""
@@ -423,14 +427,12 @@ class WireSubscription:
 
     def _declare(self) -> None:
         session = self._context.session
-        if self._qos.durability == "transient_local":
+        if self._is_latched:
             self._declared = session.declare_latched_subscriber(
-                self._key, self._take_latched, depth=self._qos.depth
+                self._key, self._receive, depth=self._qos.depth
             )
-        elif self._on_gap is not None:
-            self._declared = session.declare_counting_subscriber(self._key, self._take_counted)
         else:
-            self._declared = session.declare_subscriber(self._key, self._take)
+            self._declared = session.declare_subscriber(self._key, self._receive)
 
     def _undeclare(self) -> None:
         if self._declared is not None:
