@@ -16,7 +16,6 @@ from turtleact.errors import ServerUnavailable, ServiceError
 from turtleact.interfaces import Message, Service, decode, get_interface, int32, string, uint8
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray, Point, Twist, Vector3
 from turtleact.web import Limits
-from turtleact.web.mailbox import MOST_KEPT
 from turtleact.web.rosapi import Rosapi
 
 from ..lab import Count, Gate, Running, count, goal, running, settle
@@ -164,7 +163,7 @@ def test_a_topic_comes_no_more_often_than_asked_for():
     async def publish():
         async with bridged() as (node, bridge), line(bridge) as client:
             publisher = node.publisher(Point, "here")
-            await subscribe(client, "/here", throttle_rate=100, queue_length=1)
+            await subscribe(client, "/here", throttle_rate=100)
             for number in range(19):
                 publisher.publish(Point(x=float(number)))
                 await anyio.sleep(0.035)
@@ -176,7 +175,7 @@ def test_a_topic_comes_no_more_often_than_asked_for():
             return heard
 
     for backend in ("asyncio", "trio"):
-        assert testing.run(publish, backend=backend) == [0, 2, 5, 8, 11, 14, 17, 18]
+        assert testing.run(publish, backend=backend) == [0, 3, 6, 9, 12, 15, 18]
 
 
 async def test_a_throttle_rate_can_be_changed():
@@ -597,7 +596,6 @@ def test_a_client_that_takes_nothing_is_let_go(caplog):
                 publisher.publish(Point(x=float(number)))
                 await anyio.sleep(0.016)
                 assert (await other.hear())["msg"]["x"] == number
-            assert bridge.statistics().dropped > 60
             await anyio.sleep(1)
             assert one.over.is_set()
             assert one.aborted
@@ -607,22 +605,6 @@ def test_a_client_that_takes_nothing_is_let_go(caplog):
         caplog.clear()
         assert testing.run(stall, backend=backend) == 1
         assert "a web client was disconnected: it read nothing for 2 s" in caplog.text
-
-
-def test_a_client_that_asks_and_never_reads_is_let_go(caplog):
-    async def stall():
-        async with bridged() as (_, bridge), line(bridge) as client:
-            assert await client.hears_nothing()
-            client.gate = anyio.Event()
-            for _ in range(MOST_KEPT + 10):
-                client.say("call_service", service="/rosapi/get_ros_version")
-            await anyio.sleep(0.5)
-            return client.over.is_set()
-
-    for backend in ("asyncio", "trio"):
-        caplog.clear()
-        assert testing.run(stall, backend=backend)
-        assert "a web client was disconnected: too much data waits for it" in caplog.text
 
 
 def test_a_client_that_cannot_be_cut_off_is_given_up(caplog):
@@ -735,29 +717,22 @@ async def test_count_is_a_body():
         assert [frame["op"] for frame in heard] == ["action_feedback"] * 2 + ["action_result"]
 
 
-# the memory of all clients
+# the memory of a client
 
 
-async def test_frames_that_wait_for_all_clients_are_bounded_together(caplog):
-    limits = Limits(memory=20_000)
-    async with (
-        bridged(limits=limits) as (_, bridge),
-        line(bridge) as greedy,
-        line(bridge) as modest,
-    ):
-        assert await greedy.hears_nothing()
-        greedy.gate = anyio.Event()
+async def test_a_client_that_reads_none_of_its_answers_is_disconnected(caplog):
+    async with bridged(limits=Limits(memory=20_000)) as (_, bridge), line(bridge) as client:
+        assert await client.hears_nothing()
+        client.gate = anyio.Event()
         for _ in range(10):
-            greedy.say("call_service", service="/rosapi/interfaces")
+            client.say("call_service", service="/rosapi/interfaces")
         with anyio.fail_after(10.0):
-            await greedy.over.wait()
-        assert greedy.aborted
-        assert await modest.hears_nothing()
-        assert bridge.budget.held == 0
-    assert "too much data waits for all clients, and most of it for this one" in caplog.text
+            await client.over.wait()
+        assert client.aborted
+    assert "too much data waits for it" in caplog.text
 
 
-async def test_beyond_the_memory_of_all_clients_messages_of_topics_are_dropped():
+async def test_beyond_its_memory_a_client_loses_messages_of_topics():
     limits = Limits(memory=10_000)
     async with bridged(limits=limits) as (node, bridge), line(bridge) as client:
         publisher = node.publisher(Pixels, "pixels")
@@ -767,6 +742,5 @@ async def test_beyond_the_memory_of_all_clients_messages_of_topics_are_dropped()
         for _ in range(20):
             publisher.publish(Pixels(name="x" * 1000))
         await settle()
-        assert bridge.budget.held <= 10_000
         assert bridge.statistics().dropped > 0
         assert bridge.statistics().connections == 1

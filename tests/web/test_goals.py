@@ -345,7 +345,7 @@ def test_a_client_that_is_slow_loses_feedback_and_no_result():
         async with bridged() as (node, bridge), line(bridge) as client:
             node.action_server(Count, "count", chatter)
             assert await client.hears_nothing()
-            send(client, upto=200, feedback=True)
+            send(client, upto=500, feedback=True)
             client.gate = anyio.Event()
             await anyio.sleep(1)
             client.gate.set()
@@ -356,9 +356,9 @@ def test_a_client_that_is_slow_loses_feedback_and_no_result():
 
     for backend in ("asyncio", "trio"):
         values = testing.run(read, backend=backend)
-        assert values[-1] == {"counted": [200]}
-        assert values[-2] == {"so_far": [199]}
-        assert 30 < len(values) < 40
+        assert values[-1] == {"counted": [500]}
+        assert values[-2] == {"so_far": [499]}
+        assert len(values) < 300
 
 
 # goals that clients serve

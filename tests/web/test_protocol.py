@@ -12,7 +12,6 @@ import pytest
 from turtleact.web import operations
 from turtleact.web.protocol import (
     LONGEST_INTERVAL,
-    LONGEST_QUEUE,
     Adjust,
     Delivery,
     Do,
@@ -118,7 +117,7 @@ def test_a_subscription_is_opened(protocol):
         '{"op":"subscribe","id":"subscribe:/turtle1/pose:9","type":"turtlesim/Pose",'
         '"topic":"/turtle1/pose","compression":"none","throttle_rate":100,"queue_length":0}'
     )
-    delivery = Delivery(0.1, 0, "none")
+    delivery = Delivery(0.1, "none")
     reader = Reader("/turtle1/pose", "turtlesim/Pose", delivery, "subscribe:/turtle1/pose:9")
     assert protocol.receive(said) == [Open(reader)]
 
@@ -146,7 +145,7 @@ def test_members_that_are_null_are_left_out(protocol):
         ({"throttle_rate": -5, "queue_length": -5}, Delivery()),
         (
             {"throttle_rate": 1e300, "queue_length": 1e300},
-            Delivery(LONGEST_INTERVAL, LONGEST_QUEUE),
+            Delivery(LONGEST_INTERVAL),
         ),
         ({"throttle_rate": math.nan, "queue_length": math.nan}, Delivery()),
         ({"throttle_rate": math.inf}, Delivery(LONGEST_INTERVAL)),
@@ -160,9 +159,9 @@ def test_a_wish_is_taken_as_far_as_it_makes_sense(protocol, members, delivery):
 
 
 def test_subscriptions_of_one_topic_are_one(protocol):
-    protocol.receive(frame("subscribe", topic="a", id="1", throttle_rate=100, queue_length=1))
+    protocol.receive(frame("subscribe", topic="a", id="1", throttle_rate=100))
     said = frame("subscribe", topic="a", id="2", throttle_rate=50, compression="cbor")
-    assert protocol.receive(said) == [Adjust("a", Delivery(0.05, 1, "cbor"))]
+    assert protocol.receive(said) == [Adjust("a", Delivery(0.05, "cbor"))]
 
 
 def test_a_subscription_may_be_changed(protocol):

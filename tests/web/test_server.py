@@ -218,53 +218,6 @@ def begun(size: int, *, opcode: int = 1) -> bytes:
     return bytes([opcode, 0x80 | 126]) + size.to_bytes(2, "big") + bytes(4) + b" " * size
 
 
-@ON_ASYNCIO
-async def test_unfinished_messages_of_all_clients_are_bounded_together(caplog):
-    limits = Limits(memory=200_000)
-    async with (
-        turtleact.open_node("lab") as node,
-        open_web(node, port=0, limits=limits) as web,
-        connect(address(web)) as client,
-    ):
-        lines = [await shake_hands(web) for _ in range(4)]
-        for _, writer in lines:
-            writer.write(begun(40_000))
-        lines[2][1].write(begun(50_000, opcode=0))
-        answer = await lines[2][0].read()  # of the one that holds the most
-        assert int.from_bytes(answer[2:4], "big") == 1013
-        assert b"all clients together hold too much memory" in answer
-        assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
-        assert web.bridge.statistics().connections == 4
-        assert 120_000 <= web.bridge.budget.held <= 200_000
-        for _, writer in lines:
-            writer.close()
-    assert caplog.messages == [
-        "a web client was disconnected: all clients together hold too much memory,"
-        " and this one most of it"
-    ]
-
-
-@ON_ASYNCIO
-async def test_a_message_in_a_thousand_parts_is_held_with_what_each_part_takes():
-    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
-        _, writer = await shake_hands(web)
-        writer.write(begun(1) + begun(1, opcode=0) * 999)
-        await wait_until(lambda: web.bridge.budget.held >= 65_000)
-        writer.close()
-        await wait_until(lambda: web.bridge.budget.held == 0)
-
-
-@ON_ASYNCIO
-async def test_a_message_of_half_a_frame_counts_as_well():
-    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
-        _, writer = await shake_hands(web)
-        writer.write(begun(60_000)[:50_000])
-        await wait_until(lambda: web.bridge.budget.held >= 49_000)
-        writer.write(begun(60_000)[50_000:] + bytes([0x80, 0x80, 0, 0, 0, 0]))  # the end of it
-        await wait_until(lambda: web.bridge.budget.held == 0)
-        writer.close()
-
-
 async def wait_until(condition: Callable[[], bool]) -> None:
     while not condition():
         await anyio.sleep(0.001)
@@ -370,22 +323,6 @@ async def test_there_is_an_end_to_connections(monkeypatch, caplog):
 
 
 @ON_ASYNCIO
-async def test_a_text_that_is_none_is_a_line_in_the_log(caplog):
-    async with (
-        turtleact.open_node("lab") as node,
-        open_web(node, port=0) as web,
-        connect(address(web)) as client,
-    ):
-        for _ in range(2):
-            await client.send(b"\xff", text=True)
-        with pytest.raises(websockets.ConnectionClosed) as closed:
-            await client.recv()
-        assert closed.value.rcvd is not None
-        assert closed.value.rcvd.code == 1007
-    assert caplog.messages == ["a web client was disconnected: it sent a text that is not UTF-8"]
-
-
-@ON_ASYNCIO
 async def test_an_app_that_fails_is_logged_with_its_traceback(caplog, monkeypatch):
     async def fail(*_: object) -> None:
         raise ZeroDivisionError
@@ -395,20 +332,6 @@ async def test_an_app_that_fails_is_logged_with_its_traceback(caplog, monkeypatc
         with pytest.raises(InvalidStatus, match="500"):
             await connect(address(web))
     assert "ZeroDivisionError" in caplog.text
-
-
-@ON_ASYNCIO
-async def test_a_client_that_does_nothing_but_ping_is_let_go(caplog, monkeypatch):
-    monkeypatch.setattr("turtleact.web.server.MOST_PINGS", 3)
-    async with (
-        turtleact.open_node("lab") as node,
-        open_web(node, port=0) as web,
-        connect(address(web)) as client,
-    ):
-        for _ in range(4):
-            await client.ping()
-        await client.wait_closed()
-    assert caplog.messages == ["a web client was disconnected: it sent 4 pings in a second"]
 
 
 class Impatient(Socket):

@@ -349,9 +349,8 @@ class Mistaken:
 async def broken_for_fibonacci(node: turtleact.Node, broken: Any) -> AsyncIterator[Watch]:
     """A watch that uses this client for Fibonacci."""
 
-    @asynccontextmanager
-    async def open_client(name: str, action_type: Any) -> AsyncIterator[Any]:
-        yield broken if action_type is Fibonacci else node.action_client(action_type, name)
+    def open_client(name: str, action_type: Any) -> Any:
+        return broken if action_type is Fibonacci else node.action_client(action_type, name)
 
     watched = Watch(node, open_client)
     await watched.call("/turtleact/web/watch", {})

@@ -95,13 +95,11 @@ class Bridge:
 
     Attributes:
         is_open: Whether the bridge accepts new connections.
-        budget: Limits the memory that all clients together hold.
         refusals: Counts and logs refused connections.
     """
 
     def __init__(self, shared: Shared, access: Access) -> None:
         self.is_open = True
-        self.budget = shared.budget
         self.refusals = Refusals()
         self._shared = shared
         self._access = access
@@ -121,12 +119,12 @@ class Bridge:
 
     def statistics(self) -> Statistics:
         """Return the bridge's counts at this moment."""
-        boxes = [connection.mailbox for connection in self._connections]
+        queues = [connection.queue for connection in self._connections]
         return Statistics(
-            connections=len(boxes),
+            connections=len(queues),
             goals=len(self._shared.goals),
-            waiting=sum(map(len, boxes)),
-            dropped=sum(box.dropped for box in boxes),
+            waiting=sum(map(len, queues)),
+            dropped=sum(queue.dropped for queue in queues),
         )
 
     async def aclose(self) -> None:

@@ -2,7 +2,7 @@
 
 `turtleact.web.protocol` turns each frame of the client into effects, and this module carries them
 out on the node. The reading task never waits for the writing task, because outgoing frames go into
-a mailbox. A client that reads nothing for `PATIENCE` seconds is disconnected. So a slow client does
+a queue. A client that reads nothing for `PATIENCE` seconds is disconnected. So a slow client does
 not slow down other clients.
 
 Source: rosbridge v2; ASGI, "HTTP and WebSocket message format".
@@ -27,13 +27,24 @@ from turtleact.node.topics import Publisher
 from turtleact.tasks.failures import summary
 from turtleact.transports import QoS
 from turtleact.web import operations
-from turtleact.web.mailbox import Mailbox, Throttle
+from turtleact.web.client_queue import ClientQueue
 from turtleact.web.message_conversion import Frame, Rendering, read_message, reply
 from turtleact.web.name_lookup import absolute
 from turtleact.web.operations import CallService, Id
-from turtleact.web.protocol import Adjust, Do, Effect, Open, Protocol, Reader, Say, Shut, Writer
+from turtleact.web.protocol import (
+    Adjust,
+    Delivery,
+    Do,
+    Effect,
+    Open,
+    Protocol,
+    Reader,
+    Say,
+    Shut,
+    Writer,
+)
 from turtleact.web.serving import Serving
-from turtleact.web.shared import Deliver, Feed, Shared
+from turtleact.web.shared import Feed, Shared
 
 __all__ = ["PATIENCE", "TRY_AGAIN_LATER", "Connection"]
 
@@ -64,16 +75,16 @@ class Connection:
         websocket: The client's WebSocket, not accepted yet.
 
     Attributes:
-        mailbox: The frames that wait to be sent to the client.
+        queue: The frames that wait to be sent to the client.
     """
 
     def __init__(self, shared: Shared, websocket: WebSocket) -> None:
-        self.mailbox = Mailbox()
+        self.queue = ClientQueue(shared.limits.memory)
         self._shared = shared
         self._websocket = websocket
         self._protocol = Protocol(shared.limits.opened)
         self._serving = Serving(shared.node, self.keep)
-        self._readers: dict[str, tuple[Throttle, Feed, Deliver]] = {}
+        self._readers: dict[str, _TopicReader] = {}
         self._writers: dict[str, tuple[type[Message], Publisher[Message]]] = {}
         self._filled = shared.tasks.signal()
         self._calls: dict[int, CallService] = {}
@@ -99,7 +110,6 @@ class Connection:
             self._shared.goals.lose(self)
             with anyio.CancelScope(shield=True):
                 await self._close_all()
-            self._shared.budget.hold(self, 0)  # last: closing may still have kept frames
 
     def close(self) -> None:
         """Start to close the connection.
@@ -116,35 +126,22 @@ class Connection:
             values = "the server is closing" if news is None else news
             self.keep(_response(said, values, is_result=news is not None))
         self._calls.clear()
-        self.mailbox.drop_all()
+        self.queue.drop_all()
         self._filled.fire()
 
     def keep(self, frame: str) -> None:
         """Queue a frame that must not be dropped."""
-        self.mailbox.keep(frame)
-        if self.mailbox.is_overfull:
+        self.queue.keep(frame)
+        if self.queue.is_overfull:
             self.let_go("too much data waits for it")
-        self._shared.budget.hold(self, self.mailbox.size)
         self._filled.fire()
 
     def put(self, source: str, frame: Frame) -> None:
         """Queue a frame that may be dropped if the client reads too slowly."""
         if self._is_closing:
             return
-        self.mailbox.put(source, frame)
-        self._shared.budget.hold(self, self.mailbox.size)
+        self.queue.put(source, frame)
         self._filled.fire()
-
-    def shrink(self) -> int:
-        """Free memory, because all clients together exceed the memory limit.
-
-        Drop the frames that may be dropped. If no frame may be dropped, disconnect the client.
-        Return how much memory the connection still holds (bytes).
-        """
-        if self.mailbox.shed():
-            return self.mailbox.size
-        self.let_go("too much data waits for all clients, and most of it for this one")
-        return 0
 
     def let_go(self, reason: str) -> None:
         """Disconnect the client at once.
@@ -156,7 +153,7 @@ class Connection:
         logger.warning(
             "a web client was disconnected: %s (%d frames dropped before)",
             reason,
-            self.mailbox.dropped,
+            self.queue.dropped,
         )
         # Cancelling the writer does not help where its bytes wait in the transport: only the server
         # around the app can cut the connection, if it offers that.
@@ -177,18 +174,13 @@ class Connection:
 
     async def _write(self) -> None:
         while True:
-            # Throttled messages whose time has come go into the mailbox, so that they keep their
-            # place among what waits there already.
-            due = self._release(anyio.current_time())
-            frame = self.mailbox.take()
+            frame = self.queue.take()
             if frame is not None:
-                self._shared.budget.hold(self, self.mailbox.size)
                 await self._send(frame)
             elif self._is_closing:
                 break
             else:
-                with anyio.CancelScope(deadline=due):
-                    await self._filled.wait()
+                await self._filled.wait()
         with anyio.move_on_after(PATIENCE), suppress(*GONE):
             await self._websocket.close(GOING_AWAY, "the server is closing")
         self._end()
@@ -211,17 +203,6 @@ class Connection:
 
     def _end(self) -> None:
         cast("TaskGroup", self._group).cancel_scope.cancel()
-
-    def _release(self, now: float) -> float:
-        """Queue the waiting messages that are due. Return the time when the next message is due."""
-        due = math.inf
-        for throttle, _, _ in self._readers.values():
-            message = throttle.release(now)
-            if message is not None:
-                self.put(throttle.topic, message.frame(throttle.compression, throttle.topic))
-            if throttle.due is not None:
-                due = min(due, throttle.due)
-        return due
 
     # reading
 
@@ -252,8 +233,7 @@ class Connection:
             case Open(what):
                 await self._attempt(partial(self._open, what), what.id, forget=_place_of(what))
             case Adjust(key, delivery):
-                throttle = self._readers[key][0]
-                throttle.adjust(delivery.interval, delivery.queue_length, delivery.compression)
+                self._readers[key].delivery = delivery
             case Shut(kind, key):
                 await self._shut(kind, key)
             case Do(operation):
@@ -303,27 +283,15 @@ class Connection:
     def _subscribe(self, what: Reader) -> None:
         topic = absolute(what.key)
         message_type = self._shared.directory.topic_class(topic, what.type)
-        throttle = Throttle(what.key)
-        wanted = what.delivery
-        throttle.adjust(wanted.interval, wanted.queue_length, wanted.compression)
-        deliver = partial(self._deliver, throttle)
-        feed = self._shared.feeds.join(topic, message_type, deliver)
-        self._readers[what.key] = (throttle, feed, deliver)
-
-    def _deliver(self, throttle: Throttle, message: Rendering) -> None:
-        """Send, delay or drop a message of a topic, as its throttle decides."""
-        due = throttle.due
-        ready = throttle.offer(message, anyio.current_time())
-        if ready is not None:
-            self.put(throttle.topic, ready.frame(throttle.compression, throttle.topic))
-        elif throttle.due != due:
-            self._filled.fire()
+        reader = _TopicReader(what.key, what.delivery, self.put)
+        reader.feed = self._shared.feeds.join(topic, message_type, reader.deliver)
+        self._readers[what.key] = reader
 
     async def _shut(self, kind: str, key: str) -> None:
         if kind == "reader":
-            _, feed, deliver = self._readers.pop(key)
-            await self._shared.feeds.leave(feed, deliver)
-            self.mailbox.forget(key)
+            reader = self._readers.pop(key)
+            await self._shared.feeds.leave(reader.feed, reader.deliver)
+            self.queue.forget(key)
         elif kind == "writer":
             await self._writers.pop(key)[1].aclose()
         else:
@@ -382,6 +350,35 @@ class Connection:
         # `close` has already answered, and emptied the table, if the server is going.
         if self._calls.pop(number, None) is not None:
             self.keep(frame)
+
+
+class _TopicReader:
+    """A topic that the client reads. Messages that come too soon after the last one are dropped.
+
+    Args:
+        topic: The topic's name as the client spells it.
+        delivery: How the client wants to get the messages.
+        put: Queues a frame for the client.
+
+    Attributes:
+        delivery: How the client wants to get the messages, as passed to the constructor or changed.
+        feed: The topic's subscription.
+    """
+
+    feed: Feed
+
+    def __init__(self, topic: str, delivery: Delivery, put: Callable[[str, Frame], None]) -> None:
+        self.delivery = delivery
+        self._topic = topic
+        self._put = put
+        self._last = -math.inf
+
+    def deliver(self, message: Rendering) -> None:
+        """Queue a message for the client, unless it comes too soon."""
+        now = anyio.current_time()
+        if now >= self._last + self.delivery.interval:
+            self._last = now
+            self._put(self._topic, message.frame(self.delivery.compression, self._topic))
 
 
 def _response(said: CallService, values: object, *, is_result: bool) -> str:

@@ -86,8 +86,7 @@ class Subscribe(Base, tag="subscribe", frozen=True, kw_only=True):
         topic: The topic's name.
         type: The topic's type. If left out, the topic's type on the graph is used.
         throttle_rate: The minimum time between two messages (ms).
-        queue_length: How many messages may wait until the time in ``throttle_rate`` has passed. If
-            0, messages that would have to wait are dropped.
+        queue_length: Ignored: messages that come too soon are dropped.
         compression: How messages are encoded: ``none``, ``png``, ``cbor`` or ``cbor-raw``.
     """
 

@@ -5,8 +5,8 @@ which status messages the client wants. It uses no graph, no event loop and no c
 effects, which the caller must carry out in order.
 
 - A client may subscribe to one topic several times, with different ids. These subscriptions share
-  one subscription on the graph, with the smallest ``throttle_rate``, the largest ``queue_length``
-  and the newest ``compression``.
+  one subscription on the graph, with the smallest ``throttle_rate`` and the newest
+  ``compression``.
 - ``unsubscribe`` without an id ends all of the client's subscriptions to the topic. ``unadvertise``
   without an id ends all of the client's advertisements of the topic.
 - Only clients that have sent ``set_level`` get ``status`` frames, because client libraries fail on
@@ -42,8 +42,7 @@ __all__ = [
 LEVELS: Final = {"none": 0, "error": 1, "warning": 2, "info": 3}
 
 LONGEST_QUEUE: Final = 1000
-"""The maximum of ``queue_length`` and ``queue_size``. Larger values are reduced to the maximum.
-"""
+"""The maximum of ``queue_size``. Larger values are reduced to the maximum."""
 
 LONGEST_INTERVAL: Final = 3600.0
 """The maximum of ``throttle_rate`` (s). Larger values are reduced to the maximum."""
@@ -54,12 +53,10 @@ class Delivery(msgspec.Struct, frozen=True):
 
     Attributes:
         interval: The minimum time between two messages (s).
-        queue_length: How many messages may wait until the interval has passed.
         compression: How messages are encoded.
     """
 
     interval: float = 0.0
-    queue_length: int = 0
     compression: Compression = "none"
 
 
@@ -215,8 +212,7 @@ class Protocol:
         if (wishes is None or said.id not in wishes) and not self._may_open():
             return self._refuse(said.id)
         interval = min(_amount(said.throttle_rate) / 1000, LONGEST_INTERVAL)
-        length = int(min(_amount(said.queue_length), LONGEST_QUEUE))
-        delivery = Delivery(interval, length, compression)
+        delivery = Delivery(interval, compression)
         if wishes is None:
             self._readers[said.topic] = {said.id: delivery}
             self._opened += 1
@@ -312,7 +308,6 @@ def _merged(wishes: dict[Id, Delivery]) -> Delivery:
     """Merge the settings of a client's subscriptions to one topic, given from old to new."""
     return Delivery(
         min(each.interval for each in wishes.values()),
-        max(each.queue_length for each in wishes.values()),
         next(reversed(wishes.values())).compression,
     )
 

@@ -3,8 +3,7 @@
 - All clients that read a topic share one subscription, and each frame is made once (`Feeds`). A
   latched topic gets a new subscription for each client, because only a new subscription gets the
   messages that the publishers keep.
-- The node's service clients and action clients stay open, so that the next web client can use them
-  (`Pool`).
+- The node's service clients and action clients stay open, so that the next web client can use them.
 - `Goals` follows each goal until the goal ends. A goal continues when its web client disconnects,
   unless ``cancel_on_disconnect`` is set.
 - A web client may cancel a goal that another web client has sent. Web clients choose the ids of
@@ -19,9 +18,8 @@ Source: rosbridge_library ``capabilities/action_*.py``; its issues 1003, 1013, 1
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncIterator, Callable, Hashable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar, cast
+from collections.abc import Callable
+from typing import Final, Protocol, TypeAlias, TypeVar, cast
 
 import msgspec
 
@@ -38,7 +36,6 @@ from turtleact.tasks import Background, current_tasks
 from turtleact.tasks.failures import summary
 from turtleact.transports import QoS
 from turtleact.transports.base import REQUEST_NOTE
-from turtleact.web.mailbox import Budget
 from turtleact.web.message_conversion import Rendering, json_values, read_message, reply
 from turtleact.web.name_lookup import Directory, absolute, action_class
 from turtleact.web.operations import CallService, CancelActionGoal, Id, SendActionGoal
@@ -46,13 +43,11 @@ from turtleact.web.rosapi import Parameters, Rosapi
 from turtleact.web.watching import Watch
 
 __all__ = [
-    "MOST_IDLE",
     "Deliver",
     "Feed",
     "Feeds",
     "Goals",
     "Limits",
-    "Pool",
     "Shared",
     "Teller",
 ]
@@ -69,12 +64,6 @@ Deliver: TypeAlias = Callable[[Rendering], None]
 
 DEPTH = 32
 """How many messages may wait for the task that hands them to all clients."""
-
-MOST_IDLE: Final = 64
-"""How many idle service clients and action clients are kept open.
-
-Opening a client announces it on the whole graph.
-"""
 
 MOST_GOALS: Final = 1024
 """The maximum number of goals followed at once, including those of disconnected clients."""
@@ -96,18 +85,16 @@ class Limits(msgspec.Struct, frozen=True):
             open.
         calls: How many service calls of one client may be under way.
         message_size: The maximum size of a message that a client sends (bytes).
-        memory: How much memory the server may hold for all clients together (bytes). This includes
-            messages that have not arrived completely or have not been read yet, and frames that
-            wait to be sent. If the limit is exceeded, the client that holds the most loses its
-            waiting topic messages and feedback. If the client that holds the most has no such
-            messages, that client is disconnected.
+        memory: How much may wait to be sent to one client (bytes). If the limit is exceeded, the
+            client loses its oldest topic messages and feedback. If other messages exceed the limit,
+            the client is disconnected.
     """
 
     connections: int = 100
     opened: int = 256
     calls: int = 256
     message_size: int = 10_000_000
-    memory: int = 100_000_000
+    memory: int = 16_000_000
 
 
 class Shared:
@@ -122,16 +109,13 @@ class Shared:
     def __init__(self, node: Node, limits: Limits, *, cancel_on_disconnect: bool) -> None:
         self.node = node
         self.limits = limits
-        self.budget = Budget(limits.memory)
         self.tasks = current_tasks()
         self.directory = Directory(node.transport)
         self.feeds = Feeds(node, self.directory)
         self.goals = Goals(node, cancel_on_disconnect=cancel_on_disconnect)
         self.watch = self.goals.watch = Watch(node, self.goals.client)
         self.rosapi = Rosapi(node, self.directory, Parameters(node, self._ask))
-        self._clients: Pool[tuple[str, Any], ServiceClient[Message, Message]] = Pool(
-            lambda key: node.service_client(key[1], key[0])
-        )
+        self._clients: dict[tuple[str, object], ServiceClient[Message, Message]] = {}
 
     async def call(self, said: CallService) -> object:
         """Call a service, and return the values of the response.
@@ -163,14 +147,19 @@ class Shared:
         request: Req,
         timeout: float | None = ANSWER,
     ) -> Res:
-        async with self._clients.use((name, service_type)) as client:
-            return cast("Res", await client.call(request, timeout))
+        key = (name, service_type)
+        client = self._clients.get(key)
+        if client is None:
+            client = self.node.service_client(service_type, name)
+            self._clients[key] = client
+        return cast("Res", await client.call(request, timeout))
 
     async def aclose(self) -> None:
         """Close everything that the connections share."""
         await self.watch.aclose()
         await self.goals.aclose()
-        await self._clients.aclose()
+        for client in self._clients.values():
+            await client.aclose()
 
 
 class Feed:
@@ -254,63 +243,6 @@ class Feeds:
             await feed.aclose()
 
 
-class Closing(Protocol):
-    """A resource that a `Pool` shares and closes."""
-
-    async def aclose(self) -> None:
-        """Close the resource."""
-
-
-K = TypeVar("K", bound=Hashable)
-C = TypeVar("C", bound=Closing)
-
-
-class Pool(Generic[K, C]):
-    """A pool of resources. Each resource is opened once, and shared by its users.
-
-    Args:
-        open: Opens the resource for a key.
-    """
-
-    def __init__(self, open: Callable[[K], C]) -> None:
-        self._open = open
-        self._held: dict[K, C] = {}  # the one used last stands last
-        self._users: dict[K, int] = {}
-
-    @asynccontextmanager
-    async def use(self, key: K) -> AsyncIterator[C]:
-        """Open the resource for a key, or share the open one, for the length of a block.
-
-        The resource may stay open after the block, for later users.
-        """
-        # Taken out and put in again, so that the one used last stands last. No await lies between:
-        # nobody else can open a second one for the key.
-        held = self._held.pop(key, None)
-        if held is None:
-            held = self._open(key)
-        self._held[key] = held
-        self._users[key] = self._users.get(key, 0) + 1
-        try:
-            yield held
-        finally:
-            self._users[key] -= 1
-            if not self._users[key]:
-                del self._users[key]
-                await self._tidy()
-
-    async def aclose(self) -> None:
-        """Close all resources of the pool."""
-        held, self._held = self._held, {}
-        for each in held.values():
-            await each.aclose()
-
-    async def _tidy(self) -> None:
-        """Close the least recently used idle resource, if too many are idle."""
-        idle = [key for key in self._held if key not in self._users]
-        if len(idle) > MOST_IDLE:
-            await self._held.pop(idle[0]).aclose()
-
-
 class Teller(Protocol):
     """The part of a `Connection` that sends the frames about a goal to the client."""
 
@@ -338,9 +270,8 @@ class Goals:
     def __init__(self, node: Node, *, cancel_on_disconnect: bool = False) -> None:
         self.watch: Watch | None = None
         self._cancel_on_disconnect = cancel_on_disconnect
-        self._clients: Pool[tuple[str, Any], Client] = Pool(
-            lambda key: node.action_client(key[1], key[0])
-        )
+        self._node = node
+        self._clients: dict[tuple[str, object], Client] = {}
         self._sent: dict[int, _Sent] = {}
         self._followed = current_tasks().signal()
         self._count = 0
@@ -348,11 +279,13 @@ class Goals:
     def __len__(self) -> int:
         return len(self._sent)
 
-    def client(
-        self, name: str, action_type: ActionType[Message, Message, Message]
-    ) -> AbstractAsyncContextManager[Client]:
-        """Open a client of an action, or share the open one, for the length of a block."""
-        return self._clients.use((name, action_type))
+    def client(self, name: str, action_type: ActionType[Message, Message, Message]) -> Client:
+        """Return a client of an action. It stays open until this object is closed."""
+        key = (name, action_type)
+        client = self._clients.get(key)
+        if client is None:
+            client = self._clients[key] = self._node.action_client(action_type, name)
+        return client
 
     def send(self, said: SendActionGoal, teller: Teller) -> None:
         """Send a goal, and tell the web client the goal's feedback and result.
@@ -412,7 +345,8 @@ class Goals:
         # accepted go on, because they are detached.
         for sent in list(self._sent.values()):
             await sent.following.aclose()
-        await self._clients.aclose()
+        for client in self._clients.values():
+            await client.aclose()
 
     def _own(self, id: Id, teller: Teller) -> _Sent | None:
         for sent in self._sent.values():
@@ -460,10 +394,10 @@ class Goals:
         goal: Message,
     ) -> None:
         on_feedback = sent.tell_feedback if sent.said.feedback else None
-        async with (
-            self._clients.use(key) as client,
-            client.send_goal(goal, goal_id=sent.goal_id, feedback_callback=on_feedback) as handle,
-        ):
+        sending = self.client(*key).send_goal(
+            goal, goal_id=sent.goal_id, feedback_callback=on_feedback
+        )
+        async with sending as handle:
             if self.watch is not None:
                 self.watch.note_request(sent.goal_id, goal)
             # Detached: leaving this block, when the bridge closes, must not cancel the goal.

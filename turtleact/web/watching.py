@@ -23,8 +23,7 @@ import math
 import secrets
 import time
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import AbstractAsyncContextManager
-from typing import Any, Final, Protocol, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import anyio
 
@@ -109,11 +108,8 @@ Handle: TypeAlias = ClientGoalHandle[Message, Message]
 AnyEvent: TypeAlias = Event[Message, Message]
 
 
-class OpenClient(Protocol):
-    """A function that opens a client of an action, or shares the open one."""
-
-    def __call__(self, name: str, action_type: Any) -> AbstractAsyncContextManager[Client]:  # noqa: ANN401  # any action
-        """Open or share the client of an action for the length of a block."""
+OpenClient: TypeAlias = Callable[[str, Any], Client]
+"""A function that opens a client of an action, or returns the open one, for a name and a type."""
 
 
 class Watch:
@@ -471,23 +467,23 @@ class Watch:
             action_type = action_class(type)
         except UnknownInterface as error:
             return error
-        async with self._open_client(record.action, action_type) as client:
-            try:
-                # A client that was opened just now may need a moment until it can reach a server in
-                # another process.
-                await client.wait_for_server(REACHED_WITHIN)
-                handle = await client.attach(bytes.fromhex(record.id))
-            except (UnknownGoal, ServerUnavailable) as error:
-                return error
-            record.type = type
-            try:
-                await self._read(record, handle, is_late=record.has_ended)
-            except UnknownGoal as error:
-                # All types of an action share the status topic. So a client in another process can
-                # attach to a goal of another type, until the server does not know the goal.
-                record.type = known
-                self.history.change(record)
-                return error
+        client = self._open_client(record.action, action_type)
+        try:
+            # A client that was opened just now may need a moment until it can reach a server in
+            # another process.
+            await client.wait_for_server(REACHED_WITHIN)
+            handle = await client.attach(bytes.fromhex(record.id))
+        except (UnknownGoal, ServerUnavailable) as error:
+            return error
+        record.type = type
+        try:
+            await self._read(record, handle, is_late=record.has_ended)
+        except UnknownGoal as error:
+            # All types of an action share the status topic. So a client in another process can
+            # attach to a goal of another type, until the server does not know the goal.
+            record.type = known
+            self.history.change(record)
+            return error
         return None
 
     def _give_up(self, record: GoalRecord, problems: list[TurtleactError]) -> None:

@@ -1,0 +1,95 @@
+"""What waits for one client: what is kept, and what is dropped."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from turtleact.web.client_queue import MOST_DROPPABLE, ClientQueue
+
+MOST = 1000
+
+
+def taken(queue: ClientQueue) -> list[Any]:
+    return list(iter(queue.take, None))
+
+
+def test_frames_go_in_the_order_of_their_coming():
+    queue = ClientQueue(MOST)
+    queue.put("a", "1")
+    queue.keep("2")
+    queue.put("b", "3")
+    assert len(queue) == 3
+    assert taken(queue) == ["1", "2", "3"]
+
+
+def test_of_many_frames_of_topics_the_newest_stay():
+    queue = ClientQueue(100_000)
+    queue.keep("a result")
+    for number in range(MOST_DROPPABLE + 3):
+        queue.put("a", f"{number}")
+    assert queue.dropped == 3
+    assert taken(queue)[:2] == ["a result", "3"]
+
+
+def test_large_frames_push_out_the_oldest():
+    queue, large = ClientQueue(MOST), "x" * (MOST // 2)
+    for source in "abc":
+        queue.put(source, large)
+    assert queue.dropped == 1
+    assert taken(queue) == [large, large]
+
+
+def test_one_frame_waits_whatever_its_size():
+    queue = ClientQueue(MOST)
+    queue.put("a", "small")
+    queue.put("b", "x" * (MOST + 1))
+    assert [len(frame) for frame in taken(queue)] == [MOST + 1]
+    assert not queue.is_overfull
+
+
+@pytest.mark.parametrize(("size", "is_overfull"), [(MOST // 2, False), (MOST, True)])
+def test_a_queue_of_what_must_arrive_is_overfull_beyond_its_limit(size, is_overfull):
+    queue = ClientQueue(MOST)
+    queue.put("a", "dropped first")
+    for _ in range(2):
+        queue.keep("x" * size)
+    assert (queue.is_overfull, queue.dropped) == (is_overfull, 1)
+
+
+def test_frames_of_a_topic_nobody_wants_any_more_go():
+    queue = ClientQueue(MOST)
+    queue.put("a", "1")
+    queue.put("b", "2")
+    queue.keep("3")
+    queue.forget("a")
+    assert (taken(queue), queue.dropped) == (["2", "3"], 0)
+
+
+def test_what_may_be_dropped_goes_when_the_client_is_closed():
+    queue = ClientQueue(MOST)
+    queue.put("a", "1")
+    queue.keep("2")
+    queue.drop_all()
+    assert taken(queue) == ["2"]
+
+
+@given(st.lists(st.sampled_from(["take", "forget", "keep", "a", "b"])))
+def test_a_queue_gives_each_frame_once_and_in_order(events):
+    queue, numbers, seen = ClientQueue(20), itertools.count(), []
+    for event in events:
+        if event == "take":
+            seen += [frame for frame in [queue.take()] if frame is not None]
+        elif event == "forget":
+            queue.forget("a")
+        elif event == "keep":
+            queue.keep(f"{next(numbers)}")
+        else:
+            queue.put(event, f"{next(numbers)}")
+    seen += taken(queue)
+    assert seen == sorted(set(seen), key=int)
+    assert len(queue) == 0
