@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,8 @@ from typing import Any
 import anyio
 import pytest
 
-from turtleact import Node, open_node
-from turtleact.commands import graph, listing, topic_reading, user_messages
-from turtleact.commands.message_text import GoalText, Style
-from turtleact.commands.settings import Policies
+from turtleact import open_node
+from turtleact.commands import graph
 from turtleact.interfaces.definition import names_like
 from turtleact.interfaces.standard import ExampleFibonacci, Fibonacci
 from turtleact.transports import MemoryTransport
@@ -104,59 +101,12 @@ def test_ctrl_c_ends_a_verb_that_has_no_end(on_graph, graphs, arguments):
     assert "Error" not in ran.err
 
 
-MESSAGE = GoalText("{}", "message")
-POSE = (
-    "/turtle1/pose",
-    None,
-    (),
-    True,
-    Style(longest=None),
-    None,
-    None,
-    False,
-    Policies(),
-)
-TWIST = ("/turtle1/cmd_vel", None, MESSAGE, 10.0, 3, 1, 1, Policies())
-LOOKS: dict[str, Callable[[Node], Awaitable[int]]] = {
-    "list": lambda node: listing.print_list(node, "topic", types=True, count=False, hidden=True),
-    "echo": lambda node: topic_reading.echo(node, topic_reading.Order(*POSE)),
-    "pub": lambda node: user_messages.publish(node, user_messages.Order(*TWIST)),
-    "call": lambda node: user_messages.call(node, "/spawn", None, MESSAGE, rate=None),
-}
-
-
-@pytest.mark.parametrize("verb", LOOKS)
-async def test_a_verb_looks_at_a_graph(graphs, capsys, verb):
-    await look(graphs, capsys, verb)
-
-
-# One that reads the graph, one that waits for an answer, and one that follows a stream.
-@pytest.mark.loops("uvloop", "trio")
-@pytest.mark.parametrize("verb", ["list", "call", "echo"])
-async def test_a_verb_looks_at_a_graph_on_every_loop(graphs, capsys, verb):
-    await look(graphs, capsys, verb)
-
-
-async def look(graphs, capsys, verb):
-    nodes = graphs.in_turn(graphs.turtlesim, graphs.goals)
-    async with (
-        graphs.open_graph(nodes)(None) as transport,
-        open_node("_viewer", transport=transport) as viewer,
-    ):
-        assert await LOOKS[verb](viewer) == 0
-    assert capsys.readouterr().out
-
-
 def test_ctrl_c_ends_a_program_that_echoes(start):
     program = start("topic", "echo", "/turtle1/pose", script=GRAPHS)
     program.wait_for("---")
     program.send(signal.SIGINT)
     ran = program.end()
     assert (ran.status, ran.err) == (130, "")
-
-
-class Left(BaseException):
-    """In place of the end of the process."""
 
 
 def test_a_program_that_echoes_may_lose_its_reader():

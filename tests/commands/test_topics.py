@@ -15,10 +15,7 @@ import anyio
 import pytest
 
 from turtleact import Message, QoS, open_node
-from turtleact.commands import user_messages as publishing_verb
-from turtleact.commands.message_text import GoalText, python_text
-from turtleact.commands.settings import Policies
-from turtleact.commands.topic_reading import Bandwidth, Rate
+from turtleact.commands.message_text import python_text
 from turtleact.interfaces import array, float64, get_interface, int32, load_interface, string
 from turtleact.interfaces.standard import (
     UUID,
@@ -28,7 +25,6 @@ from turtleact.interfaces.standard import (
     GoalStatusMessage,
     Twist,
 )
-from turtleact.transports import open_zenoh
 
 GOLDEN = {
     case["case"]: case
@@ -130,7 +126,6 @@ TWIST = Twist(
         ("--field linear.x", "1.0\n---\n"),
         ("--field linear", "x: 1.0\ny: 2.5\nz: 0.0\n---\n"),
         ("--csv", "1.0,2.5,0.0,0.0,0.0,-1e-09\n"),
-        ("--csv --field linear", "1.0,2.5,0.0\n"),
         ("--csv --field linear.y", "2.5\n"),
     ],
 )
@@ -168,17 +163,11 @@ STATUSES = GoalStatusArray([GoalStatusMessage(), GoalStatusMessage(status=4)])
     ("message", "options", "out"),
     [
         (text("no"), "", "data: 'no'\n---\n"),
-        (text("no"), "--field data", "no\n---\n"),
         (text("x" * 200), "", f"data: {'x' * 128}...\n---\n"),
         (text("x" * 200), "-f", f"data: {'x' * 200}\n---\n"),
         (text("x" * 200), "--truncate-length 3", "data: xxx...\n---\n"),
         (interface("std_msgs/msg/Bool")(data=True), "--field data", "True\n---\n"),
         (UUID(bytes(range(16))), "-l 2", "uuid:\n- 0\n- 1\n- '...'\n---\n"),
-        (UUID(bytes(range(16))), "-l 2 --field uuid", "- 0\n- 1\n- '...'\n---\n"),
-        (UUID(bytes(range(16))), "-l 2 --csv", "0,1,...\n"),
-        (GoalStatusArray(), "--field status_list", "[]\n---\n"),
-        (GoalStatusArray(), "--csv", "\n"),
-        (STATUSES, "-l 0", "status_list:\n- '...'\n---\n"),
         (STATUSES, "-l 1 --csv", "0,...,0,0,0,...\n"),
         (interface("std_srvs/srv/Empty_Request")(), "", "{}\n---\n"),
     ],
@@ -212,7 +201,6 @@ LONG = load_interface(
             "--no-str --field texts",
             "- data: '<string length: <1>>'\n---\n",
         ),
-        ("--no-str --field text", "data: '<string length: <2>>'\n---\n"),
         ("--no-str --no-arr --field name", "<string length: <3>>\n---\n"),
     ],
 )
@@ -274,24 +262,6 @@ def test_a_topic_that_is_not_there_is_an_error(on_graph, graphs):
     )
 
 
-def test_a_topic_that_is_not_there_is_waited_for_if_its_type_is_given(on_graph):
-    @asynccontextmanager
-    async def nodes(transport):
-        async def appear():
-            await transport.clock.sleep(1.0)
-            async with publishing("/it", text("late"))(transport):
-                await anyio.sleep_forever()
-
-        async with anyio.create_task_group() as beside:
-            beside.start_soon(appear)
-            yield
-            beside.cancel_scope.cancel()
-
-    command = ["topic", "echo", "/it", "std_msgs/msg/String", "--once"]
-    latched = on_graph(nodes, *command, "--qos-durability", "transient_local")
-    assert latched == (0, "data: late\n---\n", "")
-
-
 @pytest.mark.parametrize(
     ("type_name", "problem"),
     [
@@ -321,17 +291,6 @@ def test_messages_that_come_faster_than_they_go_are_told_to_be_lost(on_graph):
     ran = on_graph(nodes, *command)
     assert ran.out == "data: c\n---\n"
     assert ran.err == "turtleact: 2 messages were lost: they came too fast\n"
-
-
-@pytest.mark.parametrize(
-    ("policies", "expected"),
-    [
-        (Policies(), QoS(depth=7, durability="transient_local")),
-        (Policies("best_effort", "volatile", 3), QoS(depth=3, reliability="best_effort")),
-    ],
-)
-def test_policies_that_are_not_asked_for_are_the_verbs_to_choose(policies, expected):
-    assert policies.qos(durability="transient_local", depth=7) == expected
 
 
 # --- which messages, and as what ------------------------------------------------------------
@@ -447,23 +406,6 @@ def test_a_topic_that_comes_is_measured(on_graph, graphs):
     assert "average rate: 2.000\n" in ran.out
 
 
-def test_a_rate_is_that_of_the_times_between_messages():
-    rate = Rate(3)
-    assert rate.line(0) == ""
-    for now in (100, 0, 10**9, 2 * 10**9, 5 * 10**9, 6 * 10**9):
-        rate.add(now, Twist())
-    assert rate.line(0) == (
-        "average rate: 0.600\n\tmin: 1.000s max: 3.000s std dev: 0.94281s window: 3\n"
-    )
-
-
-def test_a_rate_tells_of_a_topic_that_has_fallen_silent():
-    rate = Rate(3)
-    for now in (0, 10**9):
-        rate.add(now, Twist())
-    assert [rate.line(0)[:12] for _ in range(3)] == ["average rate", *["no new messa"] * 2]
-
-
 @pytest.mark.parametrize("verb", ["hz", "bw", "delay"])
 def test_whoever_measures_is_told_when_the_last_publisher_goes(on_graph, graphs, verb):
     messages = publishing("/it", *[stamped(START)] * 3, latched=False, period=0.5, wait=0.5)
@@ -484,13 +426,6 @@ def test_whoever_measures_is_told_when_the_last_publisher_goes(on_graph, graphs,
     assert ran.err.endswith(gone)
 
 
-def test_messages_of_one_moment_have_no_rate():
-    rate = Rate(10)
-    rate.add(5, Twist())
-    rate.add(5, Twist())
-    assert rate.line(0).startswith("average rate: 0.000\n")
-
-
 # --- bw and delay ---------------------------------------------------------------------------
 
 
@@ -509,28 +444,12 @@ def test_the_bandwidth_is_printed_each_second(on_graph, graphs):
     )
 
 
-@pytest.mark.parametrize(
-    ("length", "rate", "mean"),
-    [
-        (11, "100 B/s", "20 B"),
-        (9_991, "50.00 KB/s", "10.00 KB"),
-        (999_991, "5.00 MB/s", "1.00 MB"),
-    ],
-)
-def test_sizes_are_told_in_one_unit(length, rate, mean):
-    bandwidth = Bandwidth(5)
-    for _ in range(7):
-        bandwidth.add(0, text("x" * length))
-    assert bandwidth.line(10**9) == (
-        f"{rate} from 5 messages\n\tMessage size mean: {mean} min: {mean} max: {mean}\n"
-    )
-
-
-def test_time_that_goes_back_begins_the_bandwidth_anew():
-    bandwidth = Bandwidth(5)
-    for now in (10, 20, 5):
-        bandwidth.add(now, Twist())
-    assert bandwidth.line(100) == ""
+def test_sizes_are_told_in_one_unit(on_graph, graphs):
+    for length, out in ((11, "80 B/s"), (999_991, "4.00 MB/s")):
+        messages = [text("x" * length)] * 2
+        nodes = publishing("/it", *messages, latched=False, period=0.25, wait=0.5)
+        ran = on_graph(graphs.in_turn(nodes, graphs.interrupted(1.6)), "topic", "bw", "/it")
+        assert f"\n{out} from 2 messages\n" in ran.out
 
 
 def test_the_delay_is_told_of_the_stamps(on_graph, graphs):
@@ -594,13 +513,6 @@ def test_the_time_in_a_header_may_be_that_of_publishing(on_graph, said):
     assert [(each.sec, each.nanosec) for each in stamps] == [(START, 0), (START + 1, 0)]
 
 
-def test_auto_is_text_where_no_time_is_meant(on_graph):
-    heard: list[Any] = []
-    nodes = listening("/it", "std_msgs/msg/String", heard)
-    on_graph(nodes, "topic", "pub", "--once", "/it", "std_msgs/msg/String", "data: now")
-    assert [message.data for _, message in heard] == ["now"]
-
-
 def test_a_type_that_nobody_reads_is_told_and_waited_for(on_graph, graphs):
     nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(2))
     command = ["topic", "pub", "--once", "/turtle1/cmd_vel", "std_msgs/msg/String", "data: x"]
@@ -631,26 +543,6 @@ def test_only_some_of_them_may_be_printed(on_graph, graphs):
     assert out == "publisher: beginning loop\n"
 
 
-def test_a_subscription_is_waited_for(on_graph):
-    heard: list[Any] = []
-
-    @asynccontextmanager
-    async def nodes(transport):
-        async def appear():
-            await transport.clock.sleep(3.0)
-            async with listening("/it", "std_msgs/msg/String", heard)(transport):
-                await anyio.sleep_forever()
-
-        async with anyio.create_task_group() as beside:
-            beside.start_soon(appear)
-            yield
-            beside.cancel_scope.cancel()
-
-    ran = on_graph(nodes, *words("topic pub -t 2 /it std_msgs/msg/String"))
-    assert ran.out.startswith("Waiting for at least 1 matching subscription(s)...\npublisher:")
-    assert [time for time, _ in heard][:1] == [3.0]
-
-
 def test_nobody_is_waited_for_if_so_asked(on_graph, graphs):
     ran = on_graph(graphs.nothing, *words("topic pub -1 -w 0 /it std_msgs/msg/Bool"), "data: true")
     assert ran.out.endswith("publishing #1: std_msgs.msg.Bool(data=True)\n\n")
@@ -662,33 +554,10 @@ def test_a_message_that_does_not_fit_is_refused(on_graph, graphs):
     assert ran.err.startswith("turtleact: message.linear.x: expected a number")
 
 
-def test_a_coordinate_that_is_no_number_may_be_published(on_graph, graphs):
-    command = ["topic", "pub", "-1", "/turtle1/cmd_vel", "{linear: {x: .nan}}"]
-    assert "Vector3(x=nan," in on_graph(graphs.turtlesim, *command).out
-
-
 def test_a_message_may_come_from_stdin(on_graph, graphs, monkeypatch, stdin_of):
     stdin_of(b"linear: {x: 1}\n")
     out = on_graph(graphs.turtlesim, "topic", "pub", "-1", "--stdin", "/turtle1/cmd_vel").out
     assert "linear=geometry_msgs.msg.Vector3(x=1.0, y=0.0, z=0.0)" in out
-
-
-async def test_what_is_published_once_reaches_another_process(tmp_path):
-    address = f"unixsock-stream/{tmp_path / 'socket'}"
-    order = publishing_verb.Order(
-        "/it", "std_msgs/msg/String", GoalText("data: a", "message"), 1.0, 1, 0, 1, Policies()
-    )
-    async with (
-        open_zenoh([], listen=[address]) as far,
-        open_zenoh([address], mode="client") as near,
-        open_node("reader", transport=far) as reader,
-        open_node("writer", transport=near) as writer,
-    ):
-        subscription = reader.subscription(interface("std_msgs/msg/String"), "/it")
-        while not any(each.name == "/it" for each in near.endpoints()):
-            await near.wait_for_change()
-        assert await publishing_verb.publish(writer, order) == 0
-        assert await anext(subscription) == text("a")
 
 
 # --- call -----------------------------------------------------------------------------------

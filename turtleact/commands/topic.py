@@ -1,9 +1,19 @@
-"""The verbs of ``topic``."""
+"""The verbs of ``topic``.
+
+``echo`` prints messages. ``hz`` prints how many messages arrive per second, ``bw`` prints how many
+bytes arrive per second, and ``delay`` prints the age of messages at their arrival. While no
+messages arrive, ``hz`` and ``delay`` say so each second, as in ROS 1. All four verbs print a note
+when the topic's last publisher has gone.
+
+Source: ros2cli ``ros2topic/verb/{echo,hz,bw,delay}.py``; recordings of ROS 2 Jazzy for the wording
+of the output.
+"""
 
 from __future__ import annotations
 
-from functools import partial
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+import math
+from collections import deque
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from turtleact.commands import completion
 from turtleact.commands.app import MessageVerb, new_group, verb
@@ -22,24 +32,82 @@ from turtleact.commands.options import (
     value,
     whole,
 )
+from turtleact.commands.output import note, say, say_message, say_names
 from turtleact.commands.settings import WrongOptions, quoted
+from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine, Sequence
     from types import CodeType
 
     from turtleact.commands.message_text import Style
-    from turtleact.commands.settings import Policies, Reach
+    from turtleact.commands.settings import Durability, Policies, Reach
+    from turtleact.interfaces import Message
     from turtleact.node import Node
+    from turtleact.node.topics import Subscription
 
 __all__ = ["app"]
 
-Name: TypeAlias = Annotated[str, name_of("topic", "/turtle1/pose", completion.topics)]
-AskedType: TypeAlias = Annotated[str | None, type_of("topic", is_asked=True)]
-Count: TypeAlias = Annotated[bool, count_of("--count-topics")]
-Hidden: TypeAlias = Annotated[bool, flag("--include-hidden-topics", text="Include hidden topics.")]
-Verbose: TypeAlias = Annotated[bool, flag("--verbose", "-v", text="Print all that is known.")]
-Window: TypeAlias = Annotated[
+T = TypeVar("T")
+
+ECHO_DEPTH = 1000
+"""How many messages ``echo`` keeps while the output is stuck."""
+
+METER_DEPTH = 100_000
+"""How many messages ``hz``, ``bw`` and ``delay`` keep while the output is stuck."""
+
+LONGEST = 300
+"""An error that contains a message is cut after this many characters."""
+
+DONE, TIMEOUT = 0, 124
+"""Exit statuses."""
+
+ABSENCE = 1.0
+"""How long to wait for a publisher before a note says that the topic has none (s, graph clock)."""
+
+PERIOD = 1.0
+"""The time between two lines of a measurement (s, by the clock of the graph)."""
+
+SILENT = "no new messages\n"
+"""The text that is printed when a topic falls silent."""
+
+Name = Annotated[str, name_of("topic", "/turtle1/pose", completion.topics)]
+AskedType = Annotated[str | None, type_of("topic", is_asked=True)]
+Count = Annotated[bool, count_of("--count-topics")]
+Hidden = Annotated[bool, flag("--include-hidden-topics", text="Include hidden topics.")]
+Verbose = Annotated[bool, flag("--verbose", "-v", text="Print all that is known.")]
+Window = Annotated[
     int, value("--window", "-w", metavar="N", text="How many messages to look at.", min=1)
+]
+Field = Annotated[
+    str | None, value("--field", metavar="FIELD", text="Print only this field, such as linear.x.")
+]
+Filter = Annotated[
+    str | None,
+    value(
+        "--filter",
+        metavar="EXPR",
+        text="Print only messages m for which this Python expression is true, such as 'm.x > 5'.",
+    ),
+]
+Times = Annotated[
+    int | None,
+    value("--times", "-t", metavar="N", text="Publish this many messages and exit.", parser=whole),
+]
+Frequency = Annotated[
+    float, value("--rate", "-r", metavar="HZ", text="Messages per second.", parser=hertz)
+]
+PrintEach = Annotated[
+    int, value("--print", "-p", metavar="N", text="Print every N-th message only.", parser=whole)
+]
+Wait = Annotated[
+    int | None,
+    value(
+        *("--wait-matching-subscriptions", "-w"),
+        metavar="N",
+        text="Wait for this many subscriptions first: 1 with --once or --times, else 0.",
+        parser=whole,
+    ),
 ]
 
 app = new_group("topic")
@@ -99,69 +167,113 @@ def echo(
     type_name: AskedType = None,
     *,
     once: Annotated[bool, flag("--once", text="Exit after the first message.")] = False,
-    field: Annotated[
-        str | None,
-        value("--field", metavar="FIELD", text="Print only this field, such as linear.x."),
-    ] = None,
+    field: Field = None,
     style: Style,
     timeout: Annotated[float | None, in_seconds("--timeout", text="Exit after this time.")] = None,
-    filter_: Annotated[
-        str | None,
-        value(
-            "--filter",
-            metavar="EXPR",
-            text="Print only messages m for which this Python expression is true, such as "
-            "'m.x > 5'.",
-        ),
-    ] = None,
+    filter_: Filter = None,
     raw: Annotated[bool, flag("--raw", text="Print the bytes, as CDR.")] = False,
     policies: Policies,
 ) -> int:
     """Print the messages of a topic."""
-    if field is not None and not all(field.split(".")):
-        raise WrongOptions(f"--field takes names separated by dots, not {quoted(field)}")
+    path = () if field is None else tuple(field.split("."))
+    if not all(path):
+        raise WrongOptions(f"--field takes names separated by dots, not {quoted(field or '')}")
     only_one("how messages are printed", raw=raw, csv=style.csv, flow_style=style.flow)
     only_one("what is printed", raw=raw, field=field is not None)
     wanted = None if filter_ is None else _compiled(filter_)
-    from turtleact.commands import graph, topic_reading
+    from turtleact.commands import graph
+    from turtleact.interfaces import encode
+    from turtleact.tasks.clock import within
 
-    path = () if field is None else tuple(field.split("."))
-    order = topic_reading.Order(
-        name,
-        type_name,
-        path,
-        once=once,
-        style=style,
-        timeout=timeout,
-        wanted=wanted,
-        raw=raw,
-        policies=policies,
-    )
-    return graph.run(reach, partial(topic_reading.echo, order=order))
+    def text_of(message: Message) -> str:
+        if raw:
+            return f"{encode(message)!r}\n---\n"
+        shown: object = style.values(message)
+        for each in path:
+            shown = shown[each]  # type: ignore[index]  # a mapping, as `_check_path` has seen
+        return style.text(shown)
+
+    async def print_messages(node: Node, subscription: Subscription[Message]) -> int:
+        count = missed = 0
+        async with within(timeout, node.clock):
+            async for message in subscription:
+                if subscription.missed > missed:
+                    note(f"{subscription.missed - missed} messages were lost: they came too fast")
+                    missed = subscription.missed
+                if wanted is None or _is_wanted(message, wanted, path):
+                    say_message(text_of(message))
+                    count += 1
+                    if once:
+                        break
+        return count
+
+    async def look(node: Node) -> int:
+        message_type, subscription = await _subscribed(node, name, type_name, path, policies)
+        if await _beside_notes(node, subscription.topic, print_messages(node, subscription)):
+            return DONE
+        _check_type(node, subscription.topic, message_type.type_name)
+        note(f"no message on topic '{subscription.topic}' within {timeout:g} s")
+        return TIMEOUT
+
+    return graph.run(reach, look)
 
 
 @verb(app, knows=True)
 async def hz(node: Node, name: Name, *, window: Window = 10000) -> int:
     """Print how many messages arrive per second."""
-    from turtleact.commands import topic_reading
+    full_name, message_type = await _awaited_topic(node, name)
+    between = _Samples(window)
+    last: list[int] = []
 
-    return await topic_reading.measure(node, name, topic_reading.Rate(window))
+    def add(now: int, _message: Message) -> None:
+        between.add(*(now - each for each in last))
+        last[:] = [now]
+
+    def headline(mean: float) -> str:
+        return f"average rate: {1 / mean if mean else 0:.3f}"
+
+    return await _measure(node, full_name, message_type, add, lambda: between.lines(headline))
 
 
 @verb(app, knows=True)
 async def bw(node: Node, name: Name, *, window: Window = 100) -> int:
     """Print how many bytes arrive per second."""
-    from turtleact.commands import topic_reading
+    from turtleact.interfaces import encode
 
-    return await topic_reading.measure(node, name, topic_reading.Bandwidth(window))
+    full_name, message_type = await _awaited_topic(node, name)
+    say_names(f"Subscribed to [{full_name}]\n")
+    came: deque[tuple[int, int]] = deque(maxlen=window)
+
+    def add(now: int, message: Message) -> None:
+        came.append((now, len(encode(message))))
+
+    def lines() -> str:
+        elapsed = node.clock.now() - came[0][0] if len(came) > 1 else 0
+        return _bandwidth([size for _, size in came], elapsed * 1e-9) if elapsed > 0 else ""
+
+    return await _measure(node, full_name, message_type, add, lines)
 
 
 @verb(app, knows=True)
 async def delay(node: Node, name: Name, *, window: Window = 10000) -> int:
     """Print the age of messages at their arrival, by the stamp in their header."""
-    from turtleact.commands import topic_reading
+    from turtleact.interfaces import nanoseconds
+    from turtleact.interfaces.types import fields
 
-    return await topic_reading.measure(node, name, topic_reading.Delay(window))
+    full_name, message_type = await _awaited_topic(node, name)
+    kinds = {field.name: field.type.name for field in fields(message_type)}
+    if kinds.get("header") != "std_msgs/msg/Header":
+        problem = f"messages of type {message_type.type_name} have no header"
+        raise TurtleactError(f"topic '{full_name}': {problem}, so their age is unknown")
+    ages = _Samples(window)
+
+    def add(now: int, message: Message) -> None:
+        ages.add(now - nanoseconds(message.header.stamp))  # type: ignore[attr-defined]  # as above
+
+    def lines() -> str:
+        return ages.lines(lambda mean: f"average delay: {mean:.3f}")
+
+    return await _measure(node, full_name, message_type, add, lines)
 
 
 @verb(app, cls=MessageVerb, knows=True)
@@ -172,31 +284,10 @@ def pub(
     values: Annotated[str | None, message_of("message")] = None,
     *,
     once: Annotated[bool, flag("--once", "-1", text="Publish one message and exit.")] = False,
-    times: Annotated[
-        int | None,
-        value(
-            *("--times", "-t"),
-            metavar="N",
-            text="Publish this many messages and exit.",
-            parser=whole,
-        ),
-    ] = None,
-    rate: Annotated[
-        float, value("--rate", "-r", metavar="HZ", text="Messages per second.", parser=hertz)
-    ] = 1.0,
-    print_each: Annotated[
-        int,
-        value(*("--print", "-p"), metavar="N", text="Print every N-th message only.", parser=whole),
-    ] = 1,
-    wait: Annotated[
-        int | None,
-        value(
-            *("--wait-matching-subscriptions", "-w"),
-            metavar="N",
-            text="Wait for this many subscriptions first: 1 with --once or --times, else 0.",
-            parser=whole,
-        ),
-    ] = None,
+    times: Times = None,
+    rate: Frequency = 1.0,
+    print_each: PrintEach = 1,
+    wait: Wait = None,
     stdin: Annotated[bool, stdin_of("message")] = False,
     policies: Policies,
 ) -> int:
@@ -205,20 +296,121 @@ def pub(
     only_one("the message", VALUES=values is not None, stdin=stdin)
     only_one("how often", once=once, times=times is not None)
     count = 1 if once else times or 0
+    least = int(count > 0) if wait is None else wait
     from turtleact.commands import graph, user_messages
-    from turtleact.commands.message_text import GoalText
+    from turtleact.commands.message_text import GoalText, python_text
 
-    order = user_messages.Order(
-        name,
-        type_name,
-        GoalText.read(values, stdin=stdin, path=None, what="message"),
-        rate=rate,
-        times=count,
-        every=print_each,
-        wait=int(count > 0) if wait is None else wait,
-        policies=policies,
-    )
-    return graph.run(reach, partial(user_messages.publish, order=order))
+    text = GoalText.read(values, stdin=stdin, path=None, what="message")
+
+    async def publish(node: Node) -> int:
+        made = await user_messages.message_maker(node, name, type_name, text)
+        publisher = node.publisher(made.message_type, made.topic, policies.qos())
+        await user_messages.wait_for_subscriptions(node, publisher, made.message_type, least)
+        say("publisher: beginning loop\n")
+        start, number = node.clock.time(), 0
+        while True:
+            number += 1
+            message = made()
+            if print_each and number % print_each == 0:
+                say(f"publishing #{number}: {python_text(message)}\n\n")
+            publisher.publish(message)
+            if number == count:
+                return DONE
+            # By a schedule that begins with the first message, so that delays do not add up.
+            await node.clock.sleep_until(start + number / rate)
+
+    return graph.run(reach, publish)
+
+
+# reading
+
+
+async def _subscribed(
+    node: Node, name: str, type_name: str | None, path: Sequence[str], policies: Policies
+) -> tuple[type[Message], Subscription[Message]]:
+    """Subscribe to a topic, with the durability that its publishers offer unless one is given.
+
+    Raises:
+        TurtleactError: if the topic's type is unknown, or if the type of every publisher differs
+            from ``type_name``.
+        UsageError: if the messages have no field at ``path``.
+    """
+    from turtleact.commands.graph import chosen_class, note_differing
+    from turtleact.interfaces import Message, type_hash
+    from turtleact.names import resolve_name
+
+    name = resolve_name(name)
+    message_type = await chosen_class(node, "topic", Message, name, type_name)
+    _check_type(node, name, message_type.type_name)
+    _check_path(message_type, path)
+    endpoints = node.transport.endpoints()
+    publishers = [each for each in endpoints if each.kind == "publisher" and each.name == name]
+    is_latched = any(each.qos.durability == "transient_local" for each in publishers)
+    durability: Durability = "transient_local" if is_latched else "volatile"
+    qos = policies.qos(durability=durability, depth=ECHO_DEPTH)
+    subscription = node.subscription(message_type, name, qos)
+    note_differing(node, publishers, {message_type.type_name: type_hash(message_type)})
+    return message_type, subscription
+
+
+async def _beside_notes(node: Node, name: str, reading: Coroutine[object, object, T]) -> T:
+    """Wait for ``reading``. Print a note each time the topic has lost its last publisher."""
+    from turtleact.tasks import Background
+
+    notes = Background(_note_absence(node, name), "watching publishers")
+    try:
+        return await reading
+    finally:
+        await notes.aclose()
+
+
+async def _note_absence(node: Node, name: str) -> None:
+    from turtleact.tasks.clock import within
+
+    while True:
+        await _wait_for_publishers(node, name)
+        # No change is lost between the count and the wait: there is no await in between.
+        while node.count_publishers(name):
+            await node.transport.wait_for_change()
+        async with within(ABSENCE, node.clock):  # each message may come from a publisher of its own
+            await _wait_for_publishers(node, name)
+            continue
+        note(f"nobody publishes topic '{name}' any more; waiting for a new publisher")
+
+
+async def _wait_for_publishers(node: Node, name: str) -> None:
+    while not node.count_publishers(name):
+        await node.transport.wait_for_change()
+
+
+def _check_type(node: Node, name: str, type_name: str) -> None:
+    """Raise an error if the topic has publishers, but none of this type."""
+    from turtleact.transports.graph import types_by_name
+
+    endpoints = node.transport.endpoints()
+    types = types_by_name(endpoints, "topic", "publisher", hidden=True).get(name, ())
+    if types and type_name not in types:
+        problem = f"it is of type {' and '.join(types)}, not {type_name}"
+        raise TurtleactError(f"topic '{name}': {problem}; leave out the type or correct it")
+
+
+def _check_path(message_type: type[Message], path: Sequence[str]) -> None:
+    """Raise an error if messages of this type have no field at ``path``."""
+    from turtleact.interfaces.definition import did_you_mean
+    from turtleact.interfaces.types import fields, nested_classes
+
+    cls: type[Message] | None = message_type
+    for depth, name in enumerate(path):
+        where = ".".join(path[: depth + 1])
+        if cls is None:
+            raise UsageError(f"--field {where}: '{path[depth - 1]}' is not a single message")
+        nested = dict(zip(fields(cls), nested_classes(cls), strict=True))
+        found = next((field for field in nested if field.name == name), None)
+        if found is None:
+            known = [field.name for field in nested]
+            hint = did_you_mean(name, known) or f": the fields are {', '.join(known)}"
+            raise UsageError(f"--field {where}: {cls.type_name} has no field '{name}'{hint}")
+        cls = None if found.type.is_sequence else nested[found]
 
 
 def _compiled(expression: str) -> CodeType:
@@ -228,3 +420,118 @@ def _compiled(expression: str) -> CodeType:
     except (SyntaxError, ValueError) as error:
         problem = f"takes a Python expression such as m.x > 5, not {quoted(expression)}"
         raise WrongOptions(f"--filter {problem}: {getattr(error, 'msg', error)}") from None
+
+
+def _is_wanted(message: Message, wanted: CodeType, path: Sequence[str]) -> bool:
+    """Whether the user's filter is true for a message, or for the field at ``path``."""
+    from turtleact.tasks.failures import summary
+
+    value: object = message
+    for name in path:
+        value = getattr(value, name)
+    try:
+        return bool(eval(wanted, {"m": value}))  # noqa: S307  # the user's own program
+    except Exception as error:
+        raise UsageError(f"--filter: {summary(error)}; m is {value!r}"[:LONGEST]) from None
+
+
+# measuring
+
+
+class _Samples:
+    """The latest measurements (ns)."""
+
+    def __init__(self, window: int) -> None:
+        self._held: deque[int] = deque(maxlen=window)
+        self._is_news = False
+
+    def add(self, *samples: int) -> None:
+        self._held.extend(samples)
+        self._is_news = self._is_news or bool(samples)
+
+    def lines(self, headline: Callable[[float], str]) -> str:
+        """Return the mean and the spread, or a note if there is nothing new since the last call.
+
+        The text is empty before the first sample.
+        """
+        if not self._held:
+            return ""
+        if not self._is_news:
+            return SILENT
+        self._is_news = False
+        seconds = [each * 1e-9 for each in self._held]
+        mean = math.fsum(seconds) / len(seconds)
+        deviation = math.sqrt(math.fsum((each - mean) ** 2 for each in seconds) / len(seconds))
+        return (
+            f"{headline(mean)}\n\tmin: {min(seconds):.3f}s max: {max(seconds):.3f}s "
+            f"std dev: {deviation:.5f}s window: {len(seconds)}\n"
+        )
+
+
+def _bandwidth(sizes: Sequence[int], seconds: float) -> str:
+    """Return the bandwidth of messages of these sizes, all in the unit that suits it."""
+    rate = sum(sizes) / seconds
+    figures = (rate, sum(sizes) / len(sizes), min(sizes), max(sizes))
+    if rate < 1000:
+        said = [f"{each:.0f} B" for each in figures]
+    else:
+        unit, size = ("KB", 1e3) if rate < 1e6 else ("MB", 1e6)
+        said = [f"{each / size:.2f} {unit}" for each in figures]
+    return (
+        f"{said[0]}/s from {len(sizes)} messages\n"
+        f"\tMessage size mean: {said[1]} min: {said[2]} max: {said[3]}\n"
+    )
+
+
+async def _awaited_topic(node: Node, name: str) -> tuple[str, type[Message]]:
+    """Wait until a topic is there. Return its full name and its type."""
+    from turtleact.commands.graph import chosen_class
+    from turtleact.interfaces import Message
+    from turtleact.interfaces.definition import names_like
+    from turtleact.names import resolve_name
+    from turtleact.transports.graph import types_by_name
+
+    name = resolve_name(name)
+    found = types_by_name(node.transport.endpoints(), "topic", hidden=True)
+    if name not in found:
+        hint = names_like(name, [each for each in found if "/_" not in each])
+        note(f"topic '{name}' is not there yet{hint}; waiting for it")
+    while name not in types_by_name(node.transport.endpoints(), "topic", hidden=True):
+        await node.transport.wait_for_change()
+    return name, await chosen_class(node, "topic", Message, name, None)
+
+
+async def _measure(
+    node: Node,
+    name: str,
+    message_type: type[Message],
+    add: Callable[[int, Message], None],
+    lines: Callable[[], str],
+) -> int:
+    """Print the measurements of a topic each second, until the node is closed.
+
+    Args:
+        node: A node on the graph.
+        name: The full name of the topic.
+        message_type: The type of the topic.
+        add: Adds a message that arrived at a time (ns).
+        lines: Returns the lines to print.
+    """
+    from turtleact.tasks import Background
+    from turtleact.transports import QoS
+
+    async def print_lines() -> None:
+        while True:
+            await node.clock.sleep(PERIOD)
+            say(lines())
+
+    async def read() -> int:
+        async for message in node.subscription(message_type, name, QoS(depth=METER_DEPTH)):
+            add(node.clock.now(), message)
+        return DONE
+
+    printing = Background(print_lines(), "printing measurements")
+    try:
+        return await _beside_notes(node, name, read())
+    finally:
+        await printing.aclose()

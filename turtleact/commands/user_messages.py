@@ -1,4 +1,4 @@
-"""Implements ``topic pub``, ``service call`` and ``snapshot``, which send a message or a request.
+"""Makes and sends the messages and requests of ``topic pub``, ``service call`` and ``snapshot``.
 
 Source: ros2cli ``ros2topic/verb/pub.py`` and ``ros2service/verb/call.py``; recordings of ROS 2
 Jazzy for the wording of the output.
@@ -27,86 +27,66 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from turtleact.commands.message_text import GoalText
-    from turtleact.commands.settings import Policies
     from turtleact.node import Node
     from turtleact.node.services import ServiceType
     from turtleact.node.topics import Publisher
     from turtleact.transports.base import EndpointKind
 
-__all__ = ["Order", "call", "publish", "take"]
+__all__ = ["MessageMaker", "call", "message_maker", "take", "wait_for_subscriptions"]
 
 PATIENCE = 5.0
 """How long to wait until a subscription on the graph can be reached (s, by the graph's clock)."""
 
 
-class Order(NamedTuple):
-    """What to publish, on which topic, and how often.
+class MessageMaker(NamedTuple):
+    """Makes the messages of a topic from a text, each with the time at which it is made.
 
     Attributes:
-        name: The topic's name.
-        type_name: The name of the topic's type; None to look it up on the graph.
-        text: The text of the message.
-        rate: How many messages to publish per second, above zero.
-        times: How many messages to publish; 0 for no limit.
-        every: Print every message (1), every second message (2), and so on; 0 to print none.
-        wait: How many subscriptions to wait for before the first message.
-        policies: The quality of service to offer.
+        node: The node whose clock tells the time.
+        topic: The full name of the topic.
+        message_type: The type of the messages.
+        tree: The plain values in the text.
     """
 
-    name: str
-    type_name: str | None
-    text: GoalText
-    rate: float
-    times: int
-    every: int
-    wait: int
-    policies: Policies
+    node: Node
+    topic: str
+    message_type: type[Message]
+    tree: object
+
+    def __call__(self) -> Message:
+        """Make a message. In its headers, `now` and `auto` stand for the current time."""
+        timed = _timed(self.tree, self.message_type, self.node.clock.now())
+        return from_dict(self.message_type, timed, root="message")  # type: ignore[arg-type]  # it checks that
 
 
-async def publish(node: Node, order: Order) -> int:
-    """Publish a message repeatedly, and return the exit status.
-
-    The rate is measured by the clock of the graph.
+async def message_maker(
+    node: Node, name: str, type_name: str | None, text: GoalText
+) -> MessageMaker:
+    """Read the text of a message for a topic. Print a note if the topic has another type.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules.
         TurtleactError: if the topic's type is unknown.
         InvalidMessage: if the message does not fit the type.
     """
-    name = resolve_name(order.name)
-    message_type = await chosen_class(node, "topic", Message, name, order.type_name)
-    text, source = order.text
-    tree = tree_of(Document(text, "message", source, allow_nonfinite=True))
-
-    # Made anew each time, as `now` and `auto` stand for the time of each message.
-    def make() -> Message:
-        timed = _timed(tree, message_type, node.clock.now())
-        return from_dict(message_type, timed, root="message")  # type: ignore[arg-type]  # it checks that
-
+    name = resolve_name(name)
+    message_type = await chosen_class(node, "topic", Message, name, type_name)
+    tree = tree_of(Document(text.text, "message", text.source, allow_nonfinite=True))
+    make = MessageMaker(node, name, message_type, tree)
     make()  # an error is raised before waiting for subscriptions
-    type_name = message_type.type_name
     types = types_by_name(node.transport.endpoints(), "topic", hidden=True).get(name, ())
-    if types and type_name not in types:
-        note(f"topic '{name}' is of type {' and '.join(types)}, so no node receives {type_name}")
-    publisher = node.publisher(message_type, name, order.policies.qos())
-    await _wait_for_subscriptions(node, publisher, type_name, order.wait)
-    say("publisher: beginning loop\n")
-    start, count = node.clock.time(), 0
-    while True:
-        count += 1
-        message = make()
-        if order.every and count % order.every == 0:
-            say(f"publishing #{count}: {python_text(message)}\n\n")
-        publisher.publish(message)
-        if count == order.times:
-            return 0
-        # By a schedule that begins with the first message, so that delays do not add up.
-        await node.clock.sleep_until(start + count / order.rate)
+    if types and message_type.type_name not in types:
+        others = " and ".join(types)
+        note(f"topic '{name}' is of type {others}, so no node receives {message_type.type_name}")
+    return make
 
 
-async def _wait_for_subscriptions(
-    node: Node, publisher: Publisher[Message], type_name: str, least: int
+async def wait_for_subscriptions(
+    node: Node, publisher: Publisher[Message], message_type: type[Message], least: int
 ) -> None:
+    """Wait until a topic has some subscriptions of this type, and until they can be reached."""
+    type_name = message_type.type_name
+
     def count() -> int:
         wanted = ("subscription", publisher.topic, type_name)
         endpoints = node.transport.endpoints()
