@@ -28,7 +28,6 @@ from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import RotateAbsolute, Twist, Vector3
 from turtleact.node import Node, open_node
 from turtleact.transports import QoS
-from turtleact.transports.graph import SEND_GOAL
 
 if TYPE_CHECKING:
     from turtleact.commands.panels import Picture
@@ -82,10 +81,8 @@ GONE: Final = 2.0
 During a reset, turtles are missing for a shorter time.
 """
 
-END_ITS_GOAL: Final = (
-    "cancel its goal: 'turtleact goals' lists the goals, 'turtleact cancel ID' cancels one"
-)
-"""Advice for the user if a node already drives the turtle for a goal."""
+ALONE: Final = "stop it, or cancel its goal with 'turtleact cancel ID'"
+"""Advice for the user if another node drives the turtle."""
 
 
 class Order(NamedTuple):
@@ -135,55 +132,43 @@ async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
 
     The context manager yields the node and the name of the turtle to drive.
     """
-    why = ""
+    why, wanted = "", _wanted(order)
     async with AsyncExitStack() as stack:
         if order.reach is not None:
             opened = graph.open_transport(order.reach)
             transport = await graph.enter_if_there(stack, order.reach, opened)
             why = no_router(order.reach)
             if transport is not None:
-                node = await stack.enter_async_context(
-                    open_node("teleop_turtle", transport=transport)
-                )
-                turtle = _choose(order, node)
-                if turtle is not None:
-                    yield node, turtle
+                opening = open_node("teleop_turtle", transport=transport)
+                node = await stack.enter_async_context(opening)
+                turtles = _turtles_in_reach(node)
+                if turtles or order.reach.connect:
+                    yield node, _choose(wanted, turtles)
                     return
                 why = await none_in_domain(transport, order.reach, "turtles")
                 await stack.aclose()
-        if _wanted(order) not in ("", "turtle1"):
-            raise TurtleactError(f"no turtle '{_wanted(order)}' is in reach, and no other turtle")
+        if wanted not in ("", "turtle1"):
+            raise TurtleactError(f"no turtle '{wanted}' is in reach, and no other turtle")
         world = await stack.enter_async_context(embedded_world(1.0, 0))
-        node = await stack.enter_async_context(
-            open_node("teleop_turtle", transport=world.transport)
-        )
+        opening = open_node("teleop_turtle", transport=world.transport)
+        node = await stack.enter_async_context(opening)
         note(world_started(why))
         yield node, "turtle1"
 
 
-def _choose(order: Order, node: Node) -> str | None:
-    """The name of the turtle to drive; None if no turtle is in reach.
+def _choose(wanted: str, turtles: list[str]) -> str:
+    """Return the turtle to drive: the one that the user named, turtle1, or the only one.
 
     Raises:
-        TurtleactError: if the turtle that the user named is not in reach, or if several turtles are
-            in reach and none is the clear choice. If the user gave ``--connect``, a graph without
-            turtles is also an error.
+        TurtleactError: if that turtle is not in reach, or none is the clear choice.
     """
-    wanted, turtles = _wanted(order), turtles_in_reach(node)
-    if not turtles:
-        if order.reach is not None and order.reach.connect:
-            where = ", ".join(order.reach.connect)
-            raise TurtleactError(
-                f"no turtle is in reach at {where}: no node subscribes to a cmd_vel"
-            )
-        return None
-    if wanted in turtles:
-        return wanted
-    there_are = ", ".join(turtles)
-    if wanted:
+    there_are = ", ".join(turtles) or "none"
+    if wanted and wanted not in turtles:
         raise TurtleactError(f"no turtle '{wanted}' is in reach (there are: {there_are})")
-    if "turtle1" in turtles:
-        return "turtle1"
+    if not turtles:
+        raise TurtleactError("no turtle is in reach: no node subscribes to a cmd_vel")
+    if wanted or "turtle1" in turtles:
+        return wanted or "turtle1"
     if len(turtles) > 1:
         raise TurtleactError(f"several turtles are in reach: say which with --turtle ({there_are})")
     return turtles[0]
@@ -195,7 +180,7 @@ def _wanted(order: Order) -> str:
     return (order.turtle or remapped).strip("/")
 
 
-def turtles_in_reach(node: Node) -> list[str]:
+def _turtles_in_reach(node: Node) -> list[str]:
     """The names of all turtles in reach, sorted.
 
     A turtle counts as in reach if a node subscribes to its topic ``cmd_vel``.
@@ -311,7 +296,7 @@ class _Driving:
         return any(each.kind == "subscription" and each.name == topic for each in endpoints)
 
     def _report_rivals(self) -> None:
-        """Say which other nodes begin or stop driving the turtle."""
+        """Say which other nodes have begun to drive the turtle."""
         topic = self._commands.topic
         endpoints = self._node.transport.endpoints()
         drivers = [
@@ -319,18 +304,10 @@ class _Driving:
         ]
         if self._node.fully_qualified_name in drivers:  # another teleop may have the same name
             drivers.remove(self._node.fully_qualified_name)
-        for node in sorted(self._rivals.difference(drivers)):
-            self._rivals.remove(node)
-            note(f"node '{node}' no longer publishes {topic}")
-        for node in sorted({*drivers} - self._rivals):
-            self._rivals.add(node)
-            serves = any(
-                each.node == node and each.kind == "service" and each.name.endswith(SEND_GOAL)
-                for each in endpoints
-            )
-            what = END_ITS_GOAL if serves else "stop the other one"
+        for node in sorted(set(drivers) - self._rivals):
             obeys = f"so {self._turtle or 'the robot'} obeys both of you"
-            note(f"node '{node}' publishes {topic} too, {obeys}. To drive alone, {what}")
+            note(f"node '{node}' publishes {topic} too, {obeys}. To drive alone, {ALONE}")
+        self._rivals = set(drivers)
 
     async def _draw(self) -> None:
         from turtleact.commands.panels import Board, board
