@@ -15,9 +15,7 @@ from turtleact.commands import GROUPS, VERBS, app, send_goal, serving
 from turtleact.commands.app import without_daemon
 from turtleact.commands.goals import moment
 from turtleact.commands.message_text import GoalText
-from turtleact.commands.options import BUNDLES
-from turtleact.commands.settings import Fleet, Placing, Policies, Reach, endpoints
-from turtleact.commands.user_modules import Modules
+from turtleact.commands.settings import Fleet, Placing, Reach
 from turtleact.errors import UsageError
 from turtleact.sim.start_poses import PLACINGS
 
@@ -32,22 +30,14 @@ USAGE = [
         ["send-goal", "x", "-t", "abc"],
         "'--timeout' / '-t': 'abc' is not a number of seconds, 0 or more",
     ),
-    (["send-goal", "x", "-t", "-1"], "'--timeout' / '-t': '-1' is not a number of seconds"),
-    (["send-goal", "x", "-t", "nan"], "'nan' is not a number"),
     (["send-goal", "x", "-t", "inf"], "'inf' is not a number"),
     (
         ["send-goal", "x", "--speed", "0"],
         "--speed: '0' is not a factor above 0 and at most 100, or max",
     ),
-    (["send-goal", "x", "--speed", "-1"], "--speed: '-1' is not"),
-    (["send-goal", "x", "--speed", "nan"], "--speed: 'nan' is not"),
     (["send-goal", "x", "--speed", "fast"], "--speed: 'fast' is not"),
-    (["send-goal", "x", "--speed", "101"], "--speed: '101' is not"),
-    (["send-goal", "x", "--speed", "1e307"], "--speed: '1e307' is not"),
     (["send-goal", "x", "--seed", "-1"], "'-1' is not a whole number, 0 or more, of 18 digits"),
     (["send-goal", "x", "--seed", "9" * 19], "'--seed': '9{19}' is not a whole number"),
-    (["send-goal", "x", "--seed", "9" * 5000], "9{40} ?9+…' is not a whole number"),
-    (["send-goal", "x", "--seed", "1.5"], "'1.5' is not a whole number"),
     (["send-goal", "x", "a/b", "1", "-5"], r"unexpected extra argument.*\(-5\)"),
     (
         ["send-goal", "x", "order:", "5"],
@@ -57,10 +47,8 @@ USAGE = [
         ["action", "send_goal", "-f", "x", "a/b", "{order:", "5}", "--plain"],
         "Quote it: '{order: 5}'",
     ),
-    (["send-goal", "x", "order:", "-f", "5"], "Quote it: 'order: 5'"),
     (["send-goal", "x", "text:", "$HOME"], r"Quote it: 'text: \$HOME'"),
     (["send-goal", "x", "order", "5"], "write the goal as one argument in quotes"),
-    (["send-goal", "x", "a/b", "c", "d"], r"Got unexpected extra argument\(s\) \(d\)"),
     (["send-goal", "x", "{}", "--stdin"], "the goal is given twice"),
     (["send-goal", "x", "--stdin", "--goal-file", "f"], "the goal is given twice"),
     (["send-goal", "x", "--json", "--plain"], "give one of --json and --plain"),
@@ -72,17 +60,13 @@ USAGE = [
     ),
     (["send-gaol"], "No such command 'send-gaol'. Did you mean 'send-goal'?"),
     (["--frobnicate"], "No such option: --frobnicate"),
-    (["topic", "list", "--port", "9"], "No such option: --port"),
-    (["send-goal", "--rate"], "No such option: --rate"),
     (["serve", "--listen", "tcp/127.0.0.1:99999"], "--listen takes an endpoint such as"),
     (["serve", "--turtles", "10001"], "'--turtles': Input should be less than or equal to 10000"),
     (["topic", "list", "--connect", "tcp/[::1"], r"such as tcp/\[::1\]:7447, not 'tcp/\[::1'"),
     (["topic", "list", "--connect", "tcp/::1:7447"], r"such as tcp/\[::1\]:7447, not 'tcp/::1:"),
-    (["topic", "list", "--connect", "tcp/a]:1"], "not 'tcp/a]:1'"),
     (["topic", "list", "--connect", "tcp/robot"], "such as tcp/127.0.0.1:7447, not 'tcp/robot'"),
     (["serve", "--listen", "7447"], "--listen takes an endpoint such as tcp/127.0.0.1:7447"),
     (["serve", "--speed", "max"], "'--speed': 'max' is not a factor"),
-    (["serve", "--speed", "0"], "'--speed': '0' is not a factor above 0 and at most 100"),
     (["serve", "--web", "localhost:99999"], "the port of --web is a whole number, 0 to 65535"),
     (["serve", "--token", "x"], "--token, --allow-host and --allow-origin need --web"),
     (
@@ -91,16 +75,11 @@ USAGE = [
     ),
     (["serve", "--placing", "row"], "'--placing': .*'row' is not one of 'random', 'grid', 'ring'"),
     (["serve", "--turtles", "0"], "'--turtles': Input should be greater than or equal to 1"),
-    (["serve", "--seed", "-1"], "'--seed': '-1' is not a whole number"),
     (
         ["serve", "--no-sim", "--turtles", "4", "--paused"],
         "--turtles, --paused and --no-sim exclude each other: there is no world",
     ),
-    (["serve", "--no-sim", "--speed", "2"], "--speed and --no-sim"),
     (["serve", "lab", "--node-name", "lab"], "--node-name needs --no-sim: beside a world"),
-    (["serve", "--no-sim", "--placing", "grid"], "--placing and --no-sim"),
-    (["serve", "--no-sim", "--seed", "1"], "--seed and --no-sim"),
-    (["serve", "--no-sim", "--collide"], "--collide and --no-sim"),
     (
         ["send-goal", "x", "--speed", "2", "--connect", "tcp/[::1]:1"],
         "give one of --speed and --connect",
@@ -123,32 +102,12 @@ USAGE = [
     (["run", "missing.py"], r"there is no file 'missing\.py'"),
     (
         ["run", "turtlesim", "turtlesim_node", "--ros-args", "--remap", "__node:=my_turtle"],
-        "'--ros-args --remap __node:=my_turtle' is not taken: names cannot be remapped",
+        "turtlesim_node is built in and takes no '--ros-args': options of 'run' stand before",
     ),
-    (
-        ["run", "action_tutorials_py", "fibonacci_action_server", "-x"],
-        "fibonacci_action_server takes no '-x': it is built in and has no options",
-    ),
-    (
-        ["run", "turtlesim", "turtlesim_node", "--plain"],
-        "turtlesim_node takes no '--plain': it is built in and has no options. 'turtleact serve' "
-        "has some: see 'turtleact serve --help'",
-    ),
-    (
-        ["run", "turtlesim", "turtlesim_node", "--connect=tcp/127.0.0.1:7448"],
-        "'run', so it stands before the package: turtleact run --connect VALUE turtlesim turt",
-    ),
-    (["send-goal", "x", "--embedded", "--connect", "tcp/a:1"], "is given twice"),
-    (["send-goal", "x", "--speed", "2", "--connect", "tcp/a:1"], "is given twice"),
     (
         ["topic", "list", "--domain", "233"],
         "'--domain' .*: '233' is not a ROS domain, 0 to 232",
     ),
-    (
-        ["topic", "list", "--domain", "-1"],
-        "'--domain' .*: '-1' is not a ROS domain, 0 to 232",
-    ),
-    (["topic", "list", "--connect", "localhost"], "--connect takes an endpoint .* not 'localhost'"),
     (["topic", "list", "--connect", "tcp/a:1,"], "--connect takes an endpoint .* not ''"),
     (
         ["topic", "echo", "x", "--field", "a..b"],
@@ -160,7 +119,6 @@ USAGE = [
         ["topic", "echo", "x", "-l", "many"],
         "'--truncate-length' / '-l': Input should be a valid integer",
     ),
-    (["topic", "echo", "x", "--timeout", "-1"], "'-1' is not a number of seconds"),
     (
         ["topic", "echo", "x", "--qos-depth", "0"],
         "'--qos-depth': Input should be greater than or equal to 1",
@@ -168,10 +126,6 @@ USAGE = [
     (
         ["topic", "echo", "x", "--qos-durability", "no"],
         "'no' is not one of 'volatile', 'transient_local'",
-    ),
-    (
-        ["topic", "echo", "x", "--qos-reliability", "no"],
-        "'no' is not one of 'reliable', 'best_effort'",
     ),
     (
         ["topic", "echo", "x", "--qos-profile", "no"],
@@ -189,7 +143,6 @@ USAGE = [
     (["topic", "pub", "x", "a/b", "{}", "--stdin"], "give one of VALUES and --stdin"),
     (["topic", "pub", "x", "data:", "5"], "Quote it: 'data: 5'"),
     (["service", "call", "x", "a/b", "x:", "1"], "Quote it: 'x: 1'"),
-    (["service", "call", "x", "a/b", "{}", "-r", "0"], "'0' is not a rate in Hz"),
     (["service", "call", "x", "a/b", "{}", "--stdin"], "the request is given twice"),
     (["cancel"], "give the ids of goals, or --all"),
     (["cancel", "71a"], "'71a' is not a goal id, which has 32 hexadecimal digits"),
@@ -197,20 +150,13 @@ USAGE = [
     (["cancel", "--all", "--before", "1"], "give one of --all and --before"),
     (["cancel", "--before", "noon"], "--before takes a time such as .*, not 'noon'"),
     (["cancel", "--before", "0"], "--before takes a time"),
-    (["cancel", "--before", "-1"], "--before takes a time"),
-    (["cancel", "--before", "nan"], "--before takes a time"),
-    (["cancel", "--before", "inf"], "--before takes a time"),
-    (["cancel", "--before", "9" * 10], "--before takes a time"),
     (["cancel", "--before", "9999-12-31T23:59:59-23:00"], "--before takes a time"),
     (["watch"], "give the id of a goal, or an action .*'turtleact goals' lists"),
     (["watch", "g g"], "is not a goal id.*'turtleact goals' lists all goals$"),
-    (["watch", "abc"], "is not a goal id"),
     (["result"], "give the id of a goal; 'turtleact goals' lists them"),
     (["result", "patrol"], "is not a goal id.*'turtleact goals' lists all goals$"),
-    (["result", "0" * 33], "is not a goal id"),
     (["action", "send_gaol"], "Did you mean 'send_goal'?"),
     (["param", "set", "a", "\udcff\udcfe", "1"], r"'PARAMETER': it is not UTF-8: b'\\xff\\xfe'\Z"),
-    (["topic", "echo", "x", "--field", "a\udce9"], r"'--field': it is not UTF-8: b'a\\xe9'\Z"),
     (["cancel", "\udcff"], r"'ID\|NAME': it is not UTF-8: b'\\xff'\Z"),
 ]
 
@@ -221,13 +167,6 @@ def test_a_command_line_that_makes_no_sense_is_refused(turtleact, arguments, pro
     ran = turtleact(*arguments)
     assert (ran.status, ran.out) == (2, "")
     assert re.search(problem, ran.problem)
-
-
-def test_a_folder_with_the_name_of_a_file_is_not_run(turtleact, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "lab.py").mkdir()
-    ran = turtleact("run", "lab.py")
-    assert (ran.status, ran.problem) == (2, "'lab.py' is a folder, not a Python file")
 
 
 @pytest.mark.parametrize(
@@ -256,20 +195,6 @@ def test_the_node_of_a_server_without_a_world_has_the_name_of_the_module(monkeyp
     monkeypatch.setattr(serving, "run", lambda service: names.append(service.node_name))
     assert app.run(["serve", *line.split()]) == 0
     assert names == [name]
-
-
-@pytest.mark.parametrize(
-    "endpoint",
-    [
-        "tcp/[::1]:7447",
-        "tls/[fe80::1%eth0]:7447",
-        "quic/robot.local:1",
-        "tcp/*:65535",
-        "unixsock-stream//tmp/a:b",
-    ],
-)
-def test_an_endpoint_of_any_kind_is_taken(endpoint):
-    assert endpoints("--connect", f"tcp/127.0.0.1:1,{endpoint}") == ("tcp/127.0.0.1:1", endpoint)
 
 
 @pytest.fixture
@@ -307,8 +232,6 @@ def test_what_is_left_out_has_its_default(order):
         (["order: 5"], None, "order: 5"),
         (["{}"], None, "{}"),
         (["-5"], None, "-5"),
-        (["- x: 1"], None, "- x: 1"),
-        (["-.5"], None, "-.5"),
         (["---\n{order: 5}"], None, "---\n{order: 5}"),
         (["pkg/Name", "-5"], "pkg/Name", "-5"),
         (["--", "-f"], None, "-f"),
@@ -332,11 +255,6 @@ def test_options_reach_the_order(order):
     assert order("x", "--reattach", "60").reattach == 60.0
 
 
-@pytest.mark.parametrize("option", ["--embedded", "--speed=2", "--seed=3"])
-def test_an_embedded_world_is_asked_for(order, option):
-    assert order("x", option).reach is None
-
-
 @pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7447", "tcp/127.0.0.1:1,tls/[::]:2"])
 def test_nobody_is_let_in_from_beyond_unasked(endpoint):
     with pytest.raises(UsageError, match="lets in everybody who can reach this machine"):
@@ -351,10 +269,6 @@ def test_where_to_look_reaches_the_order(order):
 
 def test_the_way_back_to_a_goal_knows_the_same_interfaces(order, tmp_path):
     assert order("x", "--interfaces", str(tmp_path)).options == f" --interfaces {tmp_path}"
-
-
-def test_plain_is_a_view(order):
-    assert order("x", "--plain").view == "plain"
 
 
 def test_a_goal_file_is_read_by_the_job(order, tmp_path):
@@ -442,16 +356,6 @@ def test_ros2s_ways_of_looking_at_the_graph_are_accepted(monkeypatch):
         assert context.params["types"]
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["action", "--help"], ["send-goal", "--help"]])
-def test_help_is_printed_without_pydantic(arguments):
-    code = (
-        "import sys; from turtleact.commands.app import run;"
-        f"run({arguments}); print('pydantic' in sys.modules)"
-    )
-    out = subprocess.check_output([sys.executable, "-c", code], text=True)
-    assert out.splitlines()[-1] == "False"
-
-
 def test_help_has_colours_on_a_terminal_only(turtleact):
     main, other = open_terminal(80, 24)
     environment = {name: each for name, each in os.environ.items() if name != "NO_COLOR"}
@@ -477,10 +381,6 @@ def test_help_shows_no_type_for_a_switch(turtleact, verb):
     assert "bool" not in out
 
 
-def test_a_mistake_in_the_name_of_a_verb_points_to_the_help(turtleact):
-    assert "Try 'turtleact -h' for help." in turtleact("sevre").err
-
-
 @pytest.mark.parametrize(
     ("text", "nanoseconds"),
     [
@@ -500,11 +400,10 @@ def test_a_moment_is_seconds_or_a_date(text, nanoseconds):
     [
         ([], "", Reach((), 0)),
         ([], "7", Reach((), 7)),
-        (["--domain", "0"], "7", Reach((), 0)),
         (
-            ["--connect", "tcp/a:1,udp/[::1]:7447"],
+            ["--connect", "tcp/a:1,udp/[fe80::1%eth0]:7447"],
             "",
-            Reach(("tcp/a:1", "udp/[::1]:7447"), 0),
+            Reach(("tcp/a:1", "udp/[fe80::1%eth0]:7447"), 0),
         ),
     ],
 )
@@ -540,11 +439,6 @@ def test_there_is_no_daemon_and_no_harm_in_that(turtleact, what):
             ("turtleact.actions.fibonacci",),
             False,
         ),
-        (
-            ["examples_rclpy_minimal_action_server", "server"],
-            ("turtleact.actions.fibonacci",),
-            False,
-        ),
     ],
 )
 def test_programs_of_ros2_are_services_here(turtleact, monkeypatch, program, targets, has_world):
@@ -560,21 +454,6 @@ def test_programs_of_ros2_are_services_here(turtleact, monkeypatch, program, tar
     fleet = Fleet() if has_world else None
     assert (service.targets, service.fleet, service.reach) == (targets, fleet, Reach((), 3))
     assert service.node_name == ("turtleact" if has_world else program[1])
-
-
-def test_the_fibonacci_server_serves_both_types():
-    declared = Modules(["turtleact.actions.fibonacci"]).find().actions
-    assert [each.action_type.type_name for each in declared] == [
-        "action_tutorials_interfaces/action/Fibonacci",
-        "example_interfaces/action/Fibonacci",
-    ]
-
-
-def test_single_policies_count_more_than_their_profile():
-    policies = BUNDLES["policies"]
-    asked = policies("sensor_data", None, "transient_local", 7)
-    assert asked == Policies("best_effort", "transient_local", 7)
-    assert policies("sensor_data", None, None, None) == Policies("best_effort", "volatile", 5)
 
 
 @pytest.mark.parametrize(
