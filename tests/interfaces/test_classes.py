@@ -127,10 +127,6 @@ def test_a_new_message_holds_zeros_of_its_own():
 # --- once, and late -------------------------------------------------------------------------
 
 
-def test_the_same_types_are_given_every_time():
-    assert implied(Drill) is implied(Drill)
-
-
 def test_a_name_gives_the_class_that_the_action_implies():
     types = implied(Fibonacci)
     name = Fibonacci.type_name
@@ -278,13 +274,6 @@ def test_a_class_says_what_its_definition_says(make, kind, text):
 def test_a_class_is_named_as_in_rclpy():
     sample = make_message(message(""), nothing)
     assert (sample.__module__, sample.__qualname__) == ("example_msgs.msg", "Sample")
-
-
-def test_a_part_is_named_by_the_whole():
-    said = parse("---\n---", "example_msgs/action/Sample")
-    assert isinstance(said, ActionDefinition)
-    sample = make_action(said, nothing)
-    assert (sample.Goal.__name__, sample.Goal.__qualname__) == ("Goal", "Sample.Goal")
 
 
 def test_an_unknown_message_inside_is_told():

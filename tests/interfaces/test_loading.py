@@ -39,7 +39,7 @@ from turtleact.interfaces.loading import (
     package_texts,
 )
 from turtleact.interfaces.parse import parse
-from turtleact.interfaces.standard import Fibonacci, Point, Time
+from turtleact.interfaces.standard import Point, Time
 from turtleact.interfaces.types import Message, definition, fields, nested_classes
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -56,10 +56,6 @@ def get_message(type_name: str) -> type[Message]:
     cls = get_interface(type_name)
     assert issubclass(cls, Message)
     return cls
-
-
-def test_an_interface_is_found_by_its_full_name():
-    assert get_interface("geometry_msgs/msg/Point") is Point
 
 
 @pytest.mark.parametrize(
@@ -102,11 +98,6 @@ def test_a_similar_package_alone_is_no_reason_to_suggest_its_interface():
 def test_what_is_no_interface_is_unknown(name):
     with pytest.raises(UnknownInterface):
         get_interface(name)
-
-
-def test_a_loaded_interface_is_known():
-    order = load_interface("int32 count 3", type_name="example_msgs/msg/Order")
-    assert get_interface("example_msgs/Order") is order
 
 
 def test_loading_what_is_known_gives_the_class():
@@ -376,13 +367,6 @@ def test_a_message_that_contains_itself_is_refused(tmp_path):
     circle = "example_msgs/msg/Hen in example_msgs/msg/Egg in example_msgs/msg/Hen"
     with pytest.raises(InvalidInterface, match=f"a message contains itself: {circle}"):
         get_interface("example_msgs/msg/Hen")
-
-
-def test_a_class_is_written_as_text():
-    assert (
-        interface_text(Fibonacci)
-        == "int32 order\n---\nint32[] sequence\n---\nint32[] partial_sequence"
-    )
 
 
 def forms(name: str, bound: int | None = None) -> st.SearchStrategy[FieldType]:

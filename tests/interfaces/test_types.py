@@ -10,9 +10,7 @@ import msgspec
 import pytest
 
 from turtleact.errors import InvalidInterface
-from turtleact.interfaces import get_interface
 from turtleact.interfaces.definition import MessageDefinition
-from turtleact.interfaces.finders import Finders, Workspace
 from turtleact.interfaces.standard import Fibonacci, Point, Time
 from turtleact.interfaces.types import (
     Action,
@@ -25,13 +23,11 @@ from turtleact.interfaces.types import (
     bounded,
     byte,
     constants,
-    definition,
     expect_interface,
     fields,
     float64,
     int8,
     int32,
-    int64,
     nested_classes,
     string,
     uint8,
@@ -56,18 +52,6 @@ class Sample(Message, type_name="example_msgs/msg/Sample"):
     at: Point
     path: bounded[list[Point], 2]
     ranks: array[list[int32], 2]
-
-
-def test_fields_are_in_order():
-    assert [f.name for f in fields(Sample)] == ["name", "at", "path", "ranks"]
-
-
-def test_constants_are_listed():
-    assert [(c.name, c.value) for c in constants(Sample)] == [("LIMIT", 3)]
-
-
-def test_nested_classes_stand_beside_their_fields():
-    assert nested_classes(Sample) == (None, Point, Point, None)
 
 
 def test_a_field_may_be_called_type_name():
@@ -162,25 +146,6 @@ def test_a_class_attribute_may_name_a_message():
         Place = Point
 
     assert Go.Place is Point
-
-
-def test_definition_of_a_nameless_message_is_refused():
-    class Nameless(Message): ...
-
-    with pytest.raises(InvalidInterface, match="is not a full interface name"):
-        definition(Nameless)
-
-
-def test_a_changed_action_takes_the_name_over_with_its_parts():
-    class Go(Action, type_name="example_msgs/action/Go"):
-        class Goal(Message):
-            x: int32
-
-    class Changed(Action, type_name="example_msgs/action/Go"):
-        class Goal(Message):
-            x: string
-
-    assert get_interface("example_msgs/action/Go_Goal") is Changed.Goal
 
 
 class Zeros(Message, type_name="example_msgs/msg/Zeros"):
@@ -321,35 +286,12 @@ def sample_of(kind: object) -> Any:
     return MessageMeta("Sample", (Message,), body, type_name="example_msgs/msg/Sample")
 
 
-def test_the_first_of_equal_classes_stays():
-    registry, first, second = Registry(), sample_of(int32), sample_of(int32)
-    registry.add(first, definition(first))
-    registry.add(second, definition(second))
-    assert registry.get("example_msgs/msg/Sample") is first
-
-
-def test_another_definition_takes_the_name_over():
-    registry, first, second = Registry(), sample_of(int32), sample_of(int64)
-    registry.add(first, definition(first))
-    registry.add(second, definition(second))
-    assert registry.get("example_msgs/msg/Sample") is second
-
-
 def test_forgetting_drops_the_implied_types_too():
     registry, sample = Registry(), sample_of(int32)
     for name in ("Sample", "Sample_Part", "SampleTwo"):
         registry.add(sample, MessageDefinition(f"example_msgs/msg/{name}"))
     registry.forget("example_msgs/msg/Sample")
     assert registry.names() == ["example_msgs/msg/SampleTwo"]
-
-
-def test_what_is_declared_in_an_isolated_block_is_forgotten():
-    registry, sample = Registry(), sample_of(int32)
-    with registry.isolated():
-        registry.add(sample, definition(sample))
-        registry.look_in(Finders(workspace=Workspace(("/opt/ros/jazzy",))))
-    assert not registry.names()
-    assert registry.finders == Finders()
 
 
 @pytest.mark.parametrize(
