@@ -7,10 +7,12 @@ loop may handle many messages, and no message blocks the event loop.
 from __future__ import annotations
 
 import logging
+import math
 import queue
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Coroutine
+from time import monotonic
 from typing import TYPE_CHECKING, TypeAlias
 
 import anyio
@@ -43,12 +45,8 @@ Job: TypeAlias = Callable[[], object]
 #: How many jobs run in a row before the event loop gets a turn.
 IN_A_ROW = 100
 
-#: How many warnings about one peer are logged within the period below (s).
-LOGGED = 3
+#: How soon after a warning another one of its kind is logged (s).
 PERIOD = 10.0
-
-#: How many peers are told apart in that period; anybody can make up gids.
-MOST_PEERS = 100
 
 
 class Named(msgspec.Struct, frozen=True):
@@ -98,7 +96,7 @@ class Context:
         self.receive_queue = ReceiveQueue(tasks)
         self.send_queue = SendQueue(f"turtleact-zenoh-{session.zid[:8]}")
         self.crew = Crew(tasks)
-        self.log = RateLimitedLog(self.crew)
+        self.log = RateLimitedLog()
         self.domain = domain
         self.opened: set[Closeable] = set()
         self.latched: set[bytes] = set()
@@ -376,41 +374,27 @@ class SendQueue:
 
 
 class RateLimitedLog:
-    """Logs warnings about peers, but only a few for each peer, so that no peer can fill the log.
+    """Logs warnings about messages of peers, so few that no peer can fill the log.
 
-    The first `LOGGED` warnings of one kind about a peer are logged at once. Further such warnings
-    within `PERIOD` seconds are counted, and the count is logged at the end of that period.
-
-    Args:
-        crew: Runs the task that logs the counts.
+    One warning of each kind is logged within `PERIOD` seconds. It says how many were left out
+    before.
     """
 
-    def __init__(self, crew: Crew) -> None:
-        self._crew = crew
-        self._counts: Counter[tuple[str, str]] = Counter()
+    def __init__(self) -> None:
+        self._kinds: dict[str, tuple[float, int]] = {}  # when it was logged, and how many since
 
-    def warn(self, about: str, peer: bytes, error: Exception) -> None:
-        """Count a warning. Log it, unless `LOGGED` such warnings were logged in this period.
+    def warn(self, about: str, error: Exception) -> None:
+        """Log a warning, unless one of its kind was logged in this period. Call it in any thread.
 
         Args:
-            about: A sentence that says what went wrong, and where.
-            peer: The gid of the sender; empty if unknown.
+            about: A sentence that says what went wrong, and where. It is the kind of the warning.
             error: The exception to report.
         """
-        if not self._counts:
-            self._crew.run(self._log_counts(), "the counts of warnings")
-        key = about, peer.hex() if len(self._counts) < MOST_PEERS else ""
-        self._counts[key] += 1
-        if self._counts[key] <= LOGGED:
-            logger.warning("%s: %s", about, error)
-
-    async def _log_counts(self) -> None:
-        try:
-            await anyio.sleep(PERIOD)
-        finally:  # also when the transport closes
-            counts, self._counts = self._counts, Counter()
-            for (about, peer), count in counts.items():
-                if count > LOGGED:
-                    who = f" from the peer of gid {peer}" if peer else ""
-                    more = f"{count - LOGGED:,} more such warnings"
-                    logger.warning("%s: %s in %g s%s", about, more, PERIOD, who)
+        logged, count = self._kinds.get(about, (-math.inf, 0))
+        now = monotonic()
+        if now - logged < PERIOD:
+            self._kinds[about] = logged, count + 1
+            return
+        more = f" ({count:,} more such warnings before)" if count else ""
+        logger.warning("%s: %s%s", about, error, more)
+        self._kinds[about] = now, 0

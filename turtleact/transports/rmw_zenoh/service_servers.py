@@ -29,7 +29,6 @@ from turtleact.transports.base import (
 from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named
 from turtleact.transports.rmw_zenoh.wire import (
     encode_error,
-    gid_in,
     read_attachment,
     write_attachment,
 )
@@ -142,8 +141,7 @@ class WireService:
             message = self.format.decode(query.payload)
         except InvalidMessage as error:
             about = f"service {self.name}: a request cannot be read"
-            complain = partial(self.context.log.warn, about, gid_in(query.attachment), error)
-            self.context.receive_queue.push(complain)  # this may be another thread
+            self.context.log.warn(about, error)
             self.fail(query, error)
             return
         offers = self._offers

@@ -11,6 +11,7 @@ A publisher that must not lose messages waits while
 from __future__ import annotations
 
 import logging
+import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -57,48 +58,38 @@ class BoundedQueue(Generic[T]):
         longest: The maximum number of entries; None for no limit.
 
     Attributes:
+        weight: How many bytes wait in the queue, including `ENTRY` bytes for each entry.
         dropped: How many entries were dropped because the queue was full.
     """
 
     def __init__(self, longest: int | None = None) -> None:
+        self.weight = 0
         self.dropped = 0
         self._longest = longest
         self._entries: deque[tuple[T, int]] = deque()
-        self._put = 0  # each of these counters is written by only one thread
-        self._taken = 0
-        self._lost = 0
-
-    @property
-    def weight(self) -> int:
-        """How many bytes wait in the queue, including `ENTRY` bytes of overhead for each entry."""
-        return self._put - self._taken - self._lost
+        self._lock = threading.Lock()
 
     def put(self, entry: T, size: int) -> bool:
         """Add an entry of ``size`` bytes. Return False if the full queue dropped an entry."""
-        weight = size + ENTRY
-        put = self._put = self._put + weight
-        entries = self._entries
-        is_full = put - self._taken - self._lost > CAPACITY or len(entries) == self._longest
-        entries.append((entry, weight))
-        return not (is_full and self._drop())
+        with self._lock:
+            self._entries.append((entry, size + ENTRY))
+            self.weight += size + ENTRY
+            is_full = self.weight > CAPACITY or len(self._entries) - 1 == self._longest
+            if not is_full or len(self._entries) == 1:
+                return True
+            self._remove()
+            self.dropped += 1
+            return False
 
     def take(self) -> T | None:
         """Remove and return the oldest entry; None if the queue is empty."""
-        try:
-            entry, weight = self._entries.popleft()
-        except IndexError:
-            return None
-        self._taken += weight
-        return entry
+        with self._lock:
+            return self._remove() if self._entries else None
 
-    def _drop(self) -> bool:
-        try:
-            _, weight = self._entries.popleft()
-        except IndexError:  # the other thread has just taken it
-            return False
-        self._lost += weight
-        self.dropped += 1
-        return True
+    def _remove(self) -> T:
+        entry, weight = self._entries.popleft()
+        self.weight -= weight
+        return entry
 
 
 class WirePublication:
@@ -412,16 +403,13 @@ class WireSubscription:
         try:
             message = self._format.decode(payload)
         except InvalidMessage as error:
-            self._complain(error)
+            about = f"topic {self._topic}: a message cannot be read"
+            self._context.log.warn(about, error)
             return
         try:
             self._deliver(message)
         except Exception:
             logger.exception("a subscription of topic %s failed to handle a message", self._topic)
-
-    def _complain(self, error: InvalidMessage) -> None:
-        about = f"topic {self._topic}: a message cannot be read"
-        self._context.log.warn(about, b"", error)
 
     # called in the thread of the send queue
 
@@ -447,10 +435,6 @@ class DirectSubscription(WireSubscription):
 
     def _take(self, payload: bytes) -> None:
         self._hand_over(payload)
-
-    def _complain(self, error: InvalidMessage) -> None:
-        # Warnings are counted in the event loop.
-        self._context.receive_queue.push(lambda: super(DirectSubscription, self)._complain(error))
 
 
 class _Relay(Source):
