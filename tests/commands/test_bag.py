@@ -16,8 +16,7 @@ from turtleact.interfaces import encode, get_message
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard.std_msgs.msg import String
 from turtleact.recording import Bag
-from turtleact.recording.bag_writer import BagWriter, Split
-from turtleact.recording.mcap_writing import McapWriter
+from turtleact.recording.bag_writer import BagWriter, McapWriter, Split
 from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import Schema, schema_of
 from turtleact.recording.storage import Channel

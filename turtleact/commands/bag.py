@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from turtleact.commands.settings import Reach
     from turtleact.node import Node
     from turtleact.recording import Played, Recording, Selection
+    from turtleact.recording.bag_writer import Compression
     from turtleact.recording.converting import Output
-    from turtleact.recording.mcap_writing import Compression
 
 __all__ = ["app"]
 

@@ -20,7 +20,6 @@ import msgspec
 
 from turtleact.errors import InvalidMessage
 from turtleact.interfaces import Message
-from turtleact.recording.mcap_reading import McapFile
 from turtleact.recording.metadata import (
     METADATA,
     ROOT,
@@ -32,8 +31,7 @@ from turtleact.recording.metadata import (
     span,
 )
 from turtleact.recording.schemas import Schema, class_of
-from turtleact.recording.sqlite_reading import SqliteFile
-from turtleact.recording.storage import BagStorage, Channel, Range, Raw
+from turtleact.recording.storage import BagStorage, Channel, McapFile, Range, Raw, SqliteFile
 
 __all__ = ["Bag", "Reading", "Recorded", "read", "reader_of"]
 

@@ -21,6 +21,7 @@ from turtleact.errors import TurtleactError, UsageError
 from turtleact.transports.base import QoS, TimePolicies
 
 __all__ = [
+    "ABOUT",
     "METADATA",
     "NOT_CLOSED",
     "ROOT",
@@ -43,6 +44,9 @@ VERSION: Final = 9
 """The version of the format that is written."""
 
 METADATA: Final = "metadata.yaml"
+
+ABOUT: Final = "rosbag2"
+"""The name of the records in a file that describe the bag."""
 
 NOT_CLOSED: Final = "not_closed"
 """The key in a bag's custom metadata for the name of a file without an index.

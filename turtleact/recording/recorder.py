@@ -24,8 +24,7 @@ from turtleact.goals.wire import GoalReason, reason_topic
 from turtleact.interfaces import Message, WireFormat, get_interface, type_hash
 from turtleact.names import EVENT_SUFFIX, event_topic, resolve_name
 from turtleact.node import Node, check_open
-from turtleact.recording.bag_writer import BagWriter, Split
-from turtleact.recording.mcap_writing import Compression
+from turtleact.recording.bag_writer import BagWriter, Compression, Split
 from turtleact.recording.metadata import BagError, Offer
 from turtleact.recording.schemas import Schema, schema_of
 from turtleact.recording.selection import EVERYTHING, Selection

@@ -1,18 +1,49 @@
-"""The interface for reading a file of a bag, the same for every file format."""
+"""Reads the files of bags: MCAP files, and SQLite files of rosbag2.
+
+An MCAP file is read with the ``mcap`` package, by its index if it has one. A file that was not
+closed has no index. Such a file is read from its start, in the order in which it was written, until
+it ends or a record is damaged.
+
+turtleact never writes SQLite files. Old ones contain no definitions of types, only the names of the
+types. Their messages are therefore decoded with the classes that the program has under these names.
+
+Source: rosbag2 ``sqlite_storage.cpp``.
+"""
 
 from __future__ import annotations
 
+import sqlite3
+import struct
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import Any, BinaryIO, Final, NamedTuple, Protocol
+from urllib.parse import quote
 
 import msgspec
+from mcap.exceptions import EndOfFile, McapError
+from mcap.reader import SeekingReader
+from mcap.records import Channel as ChannelRecord
+from mcap.records import McapRecord, Message, Metadata
+from mcap.records import Schema as SchemaRecord
+from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
+from zstandard import ZstdError
 
 from turtleact.errors import InvalidOption
-from turtleact.recording.metadata import Offer
+from turtleact.recording.metadata import ABOUT, BagError, Offer, read_offers
 from turtleact.recording.schemas import Schema
 
-__all__ = ["LONGEST", "BagStorage", "Channel", "Range", "Raw", "in_nanoseconds"]
+__all__ = [
+    "LONGEST",
+    "BagStorage",
+    "Channel",
+    "McapFile",
+    "Range",
+    "Raw",
+    "SqliteFile",
+    "in_nanoseconds",
+]
 
 LONGEST: Final = 1_000_000_000
 """The longest time that a user may pass as an option (s): about 31 years.
@@ -121,3 +152,274 @@ class BagStorage(Protocol):
 
     def close(self) -> None:
         """Close the file."""
+
+
+_DAMAGED: Final = (
+    *(McapError, struct.error, ValueError, MemoryError, OverflowError, OSError, KeyError),
+    *(RuntimeError, ZstdError),  # of the packages that decompress
+)
+"""The exceptions that reading a damaged record may raise."""
+
+_REST: Final = (
+    "to copy the messages before or behind it, use 'turtleact bag convert' with "
+    "--playback-duration or --start-offset"
+)
+"""The advice for a damaged chunk."""
+
+
+class McapFile:
+    """An MCAP file, open for reading; see `turtleact.recording.storage.BagStorage`.
+
+    Args:
+        path: The file.
+
+    Raises:
+        BagError: if the file cannot be opened, or is not an MCAP file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.channels: dict[int, Channel] = {}
+        self.counts: Counter[int] = Counter()
+        self.start = self.end = 0
+        self.is_closed = True
+        self.about = ""
+        self.flaw = ""
+        self._schemas: dict[int, Schema] = {}
+        try:
+            self._file: BinaryIO = path.open("rb")
+        except OSError as error:
+            raise BagError(path, f"it cannot be opened: {error.strerror}") from error
+        try:
+            self._reader = self._indexed_reader()
+        except BaseException:
+            self._file.close()
+            raise
+        if self._reader is None:
+            for record in self._records():
+                self._see(record)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def messages(self, wanted: Range) -> Iterator[Raw]:
+        """Yield the messages that ``wanted`` selects.
+
+        They are ordered by stamp if the file has an index. Messages with the same stamp keep their
+        order in the file.
+
+        Raises:
+            BagError: if a chunk of a file with an index is damaged.
+        """
+        if wanted.end is not None and wanted.end < wanted.start:
+            return
+        found = self._scan(wanted) if self._reader is None else self._select(self._reader, wanted)
+        for message in found:
+            channel = self.channels[message.channel_id]
+            yield Raw(message.log_time, message.publish_time, channel, message.data)
+
+    def _select(self, reader: SeekingReader, wanted: Range) -> Iterator[Message]:
+        topics = {each.topic for each in self.channels.values() if wanted.has(each.topic)}
+        try:
+            for _, _, message in reader.iter_messages(
+                topics, starting_at=wanted.start, ending_at=wanted.end
+            ):
+                yield message
+        except _DAMAGED as error:
+            raise BagError(self.path, f"a chunk is damaged ({_reason(error)}); {_REST}") from error
+
+    def _scan(self, wanted: Range) -> Iterator[Message]:
+        channels = {key for key, each in self.channels.items() if wanted.has(each.topic)}
+        for record in self._records():
+            if (
+                isinstance(record, Message)
+                and record.channel_id in channels
+                and record.log_time >= wanted.start
+                and (wanted.end is None or record.log_time <= wanted.end)
+            ):
+                yield record
+
+    # opening
+
+    def _indexed_reader(self) -> SeekingReader | None:
+        """Return a reader that uses the file's index; None if the file has no whole index."""
+        try:
+            reader = SeekingReader(self._file, validate_crcs=True)
+        except _DAMAGED:
+            raise BagError(self.path, "it is not an MCAP file") from None
+        try:
+            summary = reader.get_summary()
+            if summary is None or not _is_complete(summary):
+                return None
+            self._take(summary)
+            for record in reader.iter_metadata():
+                self._see(record)
+        except _DAMAGED:
+            for each in (self.channels, self.counts, self._schemas):
+                each.clear()
+            self.start = self.end = 0
+            return None
+        return reader
+
+    def _take(self, summary: Summary) -> None:
+        """Copy what the index says about the file."""
+        for record in (*summary.schemas.values(), *summary.channels.values()):
+            self._see(record)
+        if summary.statistics is not None:
+            self.counts.update(summary.statistics.channel_message_counts)
+            self.start = summary.statistics.message_start_time
+            self.end = summary.statistics.message_end_time
+
+    def _records(self) -> Iterator[McapRecord]:
+        """Yield the records from the file's start to its end, or up to what is damaged."""
+        with self.path.open("rb") as file:
+            try:
+                yield from StreamReader(file, validate_crcs=True).records
+            except (EndOfFile, struct.error):
+                self.is_closed = False
+                self.flaw = "it was not closed, so messages may be missing at its end"
+            except _DAMAGED as error:
+                self.is_closed = False
+                self.flaw = (
+                    f"a record is damaged ({_reason(error)}); this record and "
+                    "everything after it are left out"
+                )
+
+    def _see(self, record: McapRecord) -> None:
+        """Note what a record says about the file."""
+        if isinstance(record, SchemaRecord):
+            text = record.data.decode(errors="replace")
+            self._schemas[record.id] = Schema(record.name, record.encoding, text)
+        elif isinstance(record, ChannelRecord):
+            self._add_channel(record)
+        elif isinstance(record, Metadata) and record.name == ABOUT:
+            self.about = record.metadata.get("serialized_metadata", "")
+        elif isinstance(record, Message):
+            self.start = min(record.log_time, self.start) if self.counts else record.log_time
+            self.end = max(record.log_time, self.end)
+            self.counts[record.channel_id] += 1
+
+    def _add_channel(self, record: ChannelRecord) -> None:
+        if record.id in self.channels:  # one object for each, so that it can be a key
+            return
+        self.channels[record.id] = Channel(
+            topic=record.topic,
+            schema=self._schemas.get(record.schema_id, Schema("")),
+            offers=read_offers(record.metadata.get("offered_qos_profiles", "")),
+            type_hash=record.metadata.get("topic_type_hash", ""),
+            format=record.message_encoding,
+        )
+
+
+def _is_complete(summary: Summary) -> bool:
+    """Whether the index lists all messages. Messages outside of chunks are never listed."""
+    statistics = summary.statistics
+    if (
+        statistics is None
+        or not statistics.channel_message_counts.keys() <= summary.channels.keys()
+    ):
+        return False
+    return bool(summary.chunk_indexes) or not statistics.message_count
+
+
+def _reason(error: BaseException) -> str:
+    """Describe what is wrong with a damaged record."""
+    if isinstance(error, KeyError):
+        return f"the file does not declare channel {error}"
+    if isinstance(error, struct.error | EndOfFile):
+        return "a record in it is cut off"
+    return str(error) or type(error).__name__
+
+
+class SqliteFile:
+    """An SQLite file, open for reading; see `turtleact.recording.storage.BagStorage`.
+
+    Args:
+        path: The file.
+
+    Raises:
+        BagError: if the file cannot be opened, or is not an SQLite file of rosbag2.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.is_closed = True
+        self.about = self.flaw = ""
+        self.channels: dict[int, Channel] = {}
+        self.counts: dict[int, int] = {}
+        self.start = self.end = 0
+        if not path.is_file():
+            raise BagError(path, "it does not exist")
+        try:
+            # A worker thread may read on where another has begun, one at a time.
+            self._database = sqlite3.connect(
+                f"file:{quote(str(path.absolute()))}?mode=ro", uri=True, check_same_thread=False
+            )
+        except sqlite3.Error as error:
+            raise BagError(path, f"it cannot be opened: {error}") from error
+        try:
+            self._look_through()
+        except sqlite3.Error as error:
+            self._database.close()
+            raise BagError(path, f"it is not an SQLite file of rosbag2: {error}") from error
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def messages(self, wanted: Range) -> Iterator[Raw]:
+        """Yield the messages that ``wanted`` selects, ordered by stamp.
+
+        Raises:
+            BagError: if the file is damaged.
+        """
+        chosen = [number for number, each in self.channels.items() if wanted.has(each.topic)]
+        marks = ", ".join("?" * len(chosen))
+        # SQLite's numbers have 64 bits.
+        start, end = (
+            max(-(2**63), min(each, 2**63 - 1))
+            for each in (wanted.start, 2**63 - 1 if wanted.end is None else wanted.end)
+        )
+        query = (
+            f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) "  # noqa: S608  # marks only
+            "AND timestamp BETWEEN ? AND ? ORDER BY timestamp, id"
+        )
+        try:
+            for number, stamp, data in self._rows(query, *chosen, start, end):
+                yield Raw(stamp, stamp, self.channels[number], data)
+        except sqlite3.Error as error:
+            raise BagError(self.path, f"it is damaged: {error}") from error
+
+    def _look_through(self) -> None:
+        texts = dict[str, Schema]()
+        if self._columns("message_definitions"):
+            query = (
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            )
+            for name, encoding, text in self._rows(query):
+                texts[name] = Schema(name, encoding, text)
+        columns = self._columns("topics")
+        offers = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
+        hashes = "type_description_hash" if "type_description_hash" in columns else "''"
+        query = f"SELECT id, name, type, serialization_format, {offers}, {hashes} FROM topics"  # noqa: S608  # names of ours
+        for number, topic, type_name, format, offered, type_hash in self._rows(query):
+            self.channels[number] = Channel(
+                topic=topic,
+                schema=texts.get(type_name, Schema(type_name)),
+                offers=read_offers(offered),
+                type_hash=type_hash,
+                format=format,
+            )
+        query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY 1"
+        found = list(self._rows(query))
+        self.counts = {number: count for number, count, _, _ in found}
+        if found:
+            self.start = min(first for _, _, first, _ in found)
+            self.end = max(last for _, _, _, last in found)
+
+    def _columns(self, table: str) -> set[str]:
+        return {name for _, name, *_ in self._rows(f"PRAGMA table_info({table})")}
+
+    def _rows(self, query: str, *values: object) -> Iterator[Any]:
+        return iter(self._database.execute(query, values))
