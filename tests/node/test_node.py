@@ -17,7 +17,6 @@ import turtleact
 from turtleact import GoalStatus, Outcome, QoS
 from turtleact.errors import (
     ActionConflict,
-    GoalAborted,
     InvalidBody,
     InvalidName,
     InvalidOption,
@@ -155,11 +154,6 @@ async def test_what_is_no_name_is_refused_and_nothing_opened(open_it, name):
 @turtleact.action(Count, "count", goal_callback=lambda request: turtleact.GoalResponse.REJECT)
 async def closed_today(request):
     return result()
-
-
-async def test_a_declared_action_is_served_under_its_own_name():
-    async with turtleact.open_node("lab") as node:
-        assert node.serve(closed_today).name == "/count"
 
 
 async def test_a_declared_action_can_be_served_under_another_name():
@@ -514,34 +508,6 @@ async def test_an_exception_in_the_block_passes_and_the_node_is_closed():
     assert is_deserted(transport)
 
 
-@pytest.mark.parametrize("style", ["wait", "stream"])
-async def test_leaving_with_goals_ends_them_aborted_and_answers_every_waiter(style):
-    gate, read = Gate(), []
-
-    async def read_all(handle):
-        read.extend([message async for message in handle])
-
-    async with two_nodes() as (lab, user):
-        lab.action_server(Count, "count", getattr(gate, style))
-        client = user.action_client(Count, "count")
-        async with (
-            running(lambda: client.send_goal(goal())) as awaiting,
-            client.send_goal(goal()) as handle,
-            running(handle.result) as wanting,
-            running(handle.outcome) as watching,
-            running(lambda: read_all(handle)) as reading,
-        ):
-            await lab.aclose()
-            for waiting in (awaiting, wanting, watching, reading):
-                await waiting.done.wait()
-            for raising in (awaiting, wanting):
-                assert isinstance(raising.error, GoalAborted)
-                assert raising.error.reason == "shutdown"
-            assert watching.value == await handle.outcome() == SHUTDOWN
-            assert read == ([feedback(0)] if style == "stream" else [])
-    assert sorted(gate.log) == ["begun"] * 2 + ["canceled"] * 2 + ["over"] * 2
-
-
 async def test_leaving_ends_readers_and_callers_that_wait():
     async def never(request):
         await anyio.sleep_forever()
@@ -781,17 +747,6 @@ async def test_closing_twice_is_closing_once():
         await lab.aclose()
         await lab.aclose()
         assert user.graph().nodes == ("/user",)
-
-
-async def test_a_goal_cannot_be_sent_to_an_action_of_a_closed_node():
-    async with two_nodes() as (lab, user):
-        lab.action_server(Count, "count", count)
-        client = user.action_client(Count, "count")
-        await client.send_goal(goal())
-        await lab.aclose()
-        with pytest.raises(ServerUnavailable, match="no server answers"):
-            await client.send_goal(goal())
-        assert not await client.wait_for_server(timeout=0)
 
 
 async def test_a_built_in_does_not_wait_for_a_goal_that_was_canceled_in_the_queue():
