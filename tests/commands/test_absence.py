@@ -153,5 +153,5 @@ def test_a_signal_ends_that_wait(turtleact, without_router):
     ran = turtleact("send-goal", "now", "--reattach", "600")
     assert (ran.status, ran.err.splitlines()[-1]) == (
         130,
-        "turtleact: interrupted before the goal was accepted; it does not run",
+        "turtleact: interrupted before the goal was accepted, so it was withdrawn",
     )

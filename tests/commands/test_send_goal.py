@@ -73,37 +73,25 @@ def test_the_transcript_of_a_goal_without_success_is_that_of_ros2(on_stage, name
 
 
 @pytest.mark.parametrize(
-    ("name", "status"), [("now", 0), ("reject", 3), ("fail", 4), ("crash", 4), ("quit", 5)]
-)
-def test_the_exit_status_says_how_the_goal_ended(on_stage, name, status):
-    assert on_stage("send-goal", name).status == status
-
-
-@pytest.mark.parametrize(
-    ("name", "reason"),
+    ("name", "status", "reason"),
     [
-        ("reject", "turtleact: reason: not today\n"),
-        ("crash", "turtleact: the goal was aborted: ZeroDivisionError: by hand\n"),
-        ("fail", "turtleact: the goal was aborted: no reason given\n"),
+        ("now", 0, ""),
+        ("reject", 3, "turtleact: reason: not today\n"),
+        ("crash", 4, "turtleact: the goal was aborted: ZeroDivisionError: by hand\n"),
+        ("fail", 4, "turtleact: the goal was aborted: no reason given\n"),
+        ("quit", 5, ""),
     ],
 )
-def test_the_reason_of_a_failure_goes_to_stderr(on_stage, name, reason):
-    assert on_stage("send-goal", name).err.endswith(reason)
+def test_the_exit_status_and_stderr_say_how_the_goal_ended(on_stage, name, status, reason):
+    ran = on_stage("send-goal", name)
+    assert ran.status == status
+    assert STARTED.sub("", ran.err) == reason
 
 
 def test_a_rejection_without_a_reason_says_that_there_is_none(on_stage, stage, monkeypatch):
     monkeypatch.setattr(stage, "REASON", "")
     ran = on_stage("send-goal", "reject")
     assert ran.err.endswith("turtleact: the server gave no reason\n")
-
-
-def test_a_rejection_in_json_is_a_whole_sentence_on_stderr(on_stage):
-    ran = on_stage("send-goal", "reject", "--json")
-    assert ran.err.endswith("turtleact: the goal was rejected: not today\n")
-
-
-def test_one_line_on_stderr_says_that_a_world_was_started(on_stage):
-    assert STARTED.fullmatch(on_stage("send-goal", "now").err)
 
 
 # --- which action, which type ---------------------------------------------------------------
@@ -189,24 +177,7 @@ def test_a_malformed_name_is_shown_with_a_caret(turtleact):
 # --- the goal -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "goal",
-    [
-        "{order: 5",
-        "order: : 5",
-        "5",
-        "[5]",
-        "{orderr: 5}",
-        "{order: abc}",
-        "{order: 5.7}",
-        "{order: null}",
-        "{order: true}",
-        "{order: 2147483648}",
-        '{order: "5"}',
-        "-5",
-        "- 1",
-    ],
-)
+@pytest.mark.parametrize("goal", ["{order: 5", "{orderr: 5}", "{order: 5.7}", "-5"])
 def test_a_goal_that_does_not_fit_is_refused_before_anything_is_printed(turtleact, goal):
     ran = turtleact("action", "send_goal", "/fibonacci", FIBONACCI, goal)
     assert (ran.status, ran.out) == (2, "")
@@ -235,7 +206,7 @@ def events(text):
     return [json.loads(line) for line in text.splitlines()]
 
 
-def test_json_tells_each_event_on_a_line_of_its_own(on_stage):
+def test_json_tells_each_event_on_a_line_of_its_own_with_the_goal_and_its_messages(on_stage):
     told = events(on_stage("send-goal", "fail", "{order: 3}", "--json").out)
     assert [each["event"] for each in told if each["event"] != "status"] == [
         "accepted",
@@ -243,26 +214,21 @@ def test_json_tells_each_event_on_a_line_of_its_own(on_stage):
         "feedback",
         "result",
     ]
-
-
-def test_json_carries_the_messages(on_stage):
-    told = events(on_stage("send-goal", "fail", "{order: 2}", "--json").out)
-    assert told[-1]["result"] == {"sequence": [0, 1, 1]}
-    assert told[-1]["reason"] == "out of paper"
-    [feedback] = [each["feedback"] for each in told if each["event"] == "feedback"]
-    assert feedback == {"sequence": [0, 1, 1]}
-
-
-def test_json_says_which_goal_it_speaks_of(on_stage):
-    told = events(on_stage("send-goal", "now", "--json").out)
     assert len({each["goal_id"] for each in told}) == 1
-    assert (told[0]["name"], told[0]["type"], told[0]["goal"]) == ("/now", FIBONACCI, {"order": 0})
+    assert (told[0]["name"], told[0]["type"], told[0]["goal"]) == ("/fail", FIBONACCI, {"order": 3})
+    assert [each["feedback"] for each in told if "feedback" in each] == [
+        {"sequence": [0, 1, 1]},
+        {"sequence": [0, 1, 1, 2]},
+    ]
+    assert told[-1]["result"] == {"sequence": [0, 1, 1, 2]}
+    assert told[-1]["reason"] == "out of paper"
 
 
 def test_json_tells_of_a_rejection(on_stage):
     ran = on_stage("send-goal", "reject", "--json")
     assert ran.status == 3
     assert events(ran.out) == [{"event": "rejected", "goal_id": "", "reason": "not today"}]
+    assert ran.err.endswith("turtleact: the goal was rejected: not today\n")
 
 
 def test_json_tells_of_a_cancel(on_stage):
@@ -321,16 +287,14 @@ def test_the_command_that_resumes_a_world_is_parsed():
     assert text.state.state == SimulationState.STATE_PLAYING
 
 
-def test_a_goal_that_ends_in_time_is_not_canceled(on_stage):
-    assert on_stage("send-goal", "now", "-t", "30").status == 0
-
-
 @pytest.mark.parametrize("name", ["stubborn", "refuse", "deaf"])
 def test_a_goal_that_does_not_end_after_its_timeout_is_left(start, name):
     ran = start("send-goal", name, "-t", "0.01").end()
+    refusal = ["turtleact: the server refuses to cancel the goal"] if name == "refuse" else []
     assert ran.status == 124
     assert ran.err.splitlines()[1:] == [
         "turtleact: no result after 0.01 s",
+        *refusal,
         "turtleact: the goal ended together with the embedded world",
     ]
 
@@ -381,7 +345,7 @@ def test_a_server_that_does_not_take_the_goal_in_time_is_given_up(on_stage, monk
     assert (ran.status, ran.out.count("accepted")) == (124, 0)
     assert ran.err.splitlines()[1:] == [
         "turtleact: no answer from the server after 0.02 s; giving up",
-        "turtleact: given up before the goal was accepted; it does not run",
+        "turtleact: given up before the goal was accepted, so it was withdrawn",
     ]
 
 
@@ -403,22 +367,6 @@ async def late(transport):
         yield
 
 
-@pytest.mark.parametrize(
-    ("grace", "rest"), [(0.01, "the server may still accept it"), (5.0, "it does not run")]
-)
-def test_a_server_that_does_not_answer_in_time_is_told_from_one_that_takes_no_goal(
-    on_graph, monkeypatch, grace, rest
-):
-    monkeypatch.setattr(send_goal, "PATIENCE", 0.01)
-    monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", grace)
-    ran = on_graph(late, "send-goal", "stuck", "-t", "0.01")
-    assert (ran.status, ran.err) == (
-        124,
-        "turtleact: no answer from the server after 0.01 s; giving up\n"
-        f"turtleact: given up before the goal was accepted; {rest}\n",
-    )
-
-
 def test_a_server_that_does_not_answer_is_waited_for_until_a_signal(on_graph, monkeypatch):
     def note(printer, text):
         print(text, file=sys.stderr)
@@ -431,22 +379,7 @@ def test_a_server_that_does_not_answer_is_waited_for_until_a_signal(on_graph, mo
     assert ran.err == (
         "no answer from the server for 0.01 s; waiting for it\n"
         "waiting for the server's answer; Ctrl-C again exits at once\n"
-        "interrupted before the goal was accepted; it does not run\n"
-    )
-
-
-@pytest.mark.parametrize(
-    ("grace", "rest"), [(0.01, "the server may still accept it"), (5.0, "it does not run")]
-)
-def test_a_server_that_does_not_answer_is_told_from_one_that_takes_no_goal(
-    on_graph, monkeypatch, grace, rest
-):
-    monkeypatch.setattr(send_goal, "CANCEL_TIMEOUT", grace)
-    ran = on_graph(late, "send-goal", "stuck", "order: 1")
-    assert (ran.status, ran.err) == (
-        130,
-        "turtleact: waiting for the server's answer; Ctrl-C again exits at once\n"
-        f"turtleact: interrupted before the goal was accepted; {rest}\n",
+        "interrupted before the goal was accepted, so it was withdrawn\n"
     )
 
 
@@ -484,7 +417,7 @@ def test_a_signal_cancels_the_goal_and_its_result_is_printed(start, number, stat
     assert waiting == "turtleact: waiting for the goal's end; Ctrl-C again exits at once\n"
 
 
-@pytest.mark.parametrize("name", ["stubborn", "refuse", "deaf"])
+@pytest.mark.parametrize("name", ["stubborn", "deaf"])
 def test_a_second_signal_lets_go_of_the_goal(start, name):
     program = start("send-goal", name)
     program.wait_for("Goal accepted")
@@ -508,11 +441,12 @@ def test_one_signal_lets_go_of_a_goal_that_does_not_end(start, name, number, sta
     program.wait_for("Goal accepted")
     program.send(number)
     ran = program.end()
-    assert (ran.status, ran.err.splitlines()[1], ran.err.splitlines()[-2:]) == (
+    refusal = ["turtleact: the server refuses to cancel the goal"] if name == "refuse" else []
+    assert (ran.status, ran.err.splitlines()[1:]) == (
         status,
-        "turtleact: waiting for the goal's end; Ctrl-C again exits at once",
         [
-            "turtleact: the goal has not ended within 2 s",
+            "turtleact: waiting for the goal's end; Ctrl-C again exits at once",
+            *refusal,
             "turtleact: the goal ended together with the embedded world",
         ],
     )
@@ -524,7 +458,7 @@ def test_a_signal_before_the_acceptance_leaves_no_goal_behind(start):
     program.send(signal.SIGINT)
     ran = program.end()
     assert ran.status == 130
-    assert ran.err.endswith("interrupted before the goal was accepted; it does not run\n")
+    assert ran.err.endswith("interrupted before the goal was accepted, so it was withdrawn\n")
 
 
 def test_a_signal_before_the_world_is_there_ends_the_program(start):

@@ -620,6 +620,18 @@ def test_a_withdrawn_built_in_action_does_not_return_when_the_server_ends(tmp_pa
     assert "the built-in action serves it again" not in err
 
 
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, -15)])
+def test_a_signal_ends_a_server_that_is_not_ready(tmp_path, number, status):
+    (tmp_path / "servedslow.py").write_text(
+        "import time; print('slow', flush=True); time.sleep(60)"
+    )
+    process = start(tmp_path, "serve", "servedslow", "--no-sim")
+    assert process.stdout is not None
+    assert process.stdout.readline() == "slow\n"
+    process.send_signal(number)
+    assert ended(process) == (status, "", "turtleact: interrupted\n" * (status == 130))
+
+
 def test_a_signal_ends_a_server_that_waits_for_another(served, lab):
     standby = start(lab, "serve", "servedlab", "--no-sim", "--wait", "--connect", served.at)
     assert standby.stderr is not None

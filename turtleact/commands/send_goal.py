@@ -180,7 +180,6 @@ class GoalSender:
         self._canceled_by: int | None = None
         self._awaits_cancel = False
         self._is_embedded = False
-        self._is_silent = False
 
     def run(self) -> int:
         """Open the graph or an embedded world, send the goal, and return the exit status.
@@ -315,7 +314,7 @@ class GoalSender:
         # the acceptance cancels this task itself. The client then withdraws the goal.
         async with anyio.create_task_group() as beside:
             sending = anyio.CancelScope()
-            beside.start_soon(self._heed_signal, beside)
+            beside.start_soon(self._heed_signal)
             beside.start_soon(self._heed_silence, sending)
             if not self._is_embedded:
                 beside.start_soon(self._tell_of_pause, node)
@@ -357,7 +356,7 @@ class GoalSender:
             printer.note(self._way_back(sent))
             return SUCCEEDED
         if self._request.timeout is not None:
-            beside.start_soon(self.time_out, sent, self._request.timeout)
+            beside.start_soon(self._time_out, sent, self._request.timeout)
         if self._request.reattach:
             beside.start_soon(self._tell_of_server, sent)
         outcome = await follow(printer, sent.handle)
@@ -401,24 +400,17 @@ class GoalSender:
 
     # signals, timeouts and servers that do not answer
 
-    async def _heed_signal(self, beside: TaskGroup) -> None:
-        """At a signal, cancel the goal, and wait for its end for a limited time.
-
-        The server may never answer, and the goal may never end: a body may ignore its cancellation,
-        and a server may refuse to cancel, hang, or be gone.
-        """
+    async def _heed_signal(self) -> None:
+        """At a signal, cancel the goal. Before its acceptance, the client withdraws it."""
         await self._interrupts.wait()
         if self._sent is None:
             self._printer.note("waiting for the server's answer; Ctrl-C again exits at once")
-            await anyio.sleep(CANCEL_TIMEOUT)
-            self._is_silent = True
             return
-        sent, status = self._sent, self._interrupts.status
-        beside.start_soon(self._obey, sent, status)
-        await anyio.sleep(CANCEL_TIMEOUT)
-        what = "the goal has not ended" if self._has_server(sent) else "the server is not back"
-        self._printer.note(f"{what} within {CANCEL_TIMEOUT:g} s")
-        self._let_go(sent, status)
+        there = self._has_server(self._sent)
+        awaited = "the goal's end" if there else "the server, which has gone"
+        self._printer.canceling()
+        self._printer.note(f"waiting for {awaited}; Ctrl-C again exits at once")
+        await self._cancel(self._sent, self._interrupts.status, CANCEL_TIMEOUT)
 
     async def _heed_silence(self, sending: anyio.CancelScope) -> None:
         """Tell the user if no server has accepted the goal in time.
@@ -433,43 +425,35 @@ class GoalSender:
         if limit:
             self._printer.note(f"no answer from the server after {seconds:g} s; giving up")
             sending.cancel()
-            await anyio.sleep(CANCEL_TIMEOUT)
-            self._is_silent = True
         else:
             self._printer.note(f"no answer from the server for {seconds:g} s; waiting for it")
 
-    async def _obey(self, sent: Followed, status: int) -> None:
-        self._printer.canceling()
-        awaited = "the goal's end" if self._has_server(sent) else "the server, which has gone"
-        self._printer.note(f"waiting for {awaited}; Ctrl-C again exits at once")
-        # Beside the task that waits for the second signal: the server may never answer this.
-        if not await self._cancel(sent, status):
-            self._printer.note("the server refuses to cancel the goal, which goes on")
-
-    async def time_out(self, sent: Followed, seconds: float) -> None:
+    async def _time_out(self, sent: Followed, seconds: float) -> None:
         """Cancel the goal after ``seconds``, unless the goal has ended by then."""
         await anyio.sleep(seconds)
-        if sent.handle.status.is_terminal:  # it ended in the same moment
-            return
-        self._printer.note(f"no result after {seconds:g} s")
-        self._printer.canceling()
-        # A server that agrees to cancel has `PATIENCE` to end the goal. `_send` then cancels this
-        # task, which sleeps until then. If the time passes first, the command lets go of the goal.
-        with anyio.move_on_after(PATIENCE):  # the server may not answer
-            if await self._cancel(sent, TIMEOUT):
-                await anyio.sleep_forever()
-        self._let_go(sent, TIMEOUT)
+        if not sent.handle.status.is_terminal:  # or it ended in the same moment
+            self._printer.note(f"no result after {seconds:g} s")
+            self._printer.canceling()
+            await self._cancel(sent, TIMEOUT, PATIENCE)
 
-    async def _cancel(self, sent: Followed, reason: int) -> bool:
-        """Ask the server to cancel the goal. Return False if the server refuses."""
-        self._canceled_by, self._awaits_cancel = reason, True
-        try:
-            await sent.handle.cancel()
-        except ServerUnavailable:
-            return True  # the server is gone; the task that waits for the goal raises that too
-        self._awaits_cancel = False
-        status = sent.handle.status
-        return status is GoalStatus.CANCELING or status.is_terminal
+    async def _cancel(self, sent: Followed, status: int, patience: float) -> None:
+        """Ask the server to cancel the goal, and wait until its end cancels this task.
+
+        If the server refuses, does not answer, or the goal does not end in time, end the process
+        with the exit status ``status``: the goal may go on. A body may ignore its cancellation, and
+        a server may hang.
+        """
+        self._canceled_by, self._awaits_cancel = status, True
+        with anyio.move_on_after(patience):
+            try:
+                await sent.handle.cancel()
+            except ServerUnavailable:
+                return  # the task that waits for the goal raises that too
+            self._awaits_cancel = False
+            if sent.handle.status is GoalStatus.CANCELING or sent.handle.status.is_terminal:
+                await anyio.sleep_forever()
+            self._printer.note("the server refuses to cancel the goal")
+        self._let_go(sent, status)
 
     def _let_go(self, sent: Followed, status: int) -> NoReturn:
         self._printer.close()
@@ -498,20 +482,15 @@ class GoalSender:
 
     def _interrupted(self) -> int:
         how = "interrupted" if self._interrupts.received else "given up"
-        self._printer.note(f"{how} before the goal was accepted; {self._rest()}")
+        self._printer.note(f"{how} before the goal was accepted, so it was withdrawn")
         return self._interrupts.status if self._interrupts.received else TIMEOUT
-
-    def _rest(self) -> str:
-        """Return a phrase that says what becomes of a goal that was not accepted."""
-        may_come = self._is_silent and not self._is_embedded
-        return "the server may still accept it" if may_come else "it does not run"
 
     def _last_words(self) -> str:
         """Return what to print when a second signal ends the process."""
-        self._is_silent = True
-        if self._sent is None:
-            return f"turtleact: interrupted before the goal was accepted; {self._rest()}\n"
-        return f"turtleact: {self._way_back(self._sent)}\n"
+        if self._sent is not None:
+            return f"turtleact: {self._way_back(self._sent)}\n"
+        rest = "" if self._is_embedded else "; the server may still accept it"
+        return f"turtleact: interrupted before the goal was accepted{rest}\n"
 
 
 async def _find_served(node: Node, name: str | None = None) -> bool:
