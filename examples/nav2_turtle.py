@@ -61,6 +61,6 @@ async def follow_waypoints(goal: Any, handle: Handle) -> AsyncIterator[Any]:
     """Drive to one pose after another."""
     client = handle.node.action_client(GoTo, "/go_to")
     for index, pose in enumerate(goal.poses):
-        yield FollowWaypoints.Feedback(current_waypoint=index, goal=pose)
+        yield FollowWaypoints.Feedback(current_waypoint=index)
         await client.send_goal(order(pose))
     yield FollowWaypoints.Result()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 
 import pytest
@@ -97,3 +98,45 @@ def test_no_node_is_asked_with_no_learn(at_robot, cache, line):
     ran = at_robot(*line, "--no-learn")
     assert (ran.status, "is not known here: source the ROS workspace" in ran.err) == (1, True)
     assert not cache.exists()
+
+
+PROGRAM = """
+import rclpy
+from robot_msgs.msg import Battery, Tool
+
+rclpy.init()
+node = rclpy.create_node("reader")
+node.create_subscription(Battery, "battery", lambda each: print(each.charge, Tool().name == ""), 1)
+rclpy.spin_once(node, timeout_sec=20)
+"""
+
+
+def test_a_program_for_rclpy_imports_what_the_robot_has(start, robot, tmp_path):
+    (tmp_path / "program.py").write_text(PROGRAM)
+    ran = start("run", "--connect", robot, "program.py", module=True).end()
+    assert (ran.status, ran.out, ran.err) == (0, "0.5 True\n", "")
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("from robot_msgs.msg import Bat", "no node on the graph uses it"),
+        ("import attic_interfaces.msg", "in none of these places"),
+    ],
+)
+def test_an_import_of_what_no_node_has_says_so(start, robot, tmp_path, line, problem):
+    (tmp_path / "program.py").write_text(line)
+    ran = start("run", "--connect", robot, "program.py", module=True).end()
+    assert ran.status == 1
+    assert problem in ran.err
+
+
+def test_a_recording_has_the_schemas_of_learned_types(start, robot, tmp_path):
+    line = ("bag", "record", "/battery", "-o", "bag", "--connect", robot)
+    program = start(*line, module=True)
+    while not program.stderr.readline().endswith("Ctrl-C ends it\n"):
+        pass
+    program.send(signal.SIGINT)
+    assert program.end().status == 0
+    [bag] = (tmp_path / "bag").glob("*.mcap")
+    assert b"float32 charge" in bag.read_bytes()

@@ -124,9 +124,11 @@ class LearnedTypes:
             InvalidInterface: if the description cannot be that of an interface. The error names the
                 type and the field.
         """
-        if "/msg/" in type_name:
+        said = self._described.get(type_name)  # not that of an action, only of its parts
+        is_service = said is not None and "request_message" in [each.name for each in said.fields]
+        if (said is not None and not is_service) or "/msg/" in type_name:
             return self._message(type_name)
-        kind = "action" if "/action/" in type_name else "srv"
+        kind = "srv" if is_service else "action"
         parts = [self._definition(f"{type_name}_{part}") for part in PARTS[kind]]
         made: Interface
         if kind == "action":

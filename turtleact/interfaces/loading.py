@@ -11,12 +11,13 @@ or made from its text, when it is first used. In ``turtleact.interfaces``, only 
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from msgspec.structs import replace
 
-from turtleact.errors import InvalidInterface, UnknownInterface
+from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface
 from turtleact.interfaces.classes import (
     make_action,
     make_message,
@@ -45,7 +46,7 @@ from turtleact.interfaces.types import REGISTRY, Action, Message, Service, defin
 from turtleact.interfaces.workspace import KINDS, interface_files, proper_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from importlib.resources.abc import Traversable
     from typing import Any, ClassVar
 
@@ -76,12 +77,14 @@ if TYPE_CHECKING:
 __all__ = [
     "authored_text",
     "class_of",
+    "find_interface",
     "get_action",
     "get_interface",
     "get_message",
     "get_service",
     "interface_source",
     "interface_text",
+    "known_classes",
     "known_interfaces",
     "load_action",
     "load_interface",
@@ -112,6 +115,33 @@ def get_interface(type_name: str) -> Interface:
     Point(x=1.0, y=0.0, z=0.0)
     """
     return first_found(type_name, KINDS)
+
+
+def known_classes(type_name: str) -> Iterator[Interface]:
+    """Yield all classes of this name: the one of `get_interface`, then those that were learned."""
+    with suppress(TurtleactError):
+        yield get_interface(type_name)
+    yield from learned_classes(type_name)
+
+
+def find_interface(type_name: str) -> Interface:
+    """Return the class of `get_interface`; if there is none, the newest class that was learned.
+
+    Raises:
+        UnknownInterface: if the name is unknown; the error suggests the most similar name.
+        InvalidInterface: if the interface's file is malformed.
+    """
+    return next(known_classes(type_name), None) or get_interface(type_name)
+
+
+def learned_classes(type_name: str) -> Iterator[Interface]:
+    """Yield the classes of this name that were learned, alone or inside another one."""
+    from turtleact.interfaces.type_hash import referenced  # most programs learn nothing
+
+    for held, _ in reversed(list(REGISTRY.learned.values())):
+        found = {held.type_name: held} | referenced(held)
+        if type_name in found:
+            yield found[type_name]
 
 
 def get_action(type_name: str) -> type[DynamicAction]:

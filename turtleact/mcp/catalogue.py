@@ -6,24 +6,26 @@ that action or service.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from mcp.types import Tool, ToolAnnotations
 
-from turtleact.errors import InvalidInterface, UnknownInterface
-from turtleact.interfaces import Action, Service, get_interface
+from turtleact.interfaces import Action, Service
 from turtleact.interfaces.comments import introduction
+from turtleact.interfaces.types import REGISTRY
 from turtleact.mcp.offer import Offer, tool_name
 from turtleact.mcp.replies import goal_schema
 from turtleact.mcp.schema import Schema, input_schema, output_schema
-from turtleact.transports.graph import graph_of
+from turtleact.transports.graph import Kind, graph_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
 
     from turtleact.node import Node
 
 __all__ = ["FIXED", "Catalogue", "Entry"]
+
+T = TypeVar("T", bound="Action | Service")
 
 READS: Final = ToolAnnotations(read_only_hint=True, open_world_hint=True)
 STOPS: Final = ToolAnnotations(read_only_hint=False, destructive_hint=False, idempotent_hint=True)
@@ -142,18 +144,38 @@ class Catalogue:
     def __init__(self, node: Node, offer: Offer) -> None:
         self._node = node
         self._offer = offer
-        self._changes = -1
+        self._changes = -1, 0
         self._entries: dict[str, Entry] = {}
         self._made: dict[tuple[str, str], Entry] = {}
 
     def actions(self) -> dict[str, type[Action]]:
         """Return the class of each offered action that has a server now, by the action's name."""
         served = graph_of(self._node.transport).actions
-        return _known(served, Action, {name for name in served if self._offer.allows_action(name)})
+        allowed = {name for name in served if self._offer.allows_action(name)}
+        return self._known("action", allowed, Action)
+
+    def _known(self, kind: Kind, names: Collection[str], base: type[T]) -> dict[str, type[T]]:
+        """Return the classes of these actions or services that are known or learned, by name."""
+        found = {name: self._node.learner.known(name, kind) for name in sorted(names)}
+        return {
+            name: each
+            for name, each in found.items()
+            if each is not None and issubclass(each, base)
+        }
+
+    async def learn(self) -> None:
+        """Learn the types of offered actions and services that are not known here."""
+        offer = self._offer
+
+        def wants(kind: Kind, name: str) -> bool:
+            is_offered = offer.allows_action if kind == "action" else offer.services.__contains__
+            return kind != "topic" and is_offered(name)
+
+        await self._node.learner.learn_all(wants)
 
     def entries(self) -> Mapping[str, Entry]:
         """Return the tools for the current state of the graph, by name."""
-        changes = self._node.transport.changes
+        changes = self._node.transport.changes, len(REGISTRY.learned)
         if changes != self._changes:
             self._changes = changes
             self._entries = self._list()
@@ -165,8 +187,7 @@ class Catalogue:
             return found
         for name, action_type in self.actions().items():
             self._add(found, self._entry(name, action_type), "action")
-        served = graph_of(self._node.transport).services
-        for name, service_type in _known(served, Service, self._offer.services).items():
+        for name, service_type in self._known("service", self._offer.services, Service).items():
             self._add(found, self._entry(name, service_type), "service")
         return found
 
@@ -197,27 +218,6 @@ class Catalogue:
                 tool = _service_tool(name, interface)
             self._made[key] = Entry(tool, name, interface)
         return self._made[key]
-
-
-def _known(
-    served: Mapping[str, tuple[str, ...]], kind: type[Any], names: set[str] | frozenset[str]
-) -> dict[str, Any]:
-    """Return the classes of these actions or services, by name.
-
-    If the graph shows several types for one name, the first known type is used. A name without a
-    known type is left out.
-    """
-    found: dict[str, Any] = {}
-    for name in sorted(names):
-        for type_name in served.get(name, ()):
-            try:
-                interface = get_interface(type_name)
-            except (UnknownInterface, InvalidInterface):
-                continue
-            if issubclass(interface, kind):
-                found[name] = interface
-                break
-    return found
 
 
 def _action_tool(name: str, action_type: type[Action]) -> Tool:

@@ -39,7 +39,7 @@ from turtleact.interfaces.definition import (
     zero,
 )
 from turtleact.interfaces.text import sayable
-from turtleact.interfaces.types import choices, named_values, nested_classes
+from turtleact.interfaces.types import REGISTRY, choices, named_values, nested_classes
 
 __all__ = ["Schema", "input_schema", "message_from", "output_schema", "plain"]
 
@@ -49,6 +49,9 @@ Schema: TypeAlias = dict[str, Any]
 
 LARGEST: Final = 2**20
 """The maximum size of a call's arguments (bytes of JSON)."""
+
+LONGEST_NOTE: Final = 500
+"""The most characters of a comment that another node has sent."""
 
 FLOATS: Final = frozenset({"float32", "float64"})
 
@@ -129,6 +132,8 @@ def plain(message: Message) -> dict[str, Any]:
 
 def _object(cls: type[Message], *, is_output: bool) -> Schema:
     notes = comments(cls)
+    if cls in REGISTRY.texts:  # the words of a node: a model must not take them for instructions
+        notes = {name: f"The node says: {note[:LONGEST_NOTE]!r}" for name, note in notes.items()}
     properties = {
         field.name: _field(cls, field, nested, notes.get(field.name, ""), is_output=is_output)
         for field, nested in zip(fields(cls), nested_classes(cls), strict=True)

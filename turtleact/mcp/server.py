@@ -127,6 +127,7 @@ class McpServer:
     # tools
 
     async def _list_tools(self, _: Request, __: PaginatedRequestParams | None) -> ListToolsResult:
+        await self._catalogue.learn()
         return ListToolsResult(tools=[entry.tool for entry in self._catalogue.entries().values()])
 
     async def _call_tool(

@@ -37,14 +37,14 @@ from turtleact.names import action_names, resolve_name
 from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION, SERVICE, TYPE_HASH
 from turtleact.tasks.clock import check_timeout
 from turtleact.transports.base import Endpoint, EndpointKind, Target, Transport
-from turtleact.transports.graph import ENDPOINTS, Kind
+from turtleact.transports.graph import ENDPOINTS, Kind, types_by_name
 
 if TYPE_CHECKING:
     from turtleact.interfaces.learned import LearnedTypes
     from turtleact.interfaces.types import Interface
     from turtleact.node.type_cache import Known
 
-__all__ = ["Learner", "Use", "learn_interface", "uses_of"]
+__all__ = ["Learner", "Use", "learn_interface", "remember", "uses_of"]
 
 logger = logging.getLogger("turtleact.learning")
 
@@ -218,6 +218,7 @@ class Learner:
     def __init__(self, node: Participant) -> None:
         self._node = node
         self._noted: set[str] = set()
+        self._seen: set[tuple[str, str]] = set()
         self._locks = defaultdict[str, anyio.Lock](anyio.Lock)
         self.is_on = True
         self.note: Callable[[str], object] = logger.warning
@@ -236,6 +237,29 @@ class Learner:
     ) -> Interface:
         """Return the class of a name that is on the graph; see `learn_interface`."""
         return await self.learn(*_only(name, self.uses(name, kind)), deadline)
+
+    def known(self, name: str, kind: Kind) -> Interface | None:
+        """Return the class of a name if its type is known or was learned; otherwise None."""
+        found = (known_class(use, nodes) for use, nodes in self.uses(name, kind).items())
+        return next((each for each in found if each is not None), None)
+
+    async def learn_type(self, type_name: str) -> Interface:
+        """Return the class of a type that some name on the graph has.
+
+        Raises:
+            NotLearned: if no node uses the type, or none describes it.
+            TurtleactError: if the graph has several definitions of the type. The error lists them.
+        """
+        endpoints = self.transport.endpoints()
+        found: dict[Use, list[str]] = {}
+        for kind in ENDPOINTS:
+            for name, types in types_by_name(endpoints, kind, hidden=True).items():
+                if type_name in types:
+                    found |= self.uses(name, kind)
+        fitting = {use: nodes for use, nodes in found.items() if use.type_name == type_name}
+        if not fitting:
+            raise NotLearned(type_name, "no node on the graph uses it")
+        return await self.learn(*_only(type_name, fitting))
 
     async def learn_used(
         self, name: str, kind: Kind, type_name: str, timeout: float | None = None
@@ -288,7 +312,7 @@ class Learner:
         self._note_difference(use, nodes[0])
         held = next((each for each in cached(use.type_name) if use.is_of(each.interface)), None)
         if held is not None and not held.has_own_defaults:
-            return _remembered(held)
+            return remember(held)
         try:
             known = await self._ask_all(use, nodes, deadline)
         except NotLearned as error:
@@ -298,7 +322,37 @@ class Learner:
             self._tell(f"the fields of {use.type_name} start with zeros: {error.problem}")
             return held.interface
         keep(known)
-        return _remembered(known)
+        return remember(known)
+
+    async def learn_all(self, wants: Callable[[Kind, str], bool]) -> None:
+        """Learn the unknown types of all names on the graph that are wanted.
+
+        Each type is looked at once. If it cannot be learned, the user is told why.
+        """
+        endpoints = self.transport.endpoints()
+        fresh = [each for each in endpoints if (each.type_name, each.type_hash) not in self._seen]
+        names = [
+            (kind, name)
+            for kind in ENDPOINTS
+            for name in types_by_name(fresh, kind)
+            if wants(kind, name)
+        ]
+        self._seen |= {(each.type_name, each.type_hash) for each in fresh}
+        for kind, name in names:
+            for use, nodes in self.uses(name, kind).items():
+                try:
+                    await self.learn(use, nodes)
+                except TurtleactError as error:
+                    self._tell(str(error))
+
+    async def keep_learning(self, wants: Callable[[Kind, str], bool]) -> None:
+        """Learn the unknown types of wanted names as they appear, until cancelled."""
+        seen = -1
+        while True:
+            if self.transport.changes == seen:
+                await self.transport.wait_for_change()
+            seen = self.transport.changes
+            await self.learn_all(wants)
 
     async def _ask_all(self, use: Use, nodes: list[str], deadline: float | None) -> Known:
         """Ask one node after another, and those that do not answer again until the deadline."""
@@ -427,7 +481,8 @@ def _is_known(type_name: str) -> bool:
     return True
 
 
-def _remembered(known: Known) -> Interface:
+def remember(known: Known) -> Interface:
+    """Keep a learned type for this process, and return its class."""
     holder = known.node if known.has_own_defaults else ""
     REGISTRY.learned[known.interface.type_name, known.type_hash] = known.interface, holder
     return known.interface

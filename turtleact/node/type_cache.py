@@ -24,7 +24,7 @@ from turtleact.interfaces.standard.type_description_interfaces.msg import (
 )
 from turtleact.interfaces.types import Interface
 
-__all__ = ["Known", "cached", "cached_types", "keep"]
+__all__ = ["Known", "cached", "cached_names", "cached_types", "keep"]
 
 LARGEST = 4_000_000
 """The most bytes of a file that is read."""
@@ -86,12 +86,17 @@ def cached(type_name: str) -> Iterator[Known]:
                 yield _read(path, type_name)
 
 
+def cached_names() -> list[str]:
+    """Return the names of all types in the cache, sorted."""
+    root = folder()
+    names = ("/".join(path.relative_to(root).parts) for path in root.glob("*/*/*"))
+    return sorted(name for name in names if type_name_pattern.fullmatch(name))
+
+
 def cached_types() -> Iterator[Known]:
     """Yield all learned types in the cache, sorted by name."""
-    root = folder()
-    places = sorted(path for path in root.glob("*/*/*") if path.is_dir())
-    for path in places:
-        yield from cached("/".join(path.relative_to(root).parts))
+    for name in cached_names():
+        yield from cached(name)
 
 
 def _read(path: Path, type_name: str) -> Known:

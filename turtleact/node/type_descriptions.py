@@ -14,14 +14,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
-from turtleact.errors import TurtleactError
 from turtleact.interfaces import Message, WireFormat, fields, get_interface, interface_text
-from turtleact.interfaces.classes import owner_and_part, part_of
-from turtleact.interfaces.loading import authored_text
-from turtleact.interfaces.types import REGISTRY
+from turtleact.interfaces.loading import authored_text, known_classes
 from turtleact.transports.base import Closeable, Endpoint, Reply, ServiceHandler, Transport
 
 if TYPE_CHECKING:
@@ -81,7 +77,7 @@ class _Describer(ServiceHandler):
         from turtleact.interfaces.type_hash import type_hash
 
         for name in self._candidates(wanted):
-            for found in _classes(name):
+            for found in known_classes(name):  # none, if messages are passed on as bytes
                 if type_hash(found) == wanted:
                     return found
         return None
@@ -99,20 +95,6 @@ class _Describer(ServiceHandler):
             for each in own
             if each.type_name.endswith(_SEND_GOAL)
         )
-
-
-def _classes(type_name: str) -> Iterator[Interface]:
-    """Yield all classes of this name: the one of `get_interface`, and those that were learned."""
-    with suppress(TurtleactError):  # a node may pass messages on without knowing their class
-        yield get_interface(type_name)
-    yield from _learned(type_name)
-
-
-def _learned(type_name: str) -> Iterator[Interface]:
-    yield from (held for (name, _), (held, _) in REGISTRY.learned.items() if name == type_name)
-    owner, part = owner_and_part(type_name)
-    found = (part_of(each, part) for each in _learned(owner)) if owner else ()
-    yield from (each for each in found if each is not None)
 
 
 def describe(found: Interface, *, has_sources: bool) -> Any:  # noqa: ANN401  # as below

@@ -23,8 +23,11 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import Final
 
-from turtleact.errors import TurtleactError
+from turtleact.errors import TurtleactError, UnknownInterface
 from turtleact.interfaces import get_interface, known_interfaces
+from turtleact.interfaces.definition import type_name_pattern
+from turtleact.interfaces.loading import find_interface
+from turtleact.node.type_cache import cached_names
 
 __all__ = ["Finder", "install", "uninstall"]
 
@@ -81,8 +84,10 @@ class Finder(MetaPathFinder):
     itself imports modules.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, places: Sequence[str] = ()) -> None:
+        self._places = tuple(dict.fromkeys(places))
         self._packages = frozenset(name.partition("/")[0] for name in known_interfaces())
+        self._learned = frozenset(name.partition("/")[0] for name in cached_names())
 
     def find_spec(
         self,
@@ -102,16 +107,24 @@ class Finder(MetaPathFinder):
             return self._of_rclpy(fullname, rest)
         if fullname in BESIDE:
             return _spec(fullname, _Alias(f"{OURS}.{BESIDE[fullname]}"), is_package=not rest)
-        if top not in self._packages:
+        if top not in self._packages and not self._may_learn(top, rest):
             return None
         if rest in KINDS:
             return _spec(fullname, _Interfaces(top, rest), is_package=True)
         kind, _, name = rest.partition(".")
         if kind in KINDS and not name.startswith("_"):
             _check_known(top, kind, name)
+        if not rest and top not in self._packages:
+            return _spec(fullname, _LearnedPackage(self._places), is_package=True)
         if not rest and not _is_users_own(top):
             return _spec(fullname, _Package(), is_package=True)
         return None
+
+    def _may_learn(self, package: str, rest: str) -> bool:
+        """Whether nothing installed provides a package whose interfaces may be learned."""
+        is_wanted = not rest or rest.partition(".")[0] in KINDS
+        is_one = package in self._learned or package.endswith(SUFFIXES)
+        return is_one and is_wanted and PathFinder.find_spec(package) is None
 
     def _of_rclpy(self, fullname: str, rest: str) -> ModuleSpec | None:
         ours = f"{OURS}.{ALIASES.get(rest, rest)}" if rest else f"{OURS}.toplevel"
@@ -154,6 +167,24 @@ class _Package(Loader):
         """Do nothing, because the package itself defines no names."""
 
 
+class _LearnedPackage(_Package):
+    """Makes a package whose interfaces are learned from the graph.
+
+    Args:
+        places: The places that were searched for interfaces.
+    """
+
+    def __init__(self, places: Sequence[str]) -> None:
+        self._places = places
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Learn the types of the package, or raise `ModuleNotFoundError`."""
+        from turtleact.rclpy.imports import learn_package  # few programs need it
+
+        if not learn_package(module.__name__):
+            raise _nowhere(module.__name__, self._places)
+
+
 class _Interfaces(Loader):
     """Loads ``PKG.msg``, ``PKG.srv`` or ``PKG.action``.
 
@@ -176,7 +207,8 @@ class _Interfaces(Loader):
         The function ``__getattr__`` makes the classes.
         """
         prefix = self._prefix
-        known = [name for name in known_interfaces() if name.startswith(prefix)]
+        known = {*known_interfaces(), *cached_names()}
+        known = {name for name in known if name.startswith(prefix)}
         names = [name.removeprefix(prefix) for name in known]
 
         def get(name: str) -> object:
@@ -185,6 +217,7 @@ class _Interfaces(Loader):
             if name.startswith("_"):
                 raise AttributeError(f"module '{module.__name__}' has no attribute '{name}'")
             try:
+                _learn(f"{prefix}{name}")
                 found: object = interface_class(f"{prefix}{name}")
             except TurtleactError as error:
                 text = f"module '{module.__name__}' has no attribute '{name}': {error}"
@@ -218,13 +251,19 @@ class _Missing(MetaPathFinder):
         """Raise `ModuleNotFoundError` for a name that looks like a package with interfaces."""
         top, _, rest = fullname.partition(".")
         if rest in KINDS or (not rest and top.endswith(SUFFIXES)):
-            said = "".join(f"\n  {place}" for place in self._places)
-            raise ModuleNotFoundError(
-                f"No module named '{fullname}'. Its interfaces ({top}/msg, {top}/srv, "
-                f"{top}/action) are in none of these places:{said}\n"
-                "Source the ROS workspace that has them, or give --interfaces DIR",
-                name=fullname,
-            )
+            raise _nowhere(fullname, self._places)
+
+
+def _nowhere(name: str, places: Sequence[str]) -> ModuleNotFoundError:
+    """Return the error for a package whose interfaces are not known."""
+    top = name.partition(".")[0]
+    said = "".join(f"\n  {place}" for place in places)
+    return ModuleNotFoundError(
+        f"No module named '{name}'. Its interfaces ({top}/msg, {top}/srv, "
+        f"{top}/action) are in none of these places:{said}\n"
+        "Source the ROS workspace that has them, or give --interfaces DIR",
+        name=name,
+    )
 
 
 def _spec(name: str, loader: Loader, *, is_package: bool) -> ModuleSpec:
@@ -240,11 +279,33 @@ def _check_known(package: str, kind: str, name: str) -> None:
     Raises:
         ImportError: if there is no such interface, or the file that defines it is malformed.
     """
+    imports = sys.modules.get("turtleact.rclpy.imports")
+    type_name = f"{package}/{kind}/{name}"
     try:
-        get_interface(f"{package}/{kind}/{name}")
+        if imports is not None and type_name in imports.PROBLEMS:
+            raise imports.PROBLEMS[type_name]
+        find_interface(type_name)
     except TurtleactError as error:
         text = f"cannot import name '{name}' from '{package}.{kind}': {error}"
         raise ImportError(text, name=f"{package}.{kind}.{name}") from None
+
+
+def _learn(type_name: str) -> None:
+    """Make sure that an interface is known. Learn it if nothing installed has its package.
+
+    Raises:
+        TurtleactError: if it is not known and cannot be learned, or its file is malformed.
+    """
+    try:
+        get_interface(type_name)
+    except UnknownInterface:
+        package = type_name.partition("/")[0]
+        is_installed = any(name.startswith(f"{package}/") for name in known_interfaces())
+        if is_installed or not type_name_pattern.fullmatch(type_name):
+            raise
+        from turtleact.rclpy.imports import learn_import  # few programs need it
+
+        learn_import(type_name)
 
 
 def _is_users_own(package: str) -> bool:
@@ -263,7 +324,7 @@ def install(places: Sequence[str] = ()) -> None:
         places: The places that were searched for interfaces. Error messages list them.
     """
     uninstall()
-    sys.meta_path.insert(0, Finder())
+    sys.meta_path.insert(0, Finder(places))
     sys.meta_path.append(_Missing(places))
 
 

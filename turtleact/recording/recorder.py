@@ -18,10 +18,11 @@ from typing import NamedTuple, TypedDict, Unpack
 import anyio
 import anyio.to_thread
 
-from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface
+from turtleact.errors import TurtleactError
 from turtleact.goals.fault_reports import watching_disk
 from turtleact.goals.wire import GoalReason, reason_topic
-from turtleact.interfaces import Message, WireFormat, get_interface, type_hash
+from turtleact.interfaces import Message, WireFormat, type_hash
+from turtleact.interfaces.loading import known_classes
 from turtleact.names import EVENT_SUFFIX, event_topic, resolve_name
 from turtleact.node import Node, check_open
 from turtleact.recording.bag_writer import BagWriter, Compression, Split
@@ -34,7 +35,7 @@ from turtleact.tasks import Background, current_tasks, thread_work
 from turtleact.tasks.clock import WallClock
 from turtleact.tasks.opening import opening
 from turtleact.transports.base import Closeable, Endpoint, QoS, RawFormat
-from turtleact.transports.graph import SEND_GOAL
+from turtleact.transports.graph import SEND_GOAL, Kind
 
 logger = logging.getLogger("turtleact.recording")
 
@@ -174,9 +175,19 @@ class Recording:
             if key[:2] not in listed:
                 offered[key] = []
         checkpoint = current_tasks().checkpoint
-        for key, publishers in offered.items():
+        unknown = [key for key in offered if _message_class(key) is None]
+        for key in sorted(offered, key=unknown.__contains__):
+            publishers = offered[key]
+            if key in unknown[:1]:  # what is known is recorded already
+                await self._node.learner.learn_all(self._wants)
             if key not in self._failed and self._try_to_record(key, publishers):
                 await checkpoint()
+
+    def _wants(self, kind: Kind, name: str) -> bool:
+        if kind != "topic":
+            return self._selection.wants_owner(kind, name)
+        ends = self._node.transport.endpoints(name)
+        return any(self._selection.wants(name, each.type_name) for each in ends)
 
     def _try_to_record(self, key: _Key, publishers: list[Endpoint]) -> bool:
         try:
@@ -249,7 +260,7 @@ class Recording:
 
         Return whether this call has subscribed.
         """
-        cls = _message_class(key.type_name)
+        cls = _message_class(key)
         own_hash = "" if cls is None else type_hash(cls)
         key = key._replace(type_hash=key.type_hash or own_hash)
         is_shown = key.topic in self.topics  # a topic may have several types
@@ -385,12 +396,11 @@ def _selection(node: Node, options: RecordOptions) -> Selection:
     return Selection(topics=topics, services=services, actions=actions)
 
 
-def _message_class(type_name: str) -> type[Message] | None:
-    try:
-        found = get_interface(type_name)
-    except (UnknownInterface, InvalidInterface):
-        return None
-    return found if issubclass(found, Message) else None
+def _message_class(key: _Key) -> type[Message] | None:
+    """Return the class of a topic, if possible the one with the hash of the topic."""
+    found = [each for each in known_classes(key.type_name) if issubclass(each, Message)]
+    same = (each for each in found if type_hash(each) == key.type_hash)
+    return next(same, found[0] if found else None)
 
 
 def _request(publishers: list[Endpoint]) -> QoS:

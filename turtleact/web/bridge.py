@@ -22,6 +22,7 @@ from starlette.websockets import WebSocket
 
 from turtleact.errors import TurtleactError
 from turtleact.node import Node
+from turtleact.tasks import Background
 from turtleact.tasks.opening import opening
 from turtleact.web.access import Access, Refusals
 from turtleact.web.connection import TRY_AGAIN_LATER, Connection
@@ -242,9 +243,13 @@ async def open_bridge(
     """
     shared = Shared(node, limits or Limits(), cancel_on_disconnect=cancel_on_disconnect)
     bridge = Bridge(shared, Access(frozenset(hosts), frozenset(origins), token))
+    learning = Background(
+        node.learner.keep_learning(lambda _, name: "/_" not in name), "learning types for the page"
+    )
     try:
         yield bridge
     finally:
+        await learning.aclose()
         await bridge.aclose()
 
 

@@ -15,7 +15,8 @@ from collections.abc import Iterator
 from typing import Literal, cast
 
 from turtleact.errors import InvalidName, InvalidOption, ServerUnavailable, UnknownInterface
-from turtleact.interfaces import Action, Message, Service, get_interface
+from turtleact.interfaces import Action, Message, Service
+from turtleact.interfaces.loading import find_interface
 from turtleact.names import resolve_name
 from turtleact.transports import Transport
 from turtleact.transports.base import Endpoint, EndpointKind
@@ -170,7 +171,7 @@ def _class(spelled: str, kind: Kind, base: type) -> Interface:
     if len(spelled) > LONGEST:
         raise UnknownInterface(f"{spelled[:40]}…")
     name = type_name(spelled, kind)
-    found = get_interface(name)
+    found = find_interface(name)
     if not issubclass(found, base):
         raise UnknownInterface(name)
     return found

@@ -15,8 +15,9 @@ from collections.abc import Callable
 from operator import attrgetter
 from typing import TypeAlias, cast
 
-from turtleact.interfaces import Action, Message, Service, get_interface
+from turtleact.interfaces import Action, Message, Service
 from turtleact.interfaces.definition import Constant, Field, MessageDefinition
+from turtleact.interfaces.loading import find_interface
 from turtleact.interfaces.types import Shape, definition
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.fields import (
@@ -111,7 +112,7 @@ def interface_class(type_name: str) -> InterfaceClass:
             name.
         InvalidInterface: if the file that defines the interface is malformed.
     """
-    found = get_interface(type_name)
+    found = find_interface(type_name)
     if issubclass(found, Message):
         return _message_class(definition(found))
     if issubclass(found, Service):

@@ -12,9 +12,10 @@ from collections.abc import Callable
 from typing import cast
 
 from turtleact.errors import InvalidMessage
-from turtleact.interfaces import get_interface, type_hash
+from turtleact.interfaces import type_hash
 from turtleact.interfaces.cdr import BYTE_ORDERS, HEADER, MISREAD, UNFIT, decoder, encoder
 from turtleact.interfaces.definition import INTEGER_RANGES, ArrayForm, Field, FieldType
+from turtleact.interfaces.loading import find_interface
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import maker, shape_of
 from turtleact.rclpy.messages.fields import TYPECODES, sequence_of
@@ -56,7 +57,7 @@ def decode(data: bytes, message_class: Anything) -> Anything:
 @functools.cache
 def hash_of(type_name: str) -> str:
     """Return the type hash of an interface."""
-    return type_hash(get_interface(type_name))
+    return type_hash(find_interface(type_name))
 
 
 def _encoder(message_class: Anything) -> Callable[..., bytes]:
@@ -65,7 +66,7 @@ def _encoder(message_class: Anything) -> Callable[..., bytes]:
 
 def _wire_class(message_class: Anything) -> Anything:
     """Return turtleact's own class for the interface of ``message_class``."""
-    return get_interface(shape_of(message_class).type_name)
+    return find_interface(shape_of(message_class).type_name)
 
 
 def _fitted(message: Anything, message_class: Anything, path: str) -> Anything:

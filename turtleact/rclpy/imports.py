@@ -1,0 +1,115 @@
+"""Learns the interfaces that a program imports and that no installed package has.
+
+``from nav2_msgs.action import NavigateToPose`` names a type, not a topic. The user's cache is
+looked at first. If it has no version of the type, or several, the graph is asked once, in a session
+of its own, because the program has not called ``rclpy.init`` yet.
+
+A thread runs that session, because the importing one may have an event loop. Python holds its
+import lock while it looks for a module, so no thread could import anything then. These functions
+must therefore be called while a module is executed or asked for a name, never by `find_spec`.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import suppress
+from functools import cache
+from typing import Final
+
+import anyio
+
+from turtleact.errors import NotLearned, TurtleactError
+from turtleact.interfaces import type_hash
+from turtleact.interfaces.learned import LearnedTypes
+from turtleact.node import open_node
+from turtleact.node.learning import Learner, remember
+from turtleact.node.type_cache import Known, cached, cached_names, cached_types
+from turtleact.rclpy.impl.settings import SETTINGS
+from turtleact.transports import open_zenoh
+from turtleact.transports.graph import Kind
+
+__all__ = ["PROBLEMS", "learn_import", "learn_package"]
+
+LONGEST: Final = 3.0
+"""How long an import may wait for the graph (s)."""
+
+
+PROBLEMS: Final[dict[str, TurtleactError]] = {}
+"""Why types could not be learned. Python looks twice for a name, and nobody is asked twice."""
+
+
+def learn_import(type_name: str) -> None:
+    """Learn a type, so that `turtleact.interfaces.loading.find_interface` finds it.
+
+    Raises:
+        TurtleactError: if neither the cache nor a node on the graph describes the type, or if there
+            are several versions of it. The error lists them.
+    """
+    if type_name in PROBLEMS:
+        raise PROBLEMS[type_name]
+    versions = list(cached(type_name)) or list(_nested(type_name))
+    if len(versions) == 1:
+        remember(versions[0])
+        return
+    try:
+        _on_graph(lambda learner: learner.learn_type(type_name), type_name)
+    except TurtleactError as error:
+        PROBLEMS[type_name] = error
+        raise
+
+
+@cache
+def learn_package(package: str) -> bool:
+    """Learn all types of a package that are used on the graph. Return whether there are any."""
+
+    async def learn(learner: Learner) -> None:
+        def wants(kind: Kind, name: str) -> bool:
+            uses = learner.uses(name, kind)
+            return any(use.type_name.startswith(f"{package}/") for use in uses)
+
+        await learner.learn_all(wants)
+
+    with suppress(TurtleactError):
+        _on_graph(learn, package)
+    return any(name.startswith(f"{package}/") for name in cached_names())
+
+
+def _nested(type_name: str) -> Iterator[Known]:
+    """Yield the versions of a message that the learned types contain."""
+    found: dict[str, Known] = {}
+    for each in cached_types():
+        if any(one.type_name == type_name for one in each.described):
+            types = LearnedTypes(each.described, each.sources, with_defaults=False)
+            interface = types.interface(type_name)
+            own = type_hash(interface)
+            found[own] = each._replace(interface=interface, type_hash=own)
+    yield from found.values()
+
+
+def _on_graph(learn: Callable[[Learner], Awaitable[object]], what: str) -> None:
+    """Open a session, and learn from the graph in it.
+
+    Raises:
+        TurtleactError: if no graph is in reach, or the types cannot be learned in time.
+    """
+    place, domain = SETTINGS.place, int(os.environ.get("ROS_DOMAIN_ID", "0"))
+    problems: list[TurtleactError] = [NotLearned(what, f"no answer within {LONGEST:g} s")]
+
+    async def ask() -> None:
+        with anyio.move_on_after(LONGEST):
+            try:
+                graph = open_zenoh(place.connect or None, domain=domain, config=place.config)
+                async with graph as transport, open_node("_import", transport=transport) as node:
+                    await transport.explore()
+                    await learn(node.learner)
+                problems.clear()
+            except TurtleactError as error:
+                problems[:] = [error]
+
+    asking = threading.Thread(target=anyio.run, args=(ask,))
+    asking.start()  # a thread of its own, because this one may run an event loop
+    asking.join()
+    if problems:
+        raise problems[0]
