@@ -91,8 +91,8 @@ class Command(msgspec.Struct, frozen=True):
     status: int
 
 
-def blocks_of(page: Path, text: str | None = None) -> list[Block]:
-    text = page.read_text("utf-8") if text is None else text
+def blocks_of(page: Path) -> list[Block]:
+    text = page.read_text("utf-8")
     return [
         Block(
             page,
@@ -332,61 +332,3 @@ def test_every_block_is_checked(block):
 @pytest.mark.parametrize(("page", "link"), LINKS, ids=lambda value: getattr(value, "name", value))
 def test_a_link_leads_to_a_file(page, link):
     assert (page.parent / link.partition("#")[0]).exists()
-
-
-# --- the reading itself ---------------------------------------------------------------------
-
-
-def commands_in(text: str) -> list[tuple[str, str, int]]:
-    found = [command for block in blocks_of(README, text) for command in commands_of(block)]
-    return [(command.line, command.output, command.status) for command in found]
-
-
-def test_a_command_is_read_with_the_output_below_it():
-    text = "```console\n$ turtleact goals\nid  state\n$ ls\n$ turtleact --version\n```\n"
-    assert commands_in(text) == [
-        ("turtleact goals", "id  state", 0),
-        ("turtleact --version", "", 0),
-    ]
-
-
-def test_a_command_that_goes_on_is_one_command():
-    text = "```sh\n$ turtleact send-goal \\\n    patrol\n```\n"
-    assert commands_in(text) == [("turtleact send-goal patrol", "", 0)]
-
-
-def test_a_mark_says_how_a_command_ends():
-    text = "<!-- exit status 2 -->\n```console\n$ turtleact wat\n```\n"
-    assert commands_in(text) == [("turtleact wat", "", 2)]
-
-
-def test_a_block_with_a_reason_is_not_run():
-    text = "<!-- not run: serves until Ctrl-C -->\n```console\n$ turtleact serve\n```\n"
-    assert commands_in(text) == []
-
-
-def test_dots_in_the_output_stand_for_anything():
-    assert is_as_shown("Goal accepted with ID: 0d4f\n\n", "Goal accepted with ID: ...")
-    assert not is_as_shown("Goal rejected\n", "Goal accepted with ID: ...")
-
-
-def test_the_blocks_of_a_page_are_one_session(tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text("```python\n>>> a = 20\n```\ntext\n```python\n>>> a + 1\n20\n```\n", "utf-8")
-    report = run_session(session_of(page))
-    assert re.search(r"line 6,.*Expected:\s+20\s+Got:\s+21", report, re.DOTALL)
-
-
-def test_a_program_may_stand_in_several_blocks():
-    text = (
-        "<!-- run -->\n```python\na = 1\n```\ntext\n"
-        "<!-- run on -->\n```python\nprint(a)\n```\n"
-        "<!-- output -->\n```text\n1\n```\n"
-    )
-    (program,) = programs_of(blocks_of(README, text))
-    assert (program.text, program.output) == ("a = 1\n\nprint(a)\n", "1")
-
-
-def test_a_block_without_a_mark_is_not_checked():
-    (block,) = blocks_of(README, "```text\nwords\n```\n")
-    assert not is_checked(block)
