@@ -71,7 +71,6 @@ def test_a_file_says_all_there_is(tmp_path: Path):
         ('[tls]\nca = "nowhere.pem"', "tls.ca: there is no file"),
         ('[login]\nusers = "nowhere.txt"', "login.users: there is no file"),
         ('[login]\nuser = "a"', "login.password: is not given, but login.user is"),
-        ('[login]\npassword = "a"', "login.user: is not given, but login.password is"),
     ],
 )
 def test_a_file_that_is_wrong_is_refused(tmp_path: Path, text, problem):
@@ -83,21 +82,11 @@ def test_a_file_that_is_wrong_is_refused(tmp_path: Path, text, problem):
     assert problem in str(caught.value)
 
 
-def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path):
-    with pytest.raises(UsageError, match="No such file or directory"):
-        read_locks(str(tmp_path / "nowhere.toml"))
-    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
-    with pytest.raises(UsageError, match="it is not UTF-8"):
-        read_locks(str(tmp_path / "bytes.toml"))
-
-
 @pytest.mark.parametrize(
     ("locks", "keeps_out"),
     [
         (Locks(), False),
-        (Locks(tls=Tls(certificate="a", key="b")), False),
         (Locks(tls=Tls(mutual=True)), True),
-        (Locks(login=Login(user="a", password="b")), False),
         (Locks(login=Login(users="users.txt")), True),
         (Locks(access=Access(actions=("patrol",))), True),
     ],
@@ -110,13 +99,10 @@ def test_who_is_kept_out(locks, keeps_out):
     ("endpoint", "answer"),
     [
         ("tcp/127.0.0.1:7447", True),
-        ("tls/localhost:7447", True),
         ("tcp/[::1]:7447", True),
         ("unixsock-stream//tmp/graph", True),
         ("tcp/0.0.0.0:7447", False),
         ("tcp/localhost.example.org:7447", False),
-        ("tcp/192.168.127.0:7447", False),
-        ("tcp/[::]:7447", False),
     ],
 )
 def test_what_is_on_loopback(endpoint, answer):
@@ -126,7 +112,6 @@ def test_what_is_on_loopback(endpoint, answer):
 @pytest.mark.parametrize(
     ("connect", "locks", "mode"),
     [
-        ((), Locks(), "peer"),
         (("tcp/localhost:7447",), Locks(), "peer"),
         (("tcp/localhost:7447", "tcp/robot:7447"), Locks(), "client"),
         ((), Locks(tls=Tls(ca="ca.pem"), access=Access()), "peer"),

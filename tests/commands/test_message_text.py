@@ -4,95 +4,44 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 
 import pytest
 
-from turtleact.commands.message_text import MOST, GoalText
-from turtleact.errors import UsageError
+GOAL = ["send-goal", "fibonacci", "--embedded", "--speed", "max", "--plain"]
 
 
-@pytest.fixture
-def read():
-    def read(given=None, *, stdin=False, path=None, what="goal"):
-        return GoalText.read(given, stdin=stdin, path=path, what=what)
-
-    return read
-
-
-def test_what_is_given_is_the_text(read):
-    assert read("order: 5") == GoalText("order: 5", "goal")
-
-
-def test_nothing_given_is_the_default_goal(read):
-    assert read() == GoalText("{}", "goal")
-
-
-def test_standard_input_is_read_to_its_end(read, stdin_of):
-    stdin_of(b"order: 5\n")
-    assert read(stdin=True) == GoalText("order: 5\n", "stdin")
-
-
-@pytest.mark.parametrize("data", [b"", b"\n \n"])
-def test_empty_standard_input_is_an_error(read, stdin_of, data):
-    stdin_of(data)
-    with pytest.raises(UsageError, match=r"stdin: is empty; the default goal is \{\}"):
-        read(stdin=True)
-
-
-def test_an_empty_argument_is_an_error(read):
-    with pytest.raises(UsageError, match=r"goal: is empty; the default goal is \{\}"):
-        read("")
-
-
-def test_an_empty_path_is_an_error(read):
-    with pytest.raises(UsageError, match="--goal-file: the path is empty"):
-        read(path="")
-
-
-def test_a_path_that_breaks_the_line_is_quoted(read):
-    with pytest.raises(UsageError, match=r"^'a\\nb': cannot be read"):
-        read(path="a\nb")
-
-
-def test_closed_standard_input_is_an_error(read, monkeypatch):
-    monkeypatch.setattr(sys, "stdin", None)
-    with pytest.raises(UsageError, match="stdin: is closed"):
-        read(stdin=True)
-
-
-def test_a_file_is_read(read, tmp_path):
+def test_a_goal_comes_from_a_file_or_from_standard_input(turtleact, tmp_path, stdin_of):
     path = tmp_path / "goal.yaml"
-    path.write_text("order: 5", "utf-8")
-    assert read(path=str(path)) == GoalText("order: 5", str(path))
+    path.write_text("order: 4", "utf-8")
+    assert "     order: 4\n" in turtleact(*GOAL, "--goal-file", str(path)).out
+    stdin_of(b"order: 3\n")
+    assert "     order: 3\n" in turtleact(*GOAL, "--stdin").out
+
+
+@pytest.mark.parametrize(("option", "data"), [("--stdin", b"\n \n"), ("", b"")])
+def test_an_empty_text_is_an_error(turtleact, stdin_of, option, data):
+    stdin_of(data)
+    ran = turtleact(*GOAL, option)
+    source = "stdin" if option else "goal"
+    assert ran == (2, "", f"turtleact: {source}: is empty; the default goal is {{}}\n")
 
 
 @pytest.mark.parametrize(
     ("name", "problem"),
     [
         ("missing.yaml", "missing.yaml: cannot be read: No such file or directory"),
-        (".", "cannot be read: Is a directory"),
-        ("null\0", "a path cannot contain a null character"),
+        ("a\nb", "'a\\nb': cannot be read: No such file or directory"),
+        ("", ": cannot be read: Is a directory"),
+        ("binary", "binary: is not UTF-8: byte 0xFF at 7"),
+        ("/dev/zero", "/dev/zero: is longer than 4194304 bytes, which no message is"),
     ],
 )
-def test_a_file_that_cannot_be_read_is_an_error(read, tmp_path, name, problem):
-    with pytest.raises(UsageError, match=problem):
-        read(path=str(tmp_path) + "/" + name)
-
-
-def test_a_file_that_is_not_utf8_is_an_error(read, tmp_path):
-    path = tmp_path / "goal"
-    path.write_bytes(b"order: \xff")
-    with pytest.raises(UsageError, match="goal: is not UTF-8: byte 0xFF at 7"):
-        read(path=str(path))
-
-
-@pytest.mark.parametrize("what", ["goal", "request"])
-def test_an_endless_file_is_an_error(read, what):
-    with pytest.raises(
-        UsageError, match=f"/dev/zero: is longer than {MOST} bytes; no {what} is that long"
-    ):
-        read(path="/dev/zero", what=what)
+def test_a_file_that_cannot_be_read_is_an_error(turtleact, tmp_path, monkeypatch, name, problem):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "binary").write_bytes(b"order: \xff")
+    ran = turtleact(*GOAL, "--goal-file", name)
+    assert (ran.status, ran.out) == (2, "")
+    assert problem in ran.err
 
 
 def test_ctrl_c_ends_a_program_that_waits_for_its_goal(start, tmp_path):

@@ -13,8 +13,7 @@ import anyio
 import pytest
 
 from turtleact import open_node
-from turtleact.commands.node_parameters import parameter_value, print_names
-from turtleact.errors import InvalidMessage, UsageError
+from turtleact.commands.node_parameters import parameter_value
 from turtleact.interfaces.standard import (
     DescribeParameters,
     FloatingPointRange,
@@ -27,7 +26,6 @@ from turtleact.interfaces.standard import (
     SetParameters,
     SetParametersResult,
 )
-from turtleact.transports import open_zenoh
 
 GOLDEN = {
     case["case"]: case
@@ -133,27 +131,6 @@ def test_a_node_that_does_not_answer_hides_no_other(on_graph, graphs):
     )
 
 
-@pytest.mark.anyio
-async def test_services_on_demand_are_brought_up_by_who_waits_for_them(tmp_path, capsys):
-    address = f"unixsock-stream/{tmp_path}/socket"
-    async with (
-        open_zenoh([], listen=[address]) as there,
-        open_zenoh([address], listen=[]) as here,
-        open_node("camera", transport=there) as camera,
-        open_node("asker", transport=here) as asker,
-    ):
-        names = ListParameters.Response(ListParametersResult(["rate"]))
-        camera.service(ListParameters, "~/list_parameters", lambda _: names, on_demand=True)
-        camera.service(
-            GetParameters, "~/get_parameters", lambda _: GetParameters.Response(), on_demand=True
-        )
-        await here.explore()
-        listed = await print_names(
-            asker, None, pattern=None, prefixes=(), types=False, hidden=False
-        )
-    assert (listed, capsys.readouterr().out) == (0, "/camera:\n  rate\n")
-
-
 @pytest.fixture
 def on_turtlesim(on_graph, graphs):
     """Runs ``param`` on the graph of turtlesim's parameters."""
@@ -175,10 +152,7 @@ def test_it_prints_what_ros2_prints(on_graph, name):
     [
         ("yes", "Boolean value is: True"),
         ("whole", "Integer value is: 7"),
-        ("part", "Double value is: 0.5"),
         ("text", "String value is: a: b"),
-        ("bools", "Boolean values are: [True, False]"),
-        ("wholes", "Integer values are: [1, 2]"),
         ("parts", "Double values are: [0.5, inf]"),
         ("texts", "String values are: ['a', 'on']"),
         ("bytes", "Byte values are: [1, 2]"),
@@ -191,10 +165,6 @@ def test_a_value_is_printed_with_its_kind_as_by_ros2(on_graph, name, expected):
         "nothing": ParameterValue(),
     }
     assert on_graph(having(values), "param", "get", "/turtlesim", name).out == f"{expected}\n"
-
-
-def test_a_value_may_be_printed_alone(on_turtlesim):
-    assert on_turtlesim("get", "/turtlesim", "background_r", "--hide-type").out == "69\n"
 
 
 def test_a_description_has_the_lines_of_ros2(on_graph):
@@ -310,9 +280,7 @@ async def curt(transport):
     [
         ("speed", "2", 2.0),
         ("gains", "[1, 2]", [1.0, 2.0]),
-        ("gains", "[]", []),
         ("data", "[1, 255]", b"\x01\xff"),
-        ("data", "[]", b""),
         ("label", "'5'", "5"),
     ],
 )
@@ -329,20 +297,11 @@ def test_a_value_is_taken_as_the_type_of_its_parameter(on_graph, name, text, val
     assert (ran.status, ran.out, values[name]) == (0, "Set parameter successful\n", value)
 
 
-def test_a_whole_number_out_of_the_range_of_a_double_is_refused(on_graph):
-    ran = on_graph(numbers, "param", "set", "/lab", "speed", "3")
-    assert ran.err.endswith("floating point range. It takes 0.0 to 2.0, not 3.0.\n")
-
-
 @pytest.mark.parametrize(
     ("name", "text", "problem"),
     [
         ("label", "5", "is of type {string}, setting it to {integer} is not allowed: for text, "),
-        ("label", "true", "for text, write \"'true'\""),
-        ("label", "[1]", "setting it to {integer_array} is not allowed."),
         ("data", "[256]", "setting it to {integer_array} is not allowed."),
-        ("data", "[a]", "setting it to {string_array} is not allowed."),
-        ("gains", "1", "setting it to {integer} is not allowed."),
     ],
 )
 def test_a_value_of_another_type_is_refused(on_graph, name, text, problem):
@@ -410,14 +369,10 @@ def test_loading_tells_what_was_not_taken(on_turtlesim, tmp_path):
     [
         ("/other: {ros__parameters: {x: 1}}", "has no parameters for /turtlesim, but for /other"),
         ("", ": is empty: 'param dump' prints such a file\n"),
-        ("# {}", ": is empty: 'param dump'"),
         ("hello", ": holds no nodes with their parameters: 'param dump' prints such a file\n"),
-        ("[/turtlesim]", ": holds no nodes with their parameters: 'param dump'"),
-        ("/turtlesim: {ros__parameters: {}}", ": has no parameters for /turtlesim\n"),
         ("/turtlesim: {x: 1}", "/turtlesim has no ros__parameters"),
         ("/turtlesim: {ros__parameters: {a: {b: null}}}", "a.b: a parameter is a bool, a number"),
         ("/turtlesim: {ros__parameters: {a: [1", "1:37: "),
-        (b"\xff", "it is not UTF-8"),
         (None, "No such file or directory"),
     ],
 )
@@ -431,39 +386,28 @@ def test_a_file_that_cannot_be_loaded_is_a_usage_error(on_turtlesim, tmp_path, t
     assert problem in ran.err
 
 
-def test_a_file_without_a_name_is_a_usage_error(on_turtlesim):
-    ran = on_turtlesim("load", "/turtlesim", "")
-    assert (ran.status, ran.err) == (2, "turtleact: .: Is a directory\n")
-
-
 # --- values ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("text", "field", "value"),
+    ("text", "printed"),
     [
-        ("true", "bool_value", True),
-        ("on", "string_value", "on"),
-        ("'7'", "string_value", "7"),
-        ("a: b", "string_value", "a: b"),
-        ("1e3", "double_value", 1000.0),
-        ("[]", "bool_array_value", []),
-        ("['1', a]", "string_array_value", ["1", "a"]),
+        ("on", "String value is: on"),
+        ("'7'", "String value is: 7"),
+        ("1e3", "Double value is: 1000.0"),
+        ("['1', a]", "String values are: ['1', 'a']"),
     ],
 )
-def test_a_text_says_a_value(text, field, value):
-    assert getattr(parameter_value(text), field) == value
+def test_a_text_says_a_value(on_graph, text, printed):
+    values = values_of({"it": text})
+    assert on_graph(having(values), "param", "get", "/turtlesim", "it").out == f"{printed}\n"
 
 
-@pytest.mark.parametrize("text", ["null", "[1, a]", "[1, 0.5]", "[[1]]", "[{a: 1}]"])
-def test_what_is_of_no_kind_is_refused(text):
-    with pytest.raises(UsageError, match="a bool, a number, text, or a list of values of one kind"):
-        parameter_value(text)
-
-
-def test_malformed_text_is_told_by_its_place():
-    with pytest.raises(InvalidMessage, match="value:1:4"):
-        parameter_value("[1, ")
+@pytest.mark.parametrize("text", ["null", "[1, a]", "[1, 0.5]", "[[1]]"])
+def test_what_is_of_no_kind_is_refused(on_turtlesim, text):
+    ran = on_turtlesim("set", "/turtlesim", "background_r", text)
+    assert ran.status == 2
+    assert "a bool, a number, text, or a list of values of one kind" in ran.err
 
 
 def test_a_number_that_does_not_fit_is_refused(on_turtlesim):
@@ -475,9 +419,7 @@ def test_a_number_that_does_not_fit_is_refused(on_turtlesim):
 # --- nodes that are not there ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "line", ["list X", "get X a", "set X a 1", "delete X a", "describe X a", "dump X"]
-)
+@pytest.mark.parametrize("line", ["list X", "set X a 1", "dump X"])
 def test_an_unknown_node_is_told_with_the_nearest(on_turtlesim, line):
     ran = on_turtlesim(*line.replace("X", "/turtlesin").split())
     assert (ran.status, ran.err) == (
@@ -510,9 +452,8 @@ def test_a_node_without_parameters_is_told_so(on_graph, graphs):
     )
 
 
-@pytest.mark.parametrize("line", ["get /turtlesim holonomik", "describe /turtlesim holonomik"])
-def test_an_unknown_parameter_is_told_with_the_nearest(on_turtlesim, line):
-    ran = on_turtlesim(*line.split())
+def test_an_unknown_parameter_is_told_with_the_nearest(on_turtlesim):
+    ran = on_turtlesim("get", "/turtlesim", "holonomik", "--hide-type")
     assert (ran.status, ran.err) == (
         1,
         "turtleact: node '/turtlesim' has no parameter 'holonomik', did you mean 'holonomic'?\n",

@@ -9,7 +9,6 @@ Source: ros2cli ``ros2service/verb/echo.py`` and ``ros2action/verb/echo.py`` (Ki
 
 from __future__ import annotations
 
-from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import anyio
@@ -29,10 +28,8 @@ if TYPE_CHECKING:
 
     from turtleact.commands.message_text import Style
     from turtleact.node import Node
-    from turtleact.node.topics import Subscription
-    from turtleact.transports.base import Closeable
 
-__all__ = ["PARTS", "Order", "echo_action", "echo_service"]
+__all__ = ["PARTS", "echo_action", "echo_service"]
 
 PARTS: Final = (
     "GOAL_SERVICE",
@@ -59,22 +56,6 @@ EVENTS: Final = {
 DONE: Final = 0
 
 
-class Order(NamedTuple):
-    """The user's choice of what to print.
-
-    Attributes:
-        name: The name of the action or service.
-        type_name: The type of the action or service; None for the type on the graph.
-        style: How messages are printed.
-        parts: The parts of the action to print, by the names in `PARTS`.
-    """
-
-    name: str
-    type_name: str | None
-    style: Style
-    parts: Collection[str] = PARTS
-
-
 class Source(NamedTuple):
     """A topic to print.
 
@@ -91,28 +72,32 @@ class Source(NamedTuple):
     qos: QoS = READ_QOS
 
 
-async def echo_service(node: Node, order: Order) -> int:
+async def echo_service(node: Node, name: str, type_name: str | None, style: Style) -> int:
     """Print the requests and responses of a service until the node is closed.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules for names.
         TurtleactError: if the type of the service is unknown.
     """
-    name = resolve_name(order.name)
-    service = await chosen_class(node, "service", Service, name, order.type_name)
+    name = resolve_name(name)
+    service = await chosen_class(node, "service", Service, name, type_name)
     events = Source(event_topic(name), event_message(service))
-    return await _print_all(node, [events], order.style)
+    return await _print_all(node, [events], style)
 
 
-async def echo_action(node: Node, order: Order) -> int:
+async def echo_action(
+    node: Node, name: str, type_name: str | None, style: Style, parts: Collection[str] = PARTS
+) -> int:
     """Print the requests, responses, feedback and status of an action until the node is closed.
+
+    ``parts`` are the parts of the action to print, by their names in `PARTS`.
 
     Raises:
         InvalidName: if the name breaks ROS 2's rules for names.
         TurtleactError: if the type of the action is unknown.
     """
-    name = resolve_name(order.name)
-    action = await chosen_class(node, "action", Action, name, order.type_name)
+    name = resolve_name(name)
+    action = await chosen_class(node, "action", Action, name, type_name)
     names, kinds = action_names(name), implied(action)
     sources = (
         Source(event_topic(names.send_goal), event_message(kinds.send_goal), "GOAL_SERVICE"),
@@ -121,45 +106,24 @@ async def echo_action(node: Node, order: Order) -> int:
         Source(names.feedback, kinds.feedback_message, "FEEDBACK_TOPIC"),
         Source(names.status, GoalStatusArray, "STATUS_TOPIC", STATUS_QOS),
     )
-    wanted = [each for each in sources if each.heading in order.parts]
-    return await _print_all(node, wanted, order.style)
+    wanted = [each for each in sources if each.heading in parts]
+    return await _print_all(node, wanted, style)
 
 
 async def _print_all(node: Node, sources: Sequence[Source], style: Style) -> int:
-    """Print the messages of several topics in the order of their arrival."""
-    send, receive = anyio.create_memory_object_stream[str](float("inf"))
+    """Print the messages of several topics as they arrive."""
 
-    def show(source: Source, message: Any) -> bool:  # noqa: ANN401  # of any type
-        send.send_nowait(_text(source, message, style))
-        return True
+    async def show(source: Source) -> None:
+        async for message in node.subscription(source.message_type, source.topic, source.qos):
+            say_message(_text(source, message, style))
 
-    async with anyio.create_task_group() as beside, send, receive:
-        opened_all: list[Subscription[Any]] = []
-        with ExitStack() as stack:
-            for source in sources:
-                opened = node.subscription(source.message_type, source.topic, source.qos)
-                opened.taker = lambda message, source=source: show(source, message)
-                for early in opened.drain():  # latched, so they came before the line above
-                    show(source, early)
-                opened_all.append(stack.enter_context(closing(opened)))
-            topics = [each.topic for each in sources if each.topic.endswith(EVENT_SUFFIX)]
-            if topics:
-                beside.start_soon(_note_silence, node, topics)
-            beside.start_soon(_close_with, opened_all[0], send)
-            async for text in receive:
-                say_message(text)
-        beside.cancel_scope.cancel()
+    topics = [each.topic for each in sources if each.topic.endswith(EVENT_SUFFIX)]
+    async with anyio.create_task_group() as beside:
+        for source in sources:
+            beside.start_soon(show, source)
+        if topics:
+            beside.start_soon(_note_silence, node, topics)
     return DONE
-
-
-async def _close_with(subscription: Subscription[Any], stream: Closeable) -> None:
-    """Close ``stream`` when ``subscription`` is closed.
-
-    The subscription yields no messages here, because it passes all messages to its ``taker``.
-    """
-    async for _ in subscription:
-        pass
-    stream.close()
 
 
 async def _note_silence(node: Node, topics: Sequence[str]) -> None:

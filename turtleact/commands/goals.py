@@ -423,8 +423,10 @@ def echo(
 
     parts = None if interfaces is None else _parts(interfaces, event_echo.PARTS)
     make_known(interfaces if parts is None else None)
-    order = event_echo.Order(name, type_name, style, parts or event_echo.PARTS)
-    return graph.run(reach, partial(event_echo.echo_action, order=order))
+    shown = parts or event_echo.PARTS
+    return graph.run(
+        reach, lambda node: event_echo.echo_action(node, name, type_name, style, shown)
+    )
 
 
 def moment(text: str) -> int:

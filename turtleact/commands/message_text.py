@@ -74,11 +74,14 @@ class GoalText(NamedTuple):
             UsageError: if the text cannot be read, is empty, is too long, or is not UTF-8.
             KeyboardInterrupt: if a signal comes during the reading.
         """
-        if not stdin and path is None:
-            text, source = "{}" if given is None else given, what
+        if path is not None:
+            source = path if path.isprintable() else ascii(path)
+            text = read_text_file(path, source)
+        elif stdin:
+            source = "stdin"
+            text = _decoded(sys.stdin.buffer.read(MOST + 1), source)
         else:
-            source = "stdin" if path is None else path if path.isprintable() else ascii(path)
-            text = _decoded(_read(path, source, what), source)
+            text, source = "{}" if given is None else given, what
         if not text.strip():  # the program that should have written it failed
             raise UsageError(f"{source}: is empty; the default {what} is {{}}")
         return cls(text, source)
@@ -97,13 +100,19 @@ def read_text_file(path: str, what: str) -> str:
     try:
         with Path(path).open("rb") as file:
             data = file.read(MOST + 1)
-        if len(data) > MOST:
-            raise UsageError(f"{what}: is longer than {MOST} bytes")
-        return data.decode()
     except OSError as error:
-        raise UsageError(f"{what}: {error.strerror}") from None
-    except ValueError:  # not UTF-8, or a null character in the path
-        raise UsageError(f"{what}: it is not UTF-8") from None
+        raise UsageError(f"{what}: cannot be read: {error.strerror}") from None
+    return _decoded(data, what)
+
+
+def _decoded(data: bytes, source: str) -> str:
+    if len(data) > MOST:
+        raise UsageError(f"{source}: is longer than {MOST} bytes, which no message is")
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        byte = data[error.start]
+        raise UsageError(f"{source}: is not UTF-8: byte 0x{byte:02X} at {error.start}") from None
 
 
 SILENT = frozenset({"float64", "int64", "bool"})
@@ -188,41 +197,6 @@ class Style(NamedTuple):
             elif nested is not None and isinstance(value, list):
                 described[field.name] = [self._described(nested, each) for each in value]
         return described
-
-
-def _read(path: str | None, source: str, what: str) -> bytes:
-    try:
-        data = _read_stdin() if path is None else _read_file(path)
-    except OSError as error:
-        raise UsageError(f"{source}: cannot be read: {error.strerror}") from None
-    if len(data) > MOST:
-        raise UsageError(f"{source}: is longer than {MOST} bytes; no {what} is that long")
-    return data
-
-
-def _decoded(data: bytes, source: str) -> str:
-    try:
-        return data.decode()
-    except UnicodeDecodeError as error:
-        raise UsageError(
-            f"{source}: is not UTF-8: byte 0x{data[error.start]:02X} at {error.start}"
-        ) from None
-
-
-def _read_stdin() -> bytes:
-    if sys.stdin is None:
-        raise UsageError("stdin: is closed")
-    return sys.stdin.buffer.read(MOST + 1)
-
-
-def _read_file(path: str) -> bytes:
-    if not path:
-        raise UsageError("--goal-file: the path is empty")
-    try:
-        with Path(path).open("rb") as file:
-            return file.read(MOST + 1)
-    except ValueError:
-        raise UsageError("--goal-file: a path cannot contain a null character") from None
 
 
 def _value(field: Field, value: object) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated
 
 from turtleact.commands import completion
 from turtleact.commands.app import MessageVerb, new_group, verb
@@ -15,7 +15,6 @@ from turtleact.commands.options import (
     count_of,
     flag,
     hertz,
-    in_seconds,
     message_of,
     name_of,
     only_one,
@@ -24,7 +23,7 @@ from turtleact.commands.options import (
     type_of,
     value,
 )
-from turtleact.commands.settings import WrongOptions, quoted
+from turtleact.commands.settings import Owner, WrongOptions, quoted
 
 if TYPE_CHECKING:
     from turtleact.commands.message_text import Style
@@ -33,19 +32,37 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "param", "service"]
 
-NodeName: TypeAlias = Annotated[str, name_of("node", "/turtlesim", completion.nodes, "NODE")]
-Name: TypeAlias = Annotated[
+Name = Annotated[
     str, argument("PARAMETER", "The parameter, such as background_r.", completion.parameters)
 ]
-Hidden: TypeAlias = Annotated[bool, flag("--include-hidden-nodes", text="Include hidden nodes.")]
-Timeout: TypeAlias = Annotated[
-    float, in_seconds("--timeout", text="How long to wait for the node.")
+ServiceName = Annotated[str, name_of("service", "/spawn", completion.services)]
+AskedType = Annotated[str | None, type_of("service", is_asked=True)]
+CountServices = Annotated[bool, count_of("--count-services")]
+HiddenServices = Annotated[bool, flag("--include-hidden-services", text="Include hidden services.")]
+
+Filter = Annotated[
+    str | None,
+    value(
+        "--filter", metavar="REGEX", text="Only names that begin with a match of this expression."
+    ),
 ]
-ServiceName: TypeAlias = Annotated[str, name_of("service", "/spawn", completion.services)]
-AskedType: TypeAlias = Annotated[str | None, type_of("service", is_asked=True)]
-CountServices: TypeAlias = Annotated[bool, count_of("--count-services")]
-HiddenServices: TypeAlias = Annotated[
-    bool, flag("--include-hidden-services", text="Include hidden services.")
+Prefixes = Annotated[
+    list[str] | None,
+    value(
+        "--param-prefixes",
+        metavar="NAME",
+        text="Only names with this prefix. Can be given several times.",
+    ),
+]
+Rate = Annotated[
+    float | None,
+    value(
+        "--rate",
+        "-r",
+        metavar="HZ",
+        text="Repeat the call this many times per second.",
+        parser=hertz,
+    ),
 ]
 
 app = new_group("node")
@@ -88,28 +105,14 @@ def list_parameters(
         str | None, argument("NODE", "The node. If left out, all nodes.", completion.nodes)
     ] = None,
     *,
-    hidden: Hidden = False,
-    filter_: Annotated[
-        str | None,
-        value(
-            "--filter",
-            metavar="REGEX",
-            text="Only names that begin with a match of this expression.",
-        ),
-    ] = None,
-    prefixes: Annotated[
-        list[str] | None,
-        value(
-            "--param-prefixes",
-            metavar="NAME",
-            text="Only names with this prefix. Can be given several times.",
-        ),
-    ] = None,
+    hidden: Annotated[bool, flag("--include-hidden-nodes", text="Include hidden nodes.")] = False,
+    filter_: Filter = None,
+    prefixes: Prefixes = None,
     types: Annotated[bool, flag("--param-type", text="Print the types too.")] = False,
 ) -> int:
     """List the parameters of one node or of all nodes."""
     try:
-        pattern = None if filter_ is None else re.compile(filter_)
+        pattern = re.compile(filter_ or "")
     except re.error as error:
         problem = f"takes a regular expression, not {quoted(filter_ or '')}: {error}"
         raise WrongOptions(f"--filter {problem}") from None
@@ -123,96 +126,74 @@ def list_parameters(
 @verb(param)
 async def get(
     node: Node,
-    node_name: NodeName,
+    owner: Owner,
     name: Name,
     *,
     hide_type: Annotated[bool, flag("--hide-type", text="Print the value only.")] = False,
-    hidden: Hidden = False,
-    timeout: Timeout = 1.0,
 ) -> int:
     """Print the value of a parameter."""
-    from turtleact.commands.node_parameters import Owner, print_value
+    from turtleact.commands import node_parameters
 
-    return await print_value(node, Owner(node_name, hidden, timeout), name, hide_type=hide_type)
+    return await node_parameters.print_value(node, owner, name, hide_type=hide_type)
 
 
 @verb(param, "set")
 def set_(
     reach: Reach,
-    node_name: NodeName,
+    owner: Owner,
     name: Name,
     text: Annotated[str, argument("VALUE", "A bool, a number, text or a list, as YAML.")],
-    *,
-    hidden: Hidden = False,
-    timeout: Timeout = 1.0,
 ) -> int:
     """Set a parameter."""
     from turtleact.commands import graph
-    from turtleact.commands.node_parameters import Owner, parameter_value, set_value
+    from turtleact.commands.node_parameters import parameter_value, set_value
 
-    owner, message = Owner(node_name, hidden, timeout), parameter_value(text)
+    message = parameter_value(text)
     return graph.run(reach, lambda node: set_value(node, owner, name, message))
 
 
 @verb(param)
-async def delete(
-    node: Node,
-    node_name: NodeName,
-    name: Name,
-    *,
-    hidden: Hidden = False,
-    timeout: Timeout = 1.0,
-) -> int:
+async def delete(node: Node, owner: Owner, name: Name) -> int:
     """Delete a parameter."""
     from turtleact.commands import node_parameters
 
-    owner = node_parameters.Owner(node_name, hidden, timeout)
     return await node_parameters.delete(node, owner, name)
 
 
 @verb(param)
 async def describe(
     node: Node,
-    node_name: NodeName,
+    owner: Owner,
     names: Annotated[list[str], argument("PARAMETER", "The parameters.", completion.parameters)],
-    *,
-    hidden: Hidden = False,
-    timeout: Timeout = 1.0,
 ) -> int:
     """Print what parameters are for, and which values they may have."""
     from turtleact.commands import node_parameters
 
-    owner = node_parameters.Owner(node_name, hidden, timeout)
     return await node_parameters.describe(node, owner, names)
 
 
 @verb(param)
-async def dump(
-    node: Node, node_name: NodeName, *, hidden: Hidden = False, timeout: Timeout = 1.0
-) -> int:
+async def dump(node: Node, owner: Owner) -> int:
     """Print all parameters of a node as a YAML file."""
     from turtleact.commands import node_parameters
 
-    return await node_parameters.dump(node, node_parameters.Owner(node_name, hidden, timeout))
+    return await node_parameters.dump(node, owner)
 
 
 @verb(param, "load")
 def load_(
     reach: Reach,
-    node_name: NodeName,
+    owner: Owner,
     path: Annotated[Path, argument("FILE", "A file in the format of 'param dump'.")],
     *,
     no_wildcard: Annotated[
         bool, flag("--no-use-wildcard", text="Skip what the file sets for all nodes (/**).")
     ] = False,
-    hidden: Hidden = False,
-    timeout: Timeout = 1.0,
 ) -> int:
     """Set the parameters of a node from a file."""
     from turtleact.commands import graph
-    from turtleact.commands.node_parameters import Owner, load, read_file
+    from turtleact.commands.node_parameters import load, read_file
 
-    owner = Owner(node_name, hidden, timeout)
     found = read_file(str(path), use_wildcard=not no_wildcard)
     return graph.run(reach, lambda node: load(node, owner, found, str(path)))
 
@@ -269,15 +250,7 @@ def call(
     values: Annotated[str | None, message_of("request")] = None,
     *,
     stdin: Annotated[bool, stdin_of("request")] = False,
-    rate: Annotated[
-        float | None,
-        value(
-            *("--rate", "-r"),
-            metavar="HZ",
-            text="Repeat the call this many times per second.",
-            parser=hertz,
-        ),
-    ] = None,
+    rate: Rate = None,
 ) -> int:
     """Call a service and print its response."""
     type_name, values = type_and_text(type_name, values, "request")
@@ -294,4 +267,4 @@ async def echo(node: Node, name: ServiceName, type_name: AskedType = None, *, st
     """Print the requests and responses of a service, if somebody publishes them."""
     from turtleact.commands import event_echo
 
-    return await event_echo.echo_service(node, event_echo.Order(name, type_name, style))
+    return await event_echo.echo_service(node, name, type_name, style)

@@ -16,11 +16,11 @@ article "ROS Command Line Arguments" and rcl_yaml_param_parser for initial value
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from turtleact.commands.message_text import read_text_file
 from turtleact.commands.output import note, say_names
-from turtleact.commands.settings import Override, quoted
+from turtleact.commands.settings import Override, Owner, quoted
 from turtleact.errors import InvalidParameter, TurtleactError, UsageError
 from turtleact.interfaces import Message
 from turtleact.interfaces.definition import did_you_mean, names_like
@@ -60,7 +60,6 @@ if TYPE_CHECKING:
 __all__ = [
     "BELOW",
     "WILDCARD",
-    "Owner",
     "delete",
     "describe",
     "dump",
@@ -92,25 +91,11 @@ ON_DEMAND = 0.5
 """How long a node may take to open parameter services that a client waits for (s)."""
 
 
-class Owner(NamedTuple):
-    """The node that has the parameters.
-
-    Attributes:
-        name: The name of the node, with or without its leading slash.
-        hidden: Whether to find the node even if it is hidden.
-        timeout: How long to wait until the node appears (s, by the clock of the graph).
-    """
-
-    name: str
-    hidden: bool
-    timeout: float
-
-
 async def print_names(
     node: Node,
     name: str | None,
     *,
-    pattern: re.Pattern[str] | None,
+    pattern: re.Pattern[str],
     prefixes: Sequence[str],
     types: bool,
     hidden: bool,
@@ -135,14 +120,14 @@ async def print_names(
 
     async def lines(owner: str) -> list[str]:
         names = await _names(node, owner, prefixes)
-        names = [each for each in names if pattern is None or pattern.match(each)]
+        names = [each for each in names if pattern.match(each)]
         if not types:
             return [f"  {each}" for each in names]
         found = await _described(node, owner, names)
         return [f"  {one.name} (type: {kind_name(one.type)})" for one in found]
 
     if name is not None:
-        owner = await _find(node, Owner(name, hidden, 0))
+        owner = await _find(node, Owner(name, hidden))
         say_names("".join(f"{line}\n" for line in await lines(owner)))
         return DONE
     status = DONE
@@ -162,7 +147,7 @@ async def print_names(
 
 async def names_of(node: Node, name: str) -> list[str]:
     """Return the names of a node's parameters. Raise the same errors as `print_names`."""
-    return await _names(node, await _find(node, Owner(name, hidden=True, timeout=0)), ())
+    return await _names(node, await _find(node, Owner(name)), ())
 
 
 async def print_value(node: Node, owner: Owner, name: str, *, hide_type: bool) -> int:

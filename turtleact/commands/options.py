@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from turtleact.commands import completion
 from turtleact.commands.settings import (
     Durability,
+    Owner,
     Policies,
     Reach,
     Reliability,
@@ -80,18 +82,7 @@ UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
 TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+)+")
 """The pattern of the name of a type, such as ``std_msgs/msg/String``."""
 
-ProfileName: TypeAlias = Literal[
-    "action_status_default",
-    "best_available",
-    "default",
-    "parameter_events",
-    "parameters",
-    "sensor_data",
-    "services_default",
-    "system_default",
-]
-
-PROFILES: Final[dict[ProfileName, Policies]] = {
+PROFILES: Final = {
     "action_status_default": Policies("reliable", "transient_local", 1),
     "best_available": Policies(),
     "default": Policies("reliable", "volatile", 10),
@@ -176,16 +167,16 @@ def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401
 # options
 
 
-Interfaces: TypeAlias = Annotated[
+Interfaces = Annotated[
     Path | None,
     value(
         "--interfaces", metavar="DIR", text="A folder with more interfaces: PACKAGE/KIND/NAME.EXT."
     ),
 ]
-Plain: TypeAlias = Annotated[bool, flag("--plain", text="Print plain lines, even on a terminal.")]
-Json: TypeAlias = Annotated[bool, flag("--json", text="Print one JSON object per line.")]
-ShowTypes: TypeAlias = Annotated[bool, flag("--show-types", "-t", text="Print the types too.")]
-Embedded: TypeAlias = Annotated[bool, flag("--embedded", text="Start a world in this process.")]
+Plain = Annotated[bool, flag("--plain", text="Print plain lines, even on a terminal.")]
+Json = Annotated[bool, flag("--json", text="Print one JSON object per line.")]
+ShowTypes = Annotated[bool, flag("--show-types", "-t", text="Print the types too.")]
+Embedded = Annotated[bool, flag("--embedded", text="Start a world in this process.")]
 
 
 def ros_domain(given: str | int) -> int:
@@ -280,34 +271,55 @@ def _style(
     return Style(csv=csv, flow=flow, longest=longest, arrays=not no_arr, strings=not no_str)
 
 
+def profile(given: str) -> Policies:
+    """Parse the name of a profile of quality of service."""
+    if given not in PROFILES:
+        problem = f"is not one of {', '.join(map(repr, PROFILES))}"
+        raise typer.BadParameter(f"{quoted(given)} {problem}")
+    return PROFILES[given]
+
+
+policy = partial(value, panel=QOS)
+
+
 def _policies(
-    profile: Annotated[
-        ProfileName | None,
-        value(
+    known: Annotated[
+        Policies | None,
+        policy(
             "--qos-profile",
             metavar="NAME",
             text="A set of policies, such as sensor_data. The options below change single ones.",
-            panel=QOS,
+            parser=profile,
+            autocompletion=completion.words(*PROFILES),
         ),
     ] = None,
     reliability: Annotated[
         Reliability | None,
-        value("--qos-reliability", metavar="POLICY", text="reliable or best_effort.", panel=QOS),
+        policy("--qos-reliability", metavar="POLICY", text="reliable or best_effort."),
     ] = None,
     durability: Annotated[
         Durability | None,
-        value("--qos-durability", metavar="POLICY", text="volatile or transient_local.", panel=QOS),
+        policy("--qos-durability", metavar="POLICY", text="volatile or transient_local."),
     ] = None,
     depth: Annotated[
-        int | None,
-        value("--qos-depth", metavar="N", text="How many messages to keep.", panel=QOS, min=1),
+        int | None, policy("--qos-depth", metavar="N", text="How many messages to keep.", min=1)
     ] = None,
 ) -> Policies:
     """Return the requested quality of service. An option for one policy overrides the profile."""
-    known = Policies() if profile is None else PROFILES[profile]
+    known = known or Policies()
     return Policies(
         reliability or known.reliability, durability or known.durability, depth or known.depth
     )
+
+
+def _owner(
+    node_name: Annotated[str, name_of("node", "/turtlesim", completion.nodes, "NODE")],
+    *,
+    hidden: Annotated[bool, flag("--include-hidden-nodes", text="Include hidden nodes.")] = False,
+    timeout: Annotated[float, in_seconds("--timeout", text="How long to wait for the node.")] = 1.0,
+) -> Owner:
+    """Return the node that has parameters."""
+    return Owner(node_name, hidden, timeout)
 
 
 def several(name: str, text: str, names: Callable[..., Any] | None = None) -> Any:  # noqa: ANN401
@@ -315,7 +327,7 @@ def several(name: str, text: str, names: Callable[..., Any] | None = None) -> An
     return value(name, metavar="NAME...", text=text, panel=TAKEN, autocompletion=names)
 
 
-Left: TypeAlias = Annotated[
+Left = Annotated[
     str,
     value(
         *("--exclude-regex", "-x"),
@@ -375,6 +387,7 @@ BUNDLES: Final[dict[str, Callable[..., Any]]] = {
     "reach": _reach,
     "node": _reach,
     "taken": _taken,
+    "owner": _owner,
 }
 """The parameters of verbs that stand for several options, and what makes their values."""
 

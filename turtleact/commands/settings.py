@@ -24,6 +24,7 @@ __all__ = [
     "Keeping",
     "LogFormat",
     "Override",
+    "Owner",
     "Page",
     "Placing",
     "Policies",
@@ -87,6 +88,20 @@ class Reach(NamedTuple):
         from turtleact.commands.locks import Locks, read_locks
 
         return Locks() if self.config is None else read_locks(self.config)
+
+
+class Owner(NamedTuple):
+    """The node that has the parameters which a verb reads or sets.
+
+    Attributes:
+        name: The name of the node, with or without its leading slash.
+        hidden: Whether to find the node even if it is hidden.
+        timeout: How long to wait until the node appears (s, by the clock of the graph).
+    """
+
+    name: str
+    hidden: bool = True
+    timeout: float = 0.0
 
 
 class Fleet(NamedTuple):
