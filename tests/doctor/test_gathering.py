@@ -28,7 +28,7 @@ from turtleact.node import Node
 from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION
 from turtleact.transports import MemoryTransport, ZenohTransport, open_zenoh
 from turtleact.transports.base import Endpoint
-from turtleact.transports.rmw_zenoh import service_servers
+from turtleact.transports.rmw_zenoh import services
 from turtleact.transports.rmw_zenoh.wire import endpoint_token
 
 from ..lab import Count, count
@@ -145,7 +145,7 @@ async def test_different_definitions_are_named_with_their_fields(address):
 
 
 async def test_a_clock_that_is_wrong_is_named(address, monkeypatch):
-    monkeypatch.setattr(service_servers, "time_ns", lambda: time.time_ns() + 5_000_000_000)
+    monkeypatch.setattr(services, "time_ns", lambda: time.time_ns() + 5_000_000_000)
     async with graph_at(address) as graph:
         (await graph.node("late")).action_server(Count, "count", count)
         fault = await graph.only_fault(endpoints=5)

@@ -47,9 +47,9 @@ from turtleact.interfaces.types import REGISTRY
 from turtleact.names import PARAMETER_SERVICES
 from turtleact.transports import QoS, ZenohTransport, open_zenoh
 from turtleact.transports.base import REQUEST_NOTE, Endpoint, Reply, ServiceHandler, Target
-from turtleact.transports.rmw_zenoh import service_clients
+from turtleact.transports.rmw_zenoh import services
 from turtleact.transports.rmw_zenoh.config import session_config
-from turtleact.transports.rmw_zenoh.service_clients import WireCaller
+from turtleact.transports.rmw_zenoh.services import WireCaller
 from turtleact.transports.rmw_zenoh.session import Declared, Publisher, Query, Session
 from turtleact.transports.rmw_zenoh.topics import WirePublication
 from turtleact.transports.rmw_zenoh.wire import (
@@ -599,7 +599,7 @@ async def test_definitions_that_differ_are_named(address):
 
 
 async def test_a_server_that_is_announced_and_cannot_be_reached_is_given_up(address, monkeypatch):
-    monkeypatch.setattr(service_clients, "GRACE", 0.05)
+    monkeypatch.setattr(services, "GRACE", 0.05)
     async with beside(address) as (transport, other):
         caller = transport.join(client(), ASKING)
         announced = msgspec.structs.replace(service(), type_hash=SERVING.type_hash)
@@ -1039,7 +1039,7 @@ async def test_a_server_that_fails_at_once_tells_its_client(address, caplog, fai
 
 
 async def test_a_call_of_a_closed_client_ends_when_its_server_has_gone(address, monkeypatch):
-    monkeypatch.setattr(service_clients, "LOST", 0.0)
+    monkeypatch.setattr(services, "LOST", 0.0)
     async with two(address) as peers:
         caller = await served(peers, Adder(gate=anyio.Event()), "here", by="there")
         async with running(lambda: caller.call(numbers(1))) as called:

@@ -44,8 +44,7 @@ from turtleact.transports.base import (
 from turtleact.transports.memory import MemoryTransport
 from turtleact.transports.rmw_zenoh.config import Mode, domain_of, session_config
 from turtleact.transports.rmw_zenoh.context import Context, Declaration, Named, Opened
-from turtleact.transports.rmw_zenoh.service_clients import WireCaller
-from turtleact.transports.rmw_zenoh.service_servers import WireService
+from turtleact.transports.rmw_zenoh.services import WireCaller, WireService
 from turtleact.transports.rmw_zenoh.session import Session
 from turtleact.transports.rmw_zenoh.topics import (
     DirectSubscription,
