@@ -83,20 +83,6 @@ def test_in_dev_mode_a_bug_shows_its_traceback():
     assert outcome.stderr.splitlines()[-1] == "ZeroDivisionError: division by zero"
 
 
-@pytest.mark.parametrize(
-    ("code", "status", "said"),
-    [(3, 3, "3"), (None, 0, ""), ("bye", 1, "'bye'"), (False, 0, "False"), (-1, 255, "-1")],
-)
-def test_sys_exit_is_a_line_and_its_status(ends, code, status, said):
-    text = f"turtleact: your code has ended the program: sys.exit({said})\n"
-    assert ends(raises(SystemExit(code))) == (status, text)
-
-
-def test_what_ends_a_generator_is_no_error_of_ours(ends):
-    with pytest.raises(GeneratorExit):
-        ends(raises(GeneratorExit()))
-
-
 def test_ctrl_c_is_one_line(ends):
     assert ends(raises(KeyboardInterrupt())) == (130, "turtleact: interrupted\n")
 
@@ -109,21 +95,6 @@ def test_an_output_that_is_gone_is_no_error_to_speak_of(ends, monkeypatch, numbe
     assert ends(raises(OSError(number, "gone"))) == (141, "")
     sys.stdout.write("more")
     sys.stdout.close()
-
-
-def test_an_error_of_the_system_without_an_output_is_told(ends, monkeypatch):
-    monkeypatch.setattr(sys, "stdout", None)
-    assert ends(raises(OSError(errno.ENOSPC, "No space"))) == (
-        1,
-        "turtleact: the output cannot be written: No space\n",
-    )
-
-
-def test_a_command_whose_output_was_closed_keeps_its_status(ends, monkeypatch):
-    closed = io.StringIO()
-    closed.close()
-    monkeypatch.setattr(sys, "stdout", closed)
-    assert ends(lambda: 3) == (3, "")
 
 
 def test_a_full_disk_is_an_error():
@@ -152,21 +123,6 @@ def test_characters_that_the_output_cannot_show_are_escaped(ends, monkeypatch):
     monkeypatch.setattr(sys, "stdout", latin)
     assert ends(lambda: print("⠿") or 0)[0] == 0
     assert latin.buffer.getvalue() == b"\\u283f\n"
-
-
-def test_closed_outputs_are_no_reason_to_fail(monkeypatch):
-    monkeypatch.setattr(sys, "stdout", None)
-    monkeypatch.setattr(sys, "stderr", None)
-    monkeypatch.setattr(app, "run", lambda _: raises(UsageError("no"))())
-    assert cli.run(["verb"]) == 2
-
-
-def test_a_closed_stdout_is_no_reason_to_fail(monkeypatch, ends):
-    monkeypatch.setattr(sys, "stdout", None)
-    assert ends(lambda: 0)[0] == 0
-
-
-# --- what needs no verb ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("arguments", [[], ["-h"], ["--help"], ["--help", "send-goal"]])

@@ -74,12 +74,11 @@ def run(arguments: Sequence[str]) -> int:
         from turtleact.commands import app
 
         status = app.run(arguments)
-        if sys.stdout is not None and not sys.stdout.closed:
-            sys.stdout.flush()
+        print(end="", flush=True)
     except KeyboardInterrupt:
         _note("interrupted")
         return INTERRUPTED
-    except BaseException as error:
+    except Exception as error:
         return _report(_leaf(error))
     return status
 
@@ -117,10 +116,6 @@ def _report(error: BaseException) -> int:
         return USAGE if isinstance(error, UsageError | InvalidName | InvalidMessage) else FAILED
     if isinstance(error, OSError):
         return _report_broken_output(error)
-    if isinstance(error, SystemExit):
-        from turtleact.commands.output import tell_exit
-
-        return tell_exit(error)
     if sys.flags.dev_mode or not isinstance(error, Exception):
         raise error
     name = type(error).__name__

@@ -28,10 +28,6 @@ def ran(code):
     )
 
 
-def test_what_a_command_returns_is_returned():
-    assert ran("async def main(): return 5").returncode == 5
-
-
 @pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
 def test_the_first_signal_cancels_the_command(name, status):
     it = ran(f"""
@@ -91,28 +87,6 @@ async def main():
     await asyncio.sleep(60)
 """)
     assert (it.returncode, it.stdout) == (129, "left 129\n")
-
-
-def test_the_process_ends_even_if_the_terminal_cannot_be_restored():
-    it = ran("""
-interrupts.restore = lambda: 1 / 0
-async def main():
-    come()
-    come()
-    while True:
-        pass
-""")
-    assert it.returncode == 130
-
-
-def test_a_signal_that_the_parent_ignores_stays_ignored():
-    it = ran("""
-signal.signal(signal.SIGINT, signal.SIG_IGN)
-async def main():
-    come()
-    return 3
-""")
-    assert it.returncode == 3
 
 
 def test_behind_the_loop_pythons_own_handlers_are_back():

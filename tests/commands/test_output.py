@@ -34,12 +34,6 @@ def test_a_note_is_a_line_on_stderr(capsys):
     assert capsys.readouterr() == ("", "turtleact: by the way\\x07\n")
 
 
-def test_a_note_without_stderr_is_dropped(monkeypatch, capsys):
-    monkeypatch.setattr("sys.stderr", None)
-    note("by the way")
-    assert capsys.readouterr().out == ""
-
-
 def test_a_note_to_a_reader_that_has_gone_is_dropped(monkeypatch):
     reading, writing = os.pipe()
     os.close(reading)
@@ -72,11 +66,6 @@ def test_no_argument_commands_the_terminal(turtleact, arguments):
     err = turtleact("send-goal", *arguments).err
     assert "\x1b" not in err
     assert "\\x1b" in err
-
-
-def test_a_note_without_end_is_cut_in_its_middle(capsys):
-    note("a" * 3000 + "b" * 3000)
-    assert capsys.readouterr().err == f"turtleact: {'a' * 2000}… 2000 characters …{'b' * 2000}\n"
 
 
 @pytest.mark.parametrize(

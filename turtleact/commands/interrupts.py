@@ -114,11 +114,9 @@ class Interrupts:
                 signal.signal(each, handler)
 
     def _end(self) -> NoReturn:
-        try:
-            self.restore()
-            text = self.last_words()
-            # A terminal that the user has stopped with Ctrl-S must not stop this process.
-            if text and (os.name != "posix" or select.select((), (STDERR,), (), 0)[1]):
-                os.write(STDERR, text.encode(errors="backslashreplace"))
-        finally:
-            os._exit(self.status if self.forced is None else self.forced)
+        self.restore()
+        text = self.last_words()
+        # A terminal that the user has stopped with Ctrl-S must not stop this process.
+        if text and (os.name != "posix" or select.select((), (STDERR,), (), 0)[1]):
+            os.write(STDERR, text.encode(errors="backslashreplace"))
+        os._exit(self.status if self.forced is None else self.forced)

@@ -24,7 +24,6 @@ __all__ = [
     "say_message",
     "say_names",
     "say_table",
-    "tell_exit",
 ]
 
 ELSEWHERE = (
@@ -32,9 +31,6 @@ ELSEWHERE = (
     "folder of its package"
 )
 """The advice for an unknown interface."""
-
-HALF = 2000
-"""How many characters of a long note are kept at its beginning, and how many at its end."""
 
 
 def say(text: str) -> None:
@@ -90,19 +86,9 @@ def note(text: str) -> None:
     if sys.stderr is None:
         return
     try:
-        print(f"turtleact: {_shortened(printable(text))}", file=sys.stderr, flush=True)
+        print(f"turtleact: {printable(text)}", file=sys.stderr, flush=True)
     except OSError:
         abandon(sys.stderr)
-
-
-def tell_exit(stop: SystemExit) -> int:
-    """Report that the user's code called `sys.exit`.
-
-    Return the exit status that Python would use for this call.
-    """
-    code = stop.code
-    note(f"your code has ended the program: sys.exit({'' if code is None else repr(code)})")
-    return 0 if code is None else code & 0xFF if isinstance(code, int) else 1
 
 
 def leave(status: int) -> NoReturn:
@@ -125,12 +111,6 @@ def abandon(stream: TextIO) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
     os.close(nowhere)
-
-
-def _shortened(text: str) -> str:
-    """Shorten a text of more than twice `HALF` characters by leaving out its middle."""
-    left_out = len(text) - 2 * HALF
-    return text if left_out <= 0 else f"{text[:HALF]}… {left_out} characters …{text[-HALF:]}"
 
 
 def _escaped(character: str) -> str:
