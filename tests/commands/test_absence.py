@@ -11,7 +11,7 @@ import pytest
 
 from turtleact import open_node, open_zenoh
 from turtleact.commands import graph, send_goal
-from turtleact.commands.graph import no_router, none_in_domain, not_served
+from turtleact.commands.graph import none_in_domain, not_served
 from turtleact.commands.settings import Reach
 from turtleact.errors import TurtleactError
 
@@ -38,21 +38,10 @@ def without_router(monkeypatch):
     return asked
 
 
-def test_a_missing_router_is_named_with_what_starts_one():
-    assert no_router(HERE) == (
-        "no router answers at tcp/localhost:7447 ('turtleact serve' starts one)"
-    )
-
-
-def test_a_router_may_also_refuse_the_config():
-    assert "answers, or lets in this --config, at" in no_router(Reach((), 0, "locks.toml"))
-
-
 @pytest.mark.parametrize(
     ("names", "said"),
     [
         (["/a", "/lookup"], "is your server running? The actions in reach: /a, /lookup"),
-        ([], "is your server running? The actions in reach: none"),
         (["/count"], "is your server running, or did you mean '/count'?"),
         (
             [f"/{i}" for i in range(11)],

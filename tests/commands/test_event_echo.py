@@ -113,11 +113,6 @@ def test_an_unknown_part_is_refused(turtleact):
     assert "GOAL_SERVICE, CANCEL_SERVICE" in " ".join(ran.err.replace("│", "").split())
 
 
-def test_a_folder_with_interfaces_is_still_understood(on_graph, shown, tmp_path):
-    ran = on_graph(shown(count), "action", "echo", "fibonacci", "--interfaces", str(tmp_path))
-    assert documents(ran.out)
-
-
 def test_an_action_without_introspection_shows_feedback_and_says_how_to_see_more(on_graph, shown):
     ran = on_graph(shown(count, "off"), "action", "echo", "fibonacci")
     assert {each["interface"] for each in documents(ran.out)} == {
@@ -126,9 +121,3 @@ def test_an_action_without_introspection_shows_feedback_and_says_how_to_see_more
     }
     assert ran.err.count("\n") == 1
     assert "'turtleact serve --introspection contents'" in ran.err
-
-
-def test_an_action_that_nobody_serves_is_an_error(on_graph, graphs):
-    ran = on_graph(graphs.fibonacci, "action", "echo", "fibonaci")
-    assert ran.status == 1
-    assert "action '/fibonaci' is not there, did you mean '/fibonacci'?" in ran.err

@@ -16,7 +16,6 @@ import pytest
 
 from turtleact import open_node
 from turtleact.commands import graph
-from turtleact.interfaces.definition import names_like
 from turtleact.interfaces.standard import ExampleFibonacci, Fibonacci
 from turtleact.transports import MemoryTransport
 from turtleact.transports.rmw_zenoh import config
@@ -43,11 +42,6 @@ def test_one_line_says_that_no_graph_is_in_reach(turtleact, arguments, problem, 
         "",
         f"turtleact: no ROS 2 graph in reach: {problem}; 'turtleact serve' starts one\n",
     )
-
-
-def test_names_are_listed_in_their_order_and_once():
-    known = ["/turtlesim", "/chatter", "/turtlesim"]
-    assert names_like("/zzz", known) == " (there are: /chatter, /turtlesim)"
 
 
 def test_a_signal_ends_the_opening_of_a_graph(turtleact, monkeypatch):
@@ -135,14 +129,6 @@ def test_a_verb_imports_neither_numpy_nor_rich():
     )
     out = subprocess.check_output([sys.executable, "-c", code], text=True)
     assert out.splitlines()[-1] == "[]"
-
-
-@pytest.mark.parametrize("verb", [["send-goal", "x"], ["interface", "show"]])
-def test_a_type_whose_name_is_too_long_for_a_file_is_unknown(turtleact, verb):
-    ran = turtleact(*verb, f"{'a' * 100_000}/action/B")
-    assert ran.status == 1
-    assert ran.err.startswith("turtleact: unknown interface 'aaaa")
-    assert len(ran.err) < 5000
 
 
 async def nothing(_goal: object) -> None:

@@ -80,11 +80,6 @@ def test_written_modules_declare_what_the_files_say(generate, source, tmp_path, 
     assert message.Load(from_="here").from_ == "here"
 
 
-def test_a_second_run_changes_nothing(generate):
-    generate()
-    assert generate().out == ""
-
-
 def test_a_check_of_what_was_written_is_silent(generate):
     generate()
     ran = generate("--check")
@@ -119,19 +114,6 @@ def test_a_file_that_was_not_generated_is_kept(generate, tmp_path):
     assert ran.status == 2
     assert f"{module} was not generated: choose another folder" in ran.err
     assert module.read_text() == "mine = 1\n"
-
-
-def test_a_folder_that_cannot_be_written_is_a_usage_error(generate, tmp_path):
-    (tmp_path / "generated").write_text("a file")
-    ran = generate()
-    assert ran.status == 2
-    assert str(tmp_path / "generated") in ran.err
-
-
-def test_an_unknown_package_is_told_with_the_nearest(turtleact, tmp_path):
-    ran = turtleact("interface", "python", "geometry_msg", "-o", str(tmp_path))
-    assert ran.status == 1
-    assert "unknown package 'geometry_msg', did you mean 'geometry_msgs'?" in ran.err
 
 
 def test_what_ships_is_what_the_command_writes(turtleact):

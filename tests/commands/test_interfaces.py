@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
-import sys
 from pathlib import Path
 
 import pytest
 
 import turtleact.actions  # noqa: F401  # for the interfaces that they declare
-from turtleact.commands import interface, interface_search
-from turtleact.errors import UsageError
-from turtleact.interfaces import get_interface
 from turtleact.interfaces.finders import Finders
 from turtleact.interfaces.types import REGISTRY
 
@@ -82,28 +77,10 @@ def test_everything_is_listed_by_its_kind(turtleact):
     assert "    turtleact_interfaces/action/GoTo" in lines[lines.index("Actions:") :]
 
 
-def test_kinds_may_be_put_together(turtleact):
-    lines = turtleact("interface", "list", "-m", "-s").out.splitlines()
-    assert [line for line in lines if line[0] != " "] == ["Messages:", "Services:"]
-
-
 def test_a_package_is_listed(turtleact):
     assert turtleact("interface", "package", "std_srvs").out == (
         "std_srvs/srv/Empty\nstd_srvs/srv/SetBool\nstd_srvs/srv/Trigger\n"
     )
-
-
-@pytest.mark.parametrize(
-    ("option", "out"), [("-a", "turtlesim/action/RotateAbsolute\n"), ("--only-actions", None)]
-)
-def test_a_package_is_listed_by_kind(turtleact, option, out):
-    listed = turtleact("interface", "package", "turtlesim", option).out
-    assert listed == (out or "turtlesim/action/RotateAbsolute\n")
-
-
-def test_a_package_without_such_interfaces_lists_none(turtleact):
-    ran = turtleact("interface", "package", "std_srvs", "-a")
-    assert (ran.status, ran.out) == (0, "")
 
 
 def test_an_unknown_package_is_an_error_that_names_the_nearest(turtleact):
@@ -163,12 +140,6 @@ def test_comments_and_empty_lines_may_be_left_out(turtleact, paint):
     )
 
 
-def test_both_options_on_comments_are_refused(turtleact):
-    ran = turtleact("interface", "show", "std_msgs/msg/String", "--all-comments", "--no-comments")
-    assert (ran.status, ran.out) == (2, "")
-    assert "give one of --all-comments and --no-comments" in ran.problem
-
-
 def test_a_sourced_file_with_another_definition_is_the_one_that_is_shown(turtleact, install):
     install("turtlesim/msg/Color", "# Another.\nfloat64 hue\n")
     assert turtleact("interface", "show", "turtlesim/msg/Color").out == "# Another.\nfloat64 hue\n"
@@ -178,12 +149,6 @@ def test_a_class_without_a_file_is_shown_with_the_comments_of_its_docstrings(tur
     shown = turtleact("interface", "show", "turtleact_interfaces/GoTo").out
     assert shown.startswith("# Go to a place.\n\n# Where to go, which turtle goes, and how")
     assert "\n# The x coordinate of the place (m).\nfloat64 x\n" in shown
-
-
-def test_the_comments_of_docstrings_may_be_left_out(turtleact):
-    shown = turtleact("interface", "show", "turtleact_interfaces/GoTo", "--no-comments").out
-    assert "\nfloat64 x\nfloat64 y\n" in shown
-    assert "#" not in shown
 
 
 def test_the_type_may_come_from_a_pipe(turtleact, stdin_of):
@@ -200,20 +165,6 @@ def test_an_empty_pipe_is_a_usage_error(turtleact, stdin_of):
     )
 
 
-def test_a_closed_stdin_is_no_pipe(monkeypatch):
-    monkeypatch.setattr(sys, "stdin", None)
-    with pytest.raises(UsageError, match="stdin is not a pipe"):
-        interface.read_type("-")
-
-
-def test_a_type_is_taken_before_the_pipe_ends(monkeypatch):
-    file, other = os.pipe()
-    os.write(other, b"std_msgs/msg/String\nmore")
-    with os.fdopen(file) as stdin, os.fdopen(other, "wb"):
-        monkeypatch.setattr(sys, "stdin", stdin)
-        assert interface.read_type("-") == "std_msgs/msg/String"
-
-
 # --- proto ----------------------------------------------------------------------------------
 
 
@@ -222,18 +173,10 @@ def test_a_type_is_taken_before_the_pipe_ends(monkeypatch):
     [
         ("turtlesim/srv/Kill", "\"name: ''\n\"\n"),
         ("turtlesim/srv/TeleportRelative", '"linear: 0.0\nangular: 0.0\n"\n'),
-        ("std_srvs/srv/Empty", '"{}\n"\n'),
-        ("geometry_msgs/msg/Pose2D", '"x: 0.0\ny: 0.0\ntheta: 0.0\n"\n'),
     ],
 )
 def test_a_prototype_is_what_is_sent_first(turtleact, type_name, out):
     assert turtleact("interface", "proto", type_name).out == out
-
-
-def test_a_prototype_may_do_without_quotes(turtleact):
-    assert turtleact("interface", "proto", "--no-quotes", "std_msgs/msg/Bool").out == (
-        "data: false\n\n"
-    )
 
 
 # --- what is known --------------------------------------------------------------------------
@@ -250,14 +193,6 @@ def test_a_folder_that_is_not_there_is_an_error(turtleact):
     assert (ran.status, ran.out, ran.err) == (1, "", "turtleact: /nowhere: no such folder\n")
 
 
-def test_a_goal_may_be_of_a_type_of_a_folder(turtleact, install):
-    folder = install("paint_interfaces/action/Mix", "---\n---\n", is_sourced=False)
-    ran = turtleact(
-        "send-goal", "fibonacci", "paint_interfaces/action/Mix", "--interfaces", str(folder)
-    )
-    assert ran.err.endswith("not as paint_interfaces/action/Mix\n")
-
-
 # --- near the working directory -------------------------------------------------------------
 
 
@@ -271,16 +206,6 @@ def test_an_interface_near_the_working_directory_is_found_with_a_note(
     assert ran == (0, "x: 0\n\n", f"turtleact: found lab/action/Go in {tmp_path}/src/lab\n")
     assert "lab/action/Come" in turtleact("interface", "package", "lab").out
     assert turtleact("interface", "show", "std_msgs/msg/Bool").err == ""
-
-
-def test_the_note_comes_once(tmp_path, monkeypatch, capsys):
-    for name in ("Go", "Come"):
-        put(tmp_path / "lab" / "action" / f"{name}.action", "---\n---\n")
-    monkeypatch.chdir(tmp_path)
-    interface_search.make_found(None)
-    for name in ("Go", "Come"):
-        get_interface(f"lab/action/{name}")
-    assert capsys.readouterr().err == f"turtleact: found lab/action/Go in {tmp_path}/lab\n"
 
 
 def test_the_option_comes_before_the_workspace_and_that_before_the_working_directory(
@@ -308,7 +233,6 @@ ADVICE = (
     [
         ("labs/action/Gone", f"unknown interface 'labs/action/Gone': {ADVICE} its package"),
         ("std_msgs/msg/Strin", f"did you mean 'std_msgs/msg/String'? If not, {ADVICE} its"),
-        ("std_msgs/msg/string", f"did you mean 'std_msgs/msg/String'? If not, {ADVICE} its"),
         ("lab/msg/Out", "lab/msg/Out.msg:1:1: unknown interface 'labs/msg/Gone'"),
         ("lab/msg/Out", f"\nto make it known, {ADVICE} its package\n"),
     ],

@@ -145,11 +145,6 @@ def test_packages_and_executables_are_listed(turtleact):
     assert {"lab server", "turtlesim turtlesim_node"} <= {*lines}
 
 
-def test_an_unknown_package_is_an_error_that_names_the_nearest(turtleact):
-    ran = turtleact("pkg", "executables", "turtlesin")
-    assert ran == (1, "", "turtleact: unknown package 'turtlesin', did you mean 'turtlesim'?\n")
-
-
 def test_the_help_of_run_lists_what_can_be_run(turtleact, here):
     turtleact("pkg", "create", "lab")
     out = turtleact("run", "--help").out

@@ -76,11 +76,3 @@ def test_a_world_that_does_not_answer_is_not_waited_for_for_ever(on_graph, monke
         "",
         "turtleact: service '/world/snapshot': no response within 0.01 s\n",
     )
-
-
-def test_no_graph_in_reach_is_an_error(turtleact):
-    ran = turtleact("snapshot", "a.png", "--connect", "tcp/127.0.0.1:1")
-    assert (ran.status, ran.out) == (1, "")
-    assert ran.err.startswith(
-        "turtleact: no ROS 2 graph in reach: no router answers at tcp/127.0.0.1:1"
-    )

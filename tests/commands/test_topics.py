@@ -143,10 +143,6 @@ def test_a_field_may_be_chosen(on_graph, options, out):
             "lineer.x",
             "lineer: geometry_msgs/msg/Twist has no field 'lineer', did you mean 'linear'?",
         ),
-        (
-            "linear.w",
-            "linear.w: geometry_msgs/msg/Vector3 has no field 'w': the fields are x, y, z",
-        ),
         ("linear.x.y", "linear.x.y: 'x' is not a single message"),
     ],
 )
@@ -253,20 +249,10 @@ def test_a_topic_that_nobody_publishes_for_a_second_is_told_of(on_graph, pause, 
     assert ran.err == told * gone
 
 
-def test_a_topic_that_is_not_there_is_an_error(on_graph, graphs):
-    ran = on_graph(graphs.turtlesim, "topic", "echo", "/turtle1/pos")
-    assert (ran.status, ran.out) == (1, "")
-    assert ran.err == (
-        "turtleact: topic '/turtle1/pos' is not there, did you mean '/turtle1/pose'?; "
-        "give its type to go ahead\n"
-    )
-
-
 @pytest.mark.parametrize(
     ("type_name", "problem"),
     [
         ("std_msgs/msg/Strin", "unknown interface 'std_msgs/msg/Strin', did you mean"),
-        ("std_srvs/srv/Empty", "std_srvs/srv/Empty: it is not the type of a message"),
     ],
 )
 def test_a_type_that_is_no_message_is_an_error(on_graph, graphs, type_name, problem):
@@ -283,14 +269,6 @@ def test_a_type_of_the_graph_that_is_not_known_here_says_how_to_make_it_known(on
         "learned: node /ns/far sends no type hash, as in ROS 2 Humble: source the ROS workspace "
         "that has the interface, give --interfaces DIR, or change to the folder of its package\n"
     )
-
-
-def test_messages_that_come_faster_than_they_go_are_told_to_be_lost(on_graph):
-    nodes = publishing("/it", *map(text, "abc"))
-    command = ["topic", "echo", "/it", "--qos-depth", "1", "--once"]
-    ran = on_graph(nodes, *command)
-    assert ran.out == "data: c\n---\n"
-    assert ran.err == "turtleact: 2 messages were lost: they came too fast\n"
 
 
 # --- which messages, and as what ------------------------------------------------------------
@@ -374,11 +352,6 @@ def test_the_rate_is_printed_each_second_as_by_ros2(on_graph, graphs):
     )
 
 
-def test_a_window_leaves_older_messages_out(on_graph, graphs):
-    nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(1.5))
-    assert "window: 5\n" in on_graph(nodes, "topic", "hz", "-w", "5", "/turtle1/pose").out
-
-
 def test_a_topic_without_a_rate_is_waited_for(on_graph, graphs):
     nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(2.5))
     ran = on_graph(nodes, "topic", "hz", "/turtle1/pos")
@@ -387,23 +360,6 @@ def test_a_topic_without_a_rate_is_waited_for(on_graph, graphs):
         "turtleact: topic '/turtle1/pos' is not there yet, did you mean '/turtle1/pose'?; "
         "waiting for it\n"
     )
-
-
-def test_a_topic_that_comes_is_measured(on_graph, graphs):
-    @asynccontextmanager
-    async def nodes(transport):
-        async def appear():
-            await transport.clock.sleep(1.0)
-            async with publishing("/it", *[text("x")] * 9, period=0.5)(transport):
-                await anyio.sleep_forever()
-
-        async with anyio.create_task_group() as beside:
-            beside.start_soon(appear)
-            yield
-            beside.cancel_scope.cancel()
-
-    ran = on_graph(graphs.in_turn(nodes, graphs.interrupted(9)), "topic", "hz", "/it")
-    assert "average rate: 2.000\n" in ran.out
 
 
 @pytest.mark.parametrize("verb", ["hz", "bw", "delay"])
@@ -543,11 +499,6 @@ def test_only_some_of_them_may_be_printed(on_graph, graphs):
     assert out == "publisher: beginning loop\n"
 
 
-def test_nobody_is_waited_for_if_so_asked(on_graph, graphs):
-    ran = on_graph(graphs.nothing, *words("topic pub -1 -w 0 /it std_msgs/msg/Bool"), "data: true")
-    assert ran.out.endswith("publishing #1: std_msgs.msg.Bool(data=True)\n\n")
-
-
 def test_a_message_that_does_not_fit_is_refused(on_graph, graphs):
     ran = on_graph(graphs.turtlesim, "topic", "pub", "/turtle1/cmd_vel", "{linear: {x: fast}}")
     assert (ran.status, ran.out) == (2, "")
@@ -572,11 +523,6 @@ def test_a_service_is_called_as_by_ros2(on_graph, graphs, name):
 def test_an_action_is_canceled_by_hand_as_by_ros2(on_graph, graphs):
     ran = on_graph(graphs.fibonacci, *arguments_of("cancel_raw_unknown_default"))
     assert ran == (0, GOLDEN["cancel_raw_unknown_default"]["stdout"].rstrip("\n") + "\n\n", "")
-
-
-def test_the_type_of_a_service_is_asked_of_the_graph(on_graph, graphs):
-    ran = on_graph(graphs.turtlesim, "service", "call", "clear")
-    assert "making request: std_srvs.srv.Empty_Request()\n" in ran.out
 
 
 def test_a_service_is_called_at_a_rate(on_graph, graphs):
@@ -630,27 +576,6 @@ def test_a_type_with_which_a_service_is_not_there_is_named_with_the_one_it_is(on
     )
 
 
-def test_a_request_that_does_not_fit_is_refused(on_graph, graphs):
-    ran = on_graph(graphs.turtlesim, "service", "call", "/spawn", "{xx: 2}")
-    assert (ran.status, ran.out) == (2, "")
-    assert ran.err == "turtleact: request: unknown field 'xx', did you mean 'x'?\n"
-
-
-def test_a_service_that_fails_is_an_error(on_graph, caplog):
-    @asynccontextmanager
-    async def nodes(transport):
-        def handler(request):
-            raise ValueError("by hand")
-
-        async with open_node("server", transport=transport) as node:
-            node.service(interface("std_srvs/srv/Trigger"), "/fail", handler)
-            yield
-
-    ran = on_graph(nodes, "service", "call", "/fail")
-    assert ran.status == 1
-    assert ran.err == ("turtleact: service '/fail': the handler failed: ValueError: by hand\n")
-
-
 # --- as rclpy prints messages ---------------------------------------------------------------
 
 
@@ -683,7 +608,3 @@ class Mixed(Message, type_name="printed_interfaces/msg/Mixed"):
 )
 def test_a_message_is_printed_as_rclpy_does(message, printed):
     assert python_text(message) == printed
-
-
-def test_messages_in_a_list_are_printed_as_messages():
-    assert "status_list=[action_msgs.msg.GoalStatus(" in python_text(STATUSES)

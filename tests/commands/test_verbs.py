@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-from typing import get_args
 
 import pytest
 from typer.core import TyperGroup
@@ -15,9 +14,8 @@ from turtleact.commands import GROUPS, VERBS, app, send_goal, serving
 from turtleact.commands.app import without_daemon
 from turtleact.commands.goals import moment
 from turtleact.commands.message_text import GoalText
-from turtleact.commands.settings import Fleet, Placing, Reach
+from turtleact.commands.settings import Fleet, Reach
 from turtleact.errors import UsageError
-from turtleact.sim.start_poses import PLACINGS
 
 from ..tables import together
 from .ttys import open_terminal, read
@@ -267,10 +265,6 @@ def test_where_to_look_reaches_the_order(order):
     assert made.options == (" --connect tcp/robot:7447,tcp/arm:7447 --config 'a b' --domain 7")
 
 
-def test_the_way_back_to_a_goal_knows_the_same_interfaces(order, tmp_path):
-    assert order("x", "--interfaces", str(tmp_path)).options == f" --interfaces {tmp_path}"
-
-
 def test_a_goal_file_is_read_by_the_job(order, tmp_path):
     path = tmp_path / "goal.yaml"
     path.write_text("order: 5")
@@ -344,10 +338,6 @@ def test_the_tables_of_verbs_name_what_typer_knows():
             assert [*command.commands] == list(GROUPS[verb])
 
 
-def test_the_world_knows_the_ways_of_placing_turtles():
-    assert get_args(Placing) == PLACINGS
-
-
 def test_ros2s_ways_of_looking_at_the_graph_are_accepted(monkeypatch):
     args = ["--no-daemon", "--spin-time", "2", "-t", "--spin-time=1"]
     assert without_daemon(args) == ["-t"]
@@ -412,13 +402,6 @@ def test_the_graph_is_said_by_options_or_by_the_environment(
 ):
     monkeypatch.setenv("ROS_DOMAIN_ID", environment)
     assert order("x", *options).reach == expected
-
-
-def test_a_domain_of_the_environment_that_makes_no_sense_is_named(turtleact, monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "many")
-    ran = turtleact("topic", "list")
-    assert ran.status == 2
-    assert "'--domain' (env var: 'ROS_DOMAIN_ID'): 'many' is not a ROS domain" in ran.problem
 
 
 @pytest.mark.parametrize("what", ["status", "stop", "start"])
