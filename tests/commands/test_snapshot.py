@@ -8,7 +8,7 @@ import anyio
 import pytest
 
 from turtleact import open_node
-from turtleact.commands import user_messages
+from turtleact.commands import turtlesim
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
 from turtleact.sim.world_services import TakeSnapshot
@@ -70,7 +70,7 @@ async def stuck(transport):
 
 
 def test_a_world_that_does_not_answer_is_not_waited_for_for_ever(on_graph, monkeypatch):
-    monkeypatch.setattr(user_messages, "PICTURE_PATIENCE", 0.01)
+    monkeypatch.setattr(turtlesim, "PATIENCE", 0.01)
     assert on_graph(stuck, "snapshot", "a.png") == (
         1,
         "",

@@ -239,7 +239,7 @@ def test_a_file_with_locks_that_cannot_be_read_starts_no_world(turtleact, keyboa
     ran = turtleact(*verb, "--config", "nowhere.toml")
     assert (ran.status, ran.err) == (
         2,
-        "turtleact: --config nowhere.toml: No such file or directory\n",
+        "turtleact: --config nowhere.toml: cannot be read: No such file or directory\n",
     )
 
 

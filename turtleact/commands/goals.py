@@ -363,9 +363,9 @@ def result(
 @verb(action, "list")
 async def list_actions(node: Node, *, types: ShowTypes = False, count: CountActions = False) -> int:
     """List the actions on the graph."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_list(node, "action", types=types, count=count, hidden=False)
+    return await graph.print_list(node, "action", types=types, count=count, hidden=False)
 
 
 @verb(action)
@@ -377,17 +377,17 @@ async def info(
     count: Annotated[bool, count_of("--count")] = False,
 ) -> int:
     """Print which nodes serve an action and which are its clients."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_action_info(node, name, types=types, count=count)
+    return await graph.print_action_info(node, name, types=types, count=count)
 
 
 @verb(action, "type")
 async def type_(node: Node, name: Name) -> int:
     """Print the type of an action."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_type(node, "action", name)
+    return await graph.print_type(node, "action", name)
 
 
 @verb(action)
@@ -395,9 +395,9 @@ async def find(
     node: Node, type_name: Annotated[str, type_of("action")], *, count: CountActions = False
 ) -> int:
     """List the actions of a type."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_found(node, "action", type_name, count=count, hidden=False)
+    return await graph.print_found(node, "action", type_name, count=count, hidden=False)
 
 
 @verb(action)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 from turtleact.commands import completion
 from turtleact.commands.app import MessageVerb, new_group, verb
@@ -23,12 +23,16 @@ from turtleact.commands.options import (
     type_of,
     value,
 )
+from turtleact.commands.output import say
 from turtleact.commands.settings import Owner, WrongOptions, quoted
+from turtleact.errors import ServerUnavailable
 
 if TYPE_CHECKING:
-    from turtleact.commands.message_text import Style
+    from turtleact.commands.message_text import GoalText, Style
     from turtleact.commands.settings import Reach
+    from turtleact.interfaces import Message
     from turtleact.node import Node
+    from turtleact.node.services import ServiceType
 
 __all__ = ["app", "param", "service"]
 
@@ -78,9 +82,9 @@ async def list_nodes(
     count: Annotated[bool, count_of("--count-nodes")] = False,
 ) -> int:
     """List the nodes on the graph."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_nodes(node, count=count, hidden=hidden)
+    return await graph.print_nodes(node, count=count, hidden=hidden)
 
 
 @verb(app)
@@ -93,9 +97,9 @@ async def info(
     ] = False,
 ) -> int:
     """Print the topics, services and actions of a node."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_node_info(node, name, hidden=hidden)
+    return await graph.print_node_info(node, name, hidden=hidden)
 
 
 @verb(param, "list")
@@ -207,25 +211,25 @@ async def list_services(
     hidden: HiddenServices = False,
 ) -> int:
     """List the services on the graph."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_list(node, "service", types=types, count=count, hidden=hidden)
+    return await graph.print_list(node, "service", types=types, count=count, hidden=hidden)
 
 
 @verb(service, "info")
 async def service_info(node: Node, name: ServiceName) -> int:
     """Print the type of a service, and how many servers and clients it has."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_service_info(node, name)
+    return await graph.print_service_info(node, name)
 
 
 @verb(service, "type")
 async def type_(node: Node, name: ServiceName) -> int:
     """Print the type of a service."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_type(node, "service", name)
+    return await graph.print_type(node, "service", name)
 
 
 @verb(service)
@@ -237,9 +241,9 @@ async def find(
     hidden: HiddenServices = False,
 ) -> int:
     """List the services of a type."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_found(node, "service", type_name, count=count, hidden=hidden)
+    return await graph.print_found(node, "service", type_name, count=count, hidden=hidden)
 
 
 @verb(service, cls=MessageVerb, knows=True)
@@ -255,11 +259,53 @@ def call(
     """Call a service and print its response."""
     type_name, values = type_and_text(type_name, values, "request")
     only_one("the request", VALUES=values is not None, stdin=stdin)
-    from turtleact.commands import graph, user_messages
+    from turtleact.commands import graph
     from turtleact.commands.message_text import GoalText
 
     text = GoalText.read(values, stdin=stdin, path=None, what="request")
-    return graph.run(reach, lambda node: user_messages.call(node, name, type_name, text, rate=rate))
+    return graph.run(reach, lambda node: _call(node, name, type_name, text, rate=rate))
+
+
+async def _call(
+    node: Node, name: str, type_name: str | None, text: GoalText, *, rate: float | None
+) -> int:
+    """Call a service as soon as it exists, once or at a rate, and return the exit status.
+
+    Raises:
+        InvalidName: if the name breaks ROS 2's rules.
+        TurtleactError: if the service's type is unknown.
+        InvalidMessage: if the request does not fit the type.
+        ServerUnavailable: if the service has another type, or its server goes away.
+        ServiceError: if the service's handler fails.
+    """
+    from turtleact.commands.graph import chosen_class, suggest
+    from turtleact.commands.message_text import python_text
+    from turtleact.interfaces import Service, from_text
+    from turtleact.names import resolve_name
+    from turtleact.transports.graph import types_by_name
+
+    full_name = resolve_name(name)
+    service_type = await chosen_class(node, "service", Service, full_name, type_name)
+    request = from_text(
+        service_type.Request, text.text, root="request", source=text.source, allow_nonfinite=True
+    )
+    client = node.service_client(cast("ServiceType[Message, Message]", service_type), full_name)
+    types = types_by_name(node.transport.endpoints(), "service", hidden=True).get(full_name, ())
+    if types and service_type.type_name not in types:
+        problem = f"it is served as {' and '.join(types)}, not as {service_type.type_name}"
+        raise ServerUnavailable(full_name, problem, kind="service")
+    if not types:
+        say("waiting for service to become available...\n")
+        suggest(node, "service", full_name, service_type.type_name)
+    await client.wait_for_service()
+    while True:
+        begun = node.clock.time()
+        say(f"requester: making request: {python_text(request)}\n\n")
+        response = await client.call(request)
+        say(f"response:\n{python_text(response)}\n\n")
+        if rate is None:
+            return 0
+        await node.clock.sleep_until(begun + 1 / rate)
 
 
 @verb(service, knows=True)

@@ -40,11 +40,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Sequence
     from types import CodeType
 
-    from turtleact.commands.message_text import Style
+    from turtleact.commands.message_text import GoalText, Style
     from turtleact.commands.settings import Durability, Policies, Reach
     from turtleact.interfaces import Message
     from turtleact.node import Node
-    from turtleact.node.topics import Subscription
+    from turtleact.node.topics import Publisher, Subscription
 
 __all__ = ["app"]
 
@@ -64,6 +64,9 @@ DONE, TIMEOUT = 0, 124
 
 ABSENCE = 1.0
 """How long to wait for a publisher before a note says that the topic has none (s, graph clock)."""
+
+PATIENCE = 5.0
+"""How long to wait until a subscription on the graph can be reached (s, by the graph's clock)."""
 
 PERIOD = 1.0
 """The time between two lines of a measurement (s, by the clock of the graph)."""
@@ -123,27 +126,27 @@ async def list_(
     verbose: Verbose = False,
 ) -> int:
     """List the topics on the graph."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
     if verbose and not count:
-        return await listing.print_topics_in_full(node, hidden=hidden)
-    return await listing.print_list(node, "topic", types=types, count=count, hidden=hidden)
+        return await graph.print_topics_in_full(node, hidden=hidden)
+    return await graph.print_list(node, "topic", types=types, count=count, hidden=hidden)
 
 
 @verb(app, knows=True)
 async def info(node: Node, name: Name, *, verbose: Verbose = False) -> int:
     """Print the type of a topic, its publishers and its subscribers."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_topic_info(node, name, verbose=verbose)
+    return await graph.print_topic_info(node, name, verbose=verbose)
 
 
 @verb(app, "type")
 async def type_(node: Node, name: Name) -> int:
     """Print the type of a topic."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_type(node, "topic", name)
+    return await graph.print_type(node, "topic", name)
 
 
 @verb(app)
@@ -155,9 +158,9 @@ async def find(
     hidden: Hidden = False,
 ) -> int:
     """List the topics of a type."""
-    from turtleact.commands import listing
+    from turtleact.commands import graph
 
-    return await listing.print_found(node, "topic", type_name, count=count, hidden=hidden)
+    return await graph.print_found(node, "topic", type_name, count=count, hidden=hidden)
 
 
 @verb(app, knows=True)
@@ -297,20 +300,20 @@ def pub(
     only_one("how often", once=once, times=times is not None)
     count = 1 if once else times or 0
     least = int(count > 0) if wait is None else wait
-    from turtleact.commands import graph, user_messages
+    from turtleact.commands import graph
     from turtleact.commands.message_text import GoalText, python_text
 
     text = GoalText.read(values, stdin=stdin, path=None, what="message")
 
     async def publish(node: Node) -> int:
-        made = await user_messages.message_maker(node, name, type_name, text)
-        publisher = node.publisher(made.message_type, made.topic, policies.qos())
-        await user_messages.wait_for_subscriptions(node, publisher, made.message_type, least)
+        full_name, message_type, make = await _message_maker(node, name, type_name, text)
+        publisher = node.publisher(message_type, full_name, policies.qos())
+        await _wait_for_subscriptions(node, publisher, message_type.type_name, least)
         say("publisher: beginning loop\n")
         start, number = node.clock.time(), 0
         while True:
             number += 1
-            message = made()
+            message = make()
             if print_each and number % print_each == 0:
                 say(f"publishing #{number}: {python_text(message)}\n\n")
             publisher.publish(message)
@@ -320,6 +323,90 @@ def pub(
             await node.clock.sleep_until(start + number / rate)
 
     return graph.run(reach, publish)
+
+
+# publishing
+
+
+async def _message_maker(
+    node: Node, name: str, type_name: str | None, text: GoalText
+) -> tuple[str, type[Message], Callable[[], Message]]:
+    """Read the text of a message. Print a note if the topic has another type.
+
+    Return the full name and the type of the topic, and a function that makes the message. It is
+    made anew each time, as ``now`` and ``auto`` stand for the time of each message.
+
+    Raises:
+        InvalidName: if the name breaks ROS 2's rules.
+        TurtleactError: if the topic's type is unknown.
+        InvalidMessage: if the message does not fit the type.
+    """
+    from turtleact.commands.graph import chosen_class
+    from turtleact.interfaces import Message, from_dict
+    from turtleact.interfaces.text import Document, tree_of
+    from turtleact.names import resolve_name
+    from turtleact.transports.graph import types_by_name
+
+    name = resolve_name(name)
+    message_type = await chosen_class(node, "topic", Message, name, type_name)
+    tree = tree_of(Document(text.text, "message", text.source, allow_nonfinite=True))
+
+    def make() -> Message:
+        timed = _timed(tree, message_type, node.clock.now())
+        return from_dict(message_type, timed, root="message")  # type: ignore[arg-type]  # it checks that
+
+    make()  # an error is raised before waiting for subscriptions
+    types = types_by_name(node.transport.endpoints(), "topic", hidden=True).get(name, ())
+    if types and message_type.type_name not in types:
+        others = " and ".join(types)
+        note(f"topic '{name}' is of type {others}, so no node receives {message_type.type_name}")
+    return name, message_type, make
+
+
+async def _wait_for_subscriptions(
+    node: Node, publisher: Publisher[Message], type_name: str, least: int
+) -> None:
+    """Wait until a topic has some subscriptions of this type, and until they can be reached."""
+    from turtleact.commands.graph import suggest
+    from turtleact.tasks.clock import within
+
+    def count() -> int:
+        wanted = ("subscription", publisher.topic, type_name)
+        endpoints = node.transport.endpoints()
+        return sum((each.kind, each.name, each.type_name) == wanted for each in endpoints)
+
+    if count() < least:
+        say(f"Waiting for at least {least} matching subscription(s)...\n")
+        suggest(node, "subscription", publisher.topic, type_name)
+    while count() < least:
+        await node.transport.wait_for_change()
+    async with within(PATIENCE, node.clock):  # a known subscription is reached a little later
+        while count() and not publisher.has_subscriptions:
+            await node.transport.wait_for_change()
+
+
+def _timed(tree: object, message_type: type[Message], now: int) -> object:
+    """Return a message's plain values, with the current time filled in.
+
+    The time replaces the text ``auto`` of a header and the text ``now`` of a stamp.
+    """
+    from turtleact.interfaces import stamp_of
+    from turtleact.interfaces.types import fields, nested_classes
+
+    if not isinstance(tree, dict):
+        return tree
+    stamp = stamp_of(now)
+    present = {"sec": stamp.sec, "nanosec": stamp.nanosec}
+    timed = dict(tree)
+    for field, nested in zip(fields(message_type), nested_classes(message_type), strict=True):
+        said = (field.type.name, tree.get(field.name))
+        if said == ("std_msgs/msg/Header", "auto"):
+            timed[field.name] = {"stamp": present}
+        elif said == ("builtin_interfaces/msg/Time", "now"):
+            timed[field.name] = present
+        elif nested is not None and field.name in tree and not field.type.is_sequence:
+            timed[field.name] = _timed(tree[field.name], nested, now)
+    return timed
 
 
 # reading

@@ -5,19 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from turtleact.commands import VERBS
 from turtleact.commands.app import SETTINGS, Verb, verb
 from turtleact.commands.options import Embedded, Plain, argument, only_one, value
+from turtleact.commands.output import say
 from turtleact.commands.settings import Reach, WrongOptions, quoted
+from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError
+
+if TYPE_CHECKING:
+    from turtleact.node import Node
 
 __all__ = ["app", "ros_arguments", "teleop", "turtle_teleop_key"]
 
 SCALE = 2.0
 """The default speeds. Source: turtlesim's teleop_turtle_key.cpp."""
+
+PATIENCE = 10.0
+"""How long to wait for a world's picture, which a thread draws (s, wall clock)."""
 
 REMAPS = ("turtle1/cmd_vel", "turtle1/rotate_absolute")
 SCALES = ("scale_linear", "scale_angular")
@@ -93,9 +101,45 @@ def snapshot(
     """``snapshot``."""
     if file.suffix.lower() not in (".png", ".svg"):
         raise WrongOptions(f"FILE must end in .png or .svg, unlike {quoted(str(file))}")
-    from turtleact.commands import graph, user_messages
+    from turtleact.commands import graph
 
-    return graph.run(reach, lambda node: user_messages.take(node, file))
+    return graph.run(reach, lambda node: _take(node, file))
+
+
+async def _take(node: Node, path: Path) -> int:
+    """Ask the world for a picture, and write the picture to a file.
+
+    Raises:
+        ServerUnavailable: if there is no world on the graph.
+        ServiceTimeout: if the world does not answer.
+        TurtleactError: if the world cannot make the picture, or the file cannot be written.
+    """
+    import anyio
+
+    from turtleact.sim.world_services import TakeSnapshot
+    from turtleact.transports.graph import types_by_name
+
+    services = types_by_name(node.transport.endpoints(), "service")
+    names = [name for name, types in services.items() if TakeSnapshot.type_name in types]
+    if not names:
+        problem = "there is no world on this graph: 'turtleact serve' starts one"
+        raise ServerUnavailable("/world/snapshot", problem, kind="service")
+    client = node.service_client(TakeSnapshot, names[0])
+    kind = path.suffix.lower().removeprefix(".")
+    answer = None
+    with anyio.move_on_after(PATIENCE):
+        answer = await client.call(TakeSnapshot.Request(kind))
+    if answer is None:
+        raise ServiceTimeout(client.name, PATIENCE)
+    if answer.problem:
+        raise TurtleactError(answer.problem)
+    try:
+        path.write_bytes(answer.data)
+    except OSError as error:
+        problem = f"{path} cannot be written: {error.strerror or error}; name another file"
+        raise TurtleactError(problem) from None
+    say(f"{path}: {len(answer.data)} bytes\n")
+    return 0
 
 
 def ros_arguments(arguments: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
