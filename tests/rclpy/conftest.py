@@ -7,7 +7,7 @@ import pytest
 from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.executors import SingleThreadedExecutor
-from turtleact.rclpy.impl.settings import SETTINGS, Place
+from turtleact.rclpy.face import SETTINGS, Place
 
 
 @pytest.fixture(autouse=True)

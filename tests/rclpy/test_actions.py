@@ -13,7 +13,7 @@ from turtleact.errors import InvalidMessage
 from turtleact.goals.state import GoalEvent, GoalStatus
 from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
-from turtleact.rclpy.action.names import ActionKind
+from turtleact.rclpy.action.endpoints import ActionKind
 from turtleact.rclpy.action.server import ServerGoalHandle
 from turtleact.rclpy.exceptions import RCLError
 from turtleact.rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor

@@ -29,6 +29,7 @@ from turtleact.rclpy.service_introspection import ServiceIntrospectionState
 
 AddTwoInts = interface_class("example_interfaces/srv/AddTwoInts")
 Fibonacci = interface_class("example_interfaces/action/Fibonacci")
+Describe: Any = get_service("type_description_interfaces/srv/GetTypeDescription")
 OurAddTwoInts: Any = get_service("example_interfaces/srv/AddTwoInts")
 
 
@@ -129,6 +130,20 @@ def test_a_client_of_turtleact_uses_a_service_of_rclpy(others, node, executor):
     while not asked.done():
         executor.spin_once(timeout_sec=0.01)
     assert asked.result().sum == 8
+
+
+def test_a_node_describes_its_types_to_other_processes(others, node):
+    node.create_client(AddTwoInts, "sum")
+
+    async def ask():
+        client = others[0].service_client(Describe, "/lab/get_type_description")
+        await client.wait_for_service(timeout=5)
+        return await client.call(
+            Describe.Request(type_hash=hash_of("example_interfaces/srv/AddTwoInts"))
+        )
+
+    described = node.connection.loop.run(ask).type_description.type_description
+    assert described.type_name == "example_interfaces/srv/AddTwoInts"
 
 
 def test_a_client_of_turtleact_sends_a_goal_to_rclpy(others, node, executor):

@@ -256,7 +256,7 @@ def test_a_nested_spin_gives_the_node_back_to_its_executor(node, executor):
 
 def test_a_blocked_callback_is_reported_after_two_seconds(node, executor, monkeypatch, capsys):
     now = [100.0]
-    monkeypatch.setattr("turtleact.rclpy.impl.diagnosis.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("turtleact.rclpy.impl.waiting.time.monotonic", lambda: now[0])
     never = Future()
 
     async def wait():

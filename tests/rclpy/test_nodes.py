@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from turtleact.rclpy import action, logging, serialization
+from turtleact.rclpy import action, logging
 from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.clock import ROSClock
 from turtleact.rclpy.duration import Duration
@@ -20,9 +20,15 @@ from turtleact.rclpy.exceptions import (
 )
 from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.implementation_singleton import rclpy_implementation
-from turtleact.rclpy.impl.logging_severity import LoggingSeverity
-from turtleact.rclpy.impl.rcutils_logger import Console
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.impl.rcutils_logger import Console, LoggingSeverity
+from turtleact.rclpy.messages.classes import (
+    check_for_type_support,
+    check_is_valid_action_type,
+    check_is_valid_msg_type,
+    check_is_valid_srv_type,
+    interface_class,
+)
+from turtleact.rclpy.messages.codec import deserialize_message, serialize_message
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.qos import (
     DurabilityPolicy,
@@ -39,14 +45,7 @@ from turtleact.rclpy.qos import (
 )
 from turtleact.rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 from turtleact.rclpy.time import Time
-from turtleact.rclpy.topic_endpoint_info import TopicEndpointInfo
-from turtleact.rclpy.type_hash import TypeHash
-from turtleact.rclpy.type_support import (
-    check_for_type_support,
-    check_is_valid_action_type,
-    check_is_valid_msg_type,
-    check_is_valid_srv_type,
-)
+from turtleact.rclpy.topic_endpoint_info import TopicEndpointInfo, TypeHash
 from turtleact.rclpy.wait_for_message import wait_for_message
 
 String = interface_class("std_msgs/msg/String")
@@ -161,10 +160,10 @@ def test_a_subscription_may_get_bytes_or_more_about_a_message(node, executor):
     node.create_subscription(String, "chatter", raws.append, 10, raw=True)
     node.create_subscription(String, "chatter", lambda _, info: infos.append(info), 10)
     message = String(data="hi")
-    node.create_publisher(String, "chatter", 10).publish(serialization.serialize_message(message))
+    node.create_publisher(String, "chatter", 10).publish(serialize_message(message))
     for _ in range(2):
         executor.spin_once(timeout_sec=1)
-    assert serialization.deserialize_message(raws[0], String) == message
+    assert deserialize_message(raws[0], String) == message
     assert infos[0]["received_timestamp"] > 0
     with pytest.raises(RuntimeError, match="one argument"):
         node.create_subscription(String, "chatter", lambda: None, 10)

@@ -12,7 +12,7 @@ from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.action import ActionClient, ActionServer
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.executors import SingleThreadedExecutor
-from turtleact.rclpy.impl.settings import SETTINGS, Place
+from turtleact.rclpy.face import SETTINGS, Place
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.transports import ZenohTransport
 

@@ -9,8 +9,8 @@ import anyio
 import pytest
 
 from turtleact.errors import TurtleactError
-from turtleact.rclpy.impl import opening
-from turtleact.rclpy.impl.settings import SETTINGS, Place
+from turtleact.rclpy.face import SETTINGS, Place
+from turtleact.rclpy.impl import process as opening
 from turtleact.transports import MemoryTransport
 
 pytestmark = pytest.mark.loops("asyncio")

@@ -395,21 +395,3 @@ def test_changes_are_published_and_handled(node, executor):
         handler.remove_parameter_event_callback(every)
     assert handler.get_parameter_from_event(events[0], "speed", "/hall") is None
     handler.destroy()
-
-
-def test_a_node_describes_its_types(node, executor):
-    Describe = interface_class("type_description_interfaces/srv/GetTypeDescription")
-    client = node.create_client(Describe, "/lab/get_type_description")
-
-    def ask(**fields):
-        future = client.call_async(Describe.Request(**fields))
-        executor.spin_until_future_complete(future, timeout_sec=2)
-        return future.result()
-
-    found = ask(type_name="geometry_msgs/msg/Twist")
-    assert [each.type_name for each in found.type_description.referenced_type_descriptions] == [
-        "geometry_msgs/msg/Vector3"
-    ]
-    assert "Vector3 linear" in found.type_sources[0].raw_file_contents
-    assert not ask(type_name="geometry_msgs/msg/Twist", type_hash="RIHS01_0").successful
-    assert "unknown interface" in ask(type_name="lab/msg/None").failure_reason

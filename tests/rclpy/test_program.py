@@ -12,7 +12,7 @@ import pytest
 from turtleact.interfaces.types import REGISTRY
 from turtleact.rclpy import ament_index, command, program
 from turtleact.rclpy.__main__ import main
-from turtleact.rclpy.impl.settings import SETTINGS
+from turtleact.rclpy.face import SETTINGS
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from turtleact.rclpy.callback_groups import ReentrantCallbackGroup
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
 from turtleact.rclpy.executors import MultiThreadedExecutor
-from turtleact.rclpy.impl.settings import SETTINGS, Place
+from turtleact.rclpy.face import SETTINGS, Place
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
 

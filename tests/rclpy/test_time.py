@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from turtleact.rclpy.clock import Clock, ClockChange, JumpThreshold, ROSClock
-from turtleact.rclpy.clock_type import ClockType
 from turtleact.rclpy.duration import Duration, Infinite
 from turtleact.rclpy.exceptions import (
     InvalidHandle,
@@ -19,7 +18,7 @@ from turtleact.rclpy.exceptions import (
 )
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
-from turtleact.rclpy.time import Time
+from turtleact.rclpy.time import ClockType, Time
 from turtleact.rclpy.time_source import TimeSource
 from turtleact.rclpy.timer import TimerInfo
 

@@ -8,7 +8,6 @@ import operator
 import pytest
 
 from turtleact.rclpy.clock import ClockChange, JumpThreshold, TimeJump
-from turtleact.rclpy.clock_type import ClockType
 from turtleact.rclpy.duration import Duration, Infinite
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import (
@@ -33,9 +32,13 @@ from turtleact.rclpy.qos import (
     qos_profile_default,
     qos_profile_sensor_data,
 )
-from turtleact.rclpy.time import Time
-from turtleact.rclpy.topic_endpoint_info import TopicEndpointInfo, TopicEndpointTypeEnum, info_of
-from turtleact.rclpy.type_hash import TypeHash
+from turtleact.rclpy.time import ClockType, Time
+from turtleact.rclpy.topic_endpoint_info import (
+    TopicEndpointInfo,
+    TopicEndpointTypeEnum,
+    TypeHash,
+    info_of,
+)
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint, TimePolicies
 

@@ -99,7 +99,7 @@ def run(
     if program is None:
         return _run_built_in(package, executable, rest, reach)
     from turtleact.commands.interface_search import make_found
-    from turtleact.rclpy.impl.settings import Place
+    from turtleact.rclpy.face import Place
     from turtleact.rclpy.program import Options
 
     make_found(None if interfaces is None else str(interfaces))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from turtleact.errors import ServerUnavailable, TurtleactError
 from turtleact.rclpy.exceptions import ROSInterruptException
-from turtleact.rclpy.impl.calls import CallEnd
+from turtleact.rclpy.impl.connection import CallEnd
 from turtleact.rclpy.impl.entity import NOTHING, Entity
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable

@@ -8,12 +8,11 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import TYPE_CHECKING, Self
 
-from turtleact.rclpy.clock_type import ClockType
 from turtleact.rclpy.duration import Duration
 from turtleact.rclpy.exceptions import NotInitializedException
 from turtleact.rclpy.impl.entity import Block, Handle
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.time import Time
+from turtleact.rclpy.time import ClockType, Time
 
 if TYPE_CHECKING:
     from turtleact.rclpy.context import Context

@@ -16,8 +16,7 @@ from pathlib import Path
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import load_workspace, offer_interfaces
 from turtleact.interfaces.workspace import find_interfaces
-from turtleact.rclpy.face import FACES
-from turtleact.rclpy.impl.settings import Place
+from turtleact.rclpy.face import FACES, Place
 from turtleact.rclpy.program import Options, end_threads, leave, prepare
 
 __all__ = ["run"]

@@ -6,11 +6,13 @@ import math
 from functools import total_ordering
 from typing import ClassVar
 
-from turtleact.rclpy.constants import S_TO_NS
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class
 
-__all__ = ["Duration", "Infinite"]
+__all__ = ["S_TO_NS", "Duration", "Infinite"]
+
+S_TO_NS = 1_000_000_000
+
 
 LARGEST = 2**63
 """Durations and times must be below this limit, to fit into signed 64-bit integers (ns)."""

@@ -30,9 +30,9 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from turtleact.rclpy.callback_groups import CallbackGroup
 from turtleact.rclpy.exceptions import InvalidHandle
-from turtleact.rclpy.impl.diagnosis import BLOCKED_AFTER, note_blocked
 from turtleact.rclpy.impl.entity import NOTHING, Block, Entity
 from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.impl.waiting import BLOCKED_AFTER, note_blocked
 from turtleact.rclpy.task import Future, Task
 from turtleact.rclpy.utilities import get_default_context
 

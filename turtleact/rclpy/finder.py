@@ -50,8 +50,19 @@ ALIASES: Final = {
         ),
         "names",
     ),
-    "qos_event": "event_handler",
+    "action.graph": "impl.node_graph",
+    "clock_type": "time",
+    "constants": "duration",
+    "guard_condition": "waitable",
     "handle": "impl.entity",
+    "impl.logging_severity": "impl.rcutils_logger",
+    "logging_service": "node_services",
+    "parameter_service": "node_services",
+    "qos_event": "event_handler",
+    "serialization": "messages.codec",
+    "type_hash": "topic_endpoint_info",
+    "type_description_service": "node_services",
+    "type_support": "messages.classes",
 }
 """Modules of rclpy, each with the module of turtleact's rclpy that contains its names."""
 

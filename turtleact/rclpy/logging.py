@@ -6,8 +6,12 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from turtleact.rclpy.impl.logging_severity import LoggingSeverity
-from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger, logger_named, reset_levels
+from turtleact.rclpy.impl.rcutils_logger import (
+    LoggingSeverity,
+    RcutilsLogger,
+    logger_named,
+    reset_levels,
+)
 
 __all__ = [
     "LoggingSeverity",

@@ -15,20 +15,23 @@ from turtleact.rclpy.callback_groups import (
 )
 from turtleact.rclpy.client import Client
 from turtleact.rclpy.clock import Clock, ROSClock
-from turtleact.rclpy.constants import S_TO_NS
+from turtleact.rclpy.duration import S_TO_NS
 from turtleact.rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
-from turtleact.rclpy.guard_condition import GuardCondition
 from turtleact.rclpy.impl.arguments import arguments_of
-from turtleact.rclpy.impl.calls import CallEnd
-from turtleact.rclpy.impl.connection import Connection, Sender
+from turtleact.rclpy.impl.connection import CallEnd, Connection, Sender
 from turtleact.rclpy.impl.entity import Block, Handle
 from turtleact.rclpy.impl.node_graph import NodeGraph
 from turtleact.rclpy.impl.node_parameters import NodeParameters
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger, Rosout, logger_named
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.logging import get_logger
-from turtleact.rclpy.messages.classes import interface_class, type_name_of
+from turtleact.rclpy.messages.classes import (
+    check_is_valid_msg_type,
+    check_is_valid_srv_type,
+    interface_class,
+    type_name_of,
+)
 from turtleact.rclpy.messages.codec import hash_of
 from turtleact.rclpy.names import (
     expand_topic_name,
@@ -37,8 +40,12 @@ from turtleact.rclpy.names import (
     validate_node_name,
     validate_topic_name,
 )
+from turtleact.rclpy.node_services import (
+    LoggingService,
+    ParameterService,
+    declares_type_descriptions,
+)
 from turtleact.rclpy.parameter import Parameter
-from turtleact.rclpy.parameter_service import ParameterService
 from turtleact.rclpy.publisher import Publisher
 from turtleact.rclpy.qos import (
     QoSProfile,
@@ -52,11 +59,9 @@ from turtleact.rclpy.service_introspection import SwitchableEvents
 from turtleact.rclpy.subscription import Subscription
 from turtleact.rclpy.time_source import TimeSource
 from turtleact.rclpy.timer import Rate, Timer
-from turtleact.rclpy.type_description_service import TypeDescriptionService
-from turtleact.rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
 from turtleact.rclpy.utilities import get_default_context
-from turtleact.rclpy.waitable import Waitable
-from turtleact.transports.base import EVERY_SERVER, Endpoint, EndpointKind, Target
+from turtleact.rclpy.waitable import GuardCondition, Waitable
+from turtleact.transports.base import EVERY_SERVER, Closeable, Endpoint, EndpointKind, Target
 
 if TYPE_CHECKING:
     from turtleact.rclpy.context import Context
@@ -137,6 +142,7 @@ class Node(NodeParameters, NodeGraph, Block):
         self._handle = Handle(self._membership.close)
         self._logger = get_logger(self.get_fully_qualified_name()[1:].replace("/", "."))
         self._rosout: Sender | None = None
+        self._descriptions: Closeable | None = None
         if enable_rosout and "--disable-rosout-logs" not in arguments.flags:
             self._start_rosout(profile_of(rosout_qos_profile))
         self._start_parameters(
@@ -147,12 +153,11 @@ class Node(NodeParameters, NodeGraph, Block):
         self._time_source = TimeSource(node=self)
         self._time_source.attach_clock(self._clock)
         if start_parameter_services:
-            self._parameter_service = ParameterService(self, self)
-        TypeDescriptionService(self, self)
+            ParameterService(self)
+        if declares_type_descriptions(self):
+            self._descriptions = self._connection.describe_types(self.get_fully_qualified_name())
         if enable_logger_service:
-            from turtleact.rclpy.logging_service import LoggingService
-
-            self._logger_service = LoggingService(self)
+            LoggingService(self)
         self._context.track_node(self)
 
     def _start_rosout(self, qos: QoSProfile) -> None:
@@ -666,6 +671,8 @@ class Node(NodeParameters, NodeGraph, Block):
             return
         self._context.untrack_node(self)
         self._time_source.destroy()
+        if self._descriptions is not None:
+            self._descriptions.close()
         if self._rosout is not None:
             logger_named(self._logger.name).removeHandler(self._log_handler)
             self._rosout.close()

@@ -19,9 +19,8 @@ import msgspec
 
 from turtleact.interfaces import load_interfaces, offer_interfaces
 from turtleact.interfaces.workspace import find_interfaces
-from turtleact.rclpy.face import chosen_face
+from turtleact.rclpy.face import SETTINGS, Place, chosen_face
 from turtleact.rclpy.finder import install
-from turtleact.rclpy.impl.settings import SETTINGS, Place
 
 __all__ = ["Options", "end_threads", "leave", "offer_neighbours", "prepare"]
 

@@ -135,7 +135,7 @@ class Introspected(Entity):
         service_events: One `SwitchableEvents` for each of these services.
     """
 
-    service_events: Sequence[SwitchableEvents]
+    service_events: Sequence[Anything]
 
     def configure_introspection(
         self,

@@ -1,17 +1,25 @@
-"""Points in time. Each point in time belongs to one kind of clock."""
+"""Points in time, and the kinds of clocks that they belong to."""
 
 from __future__ import annotations
 
+from enum import IntEnum
 from functools import total_ordering
 from typing import overload
 
-from turtleact.rclpy.clock_type import ClockType
-from turtleact.rclpy.constants import S_TO_NS
-from turtleact.rclpy.duration import LARGEST, Duration
+from turtleact.rclpy.duration import LARGEST, S_TO_NS, Duration
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class
 
-__all__ = ["Time"]
+__all__ = ["ClockType", "Time"]
+
+
+class ClockType(IntEnum):
+    """The kind of time that a clock shows."""
+
+    UNINITIALIZED = 0
+    ROS_TIME = 1
+    SYSTEM_TIME = 2
+    STEADY_TIME = 3
 
 
 @total_ordering

@@ -6,13 +6,12 @@ import weakref
 from typing import TYPE_CHECKING, Protocol
 
 from turtleact.rclpy.clock import Clock, ROSClock
-from turtleact.rclpy.clock_type import ClockType
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.qos import QoSProfile, ReliabilityPolicy
-from turtleact.rclpy.time import Time
+from turtleact.rclpy.time import ClockType, Time
 
 if TYPE_CHECKING:
     from turtleact.rclpy.subscription import Subscription

@@ -14,12 +14,11 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from turtleact.rclpy.clock import Clock, JumpThreshold
-from turtleact.rclpy.clock_type import ClockType
 from turtleact.rclpy.duration import Duration
 from turtleact.rclpy.exceptions import InvalidHandle, RCLError, ROSInterruptException
 from turtleact.rclpy.impl.entity import NOTHING, Entity
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.time import Time
+from turtleact.rclpy.time import ClockType, Time
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup

@@ -21,7 +21,7 @@ from weakref import WeakValueDictionary
 from turtleact.errors import InvalidMessage, TurtleactError
 from turtleact.goals.wire import read_states
 from turtleact.interfaces.wire_format import GOAL_ID
-from turtleact.rclpy.action.names import ActionKind, goal_key
+from turtleact.rclpy.action.endpoints import ActionKind, goal_key
 from turtleact.rclpy.executors import await_or_execute
 from turtleact.rclpy.impl.entity import NOTHING
 from turtleact.rclpy.impl.typing import Anything, Subscriptable

@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from turtleact.errors import InvalidMessage, InvalidTransition
 from turtleact.goals.state import Goal, GoalEvent, GoalStatus, cancel_code, select
 from turtleact.goals.wire import GoalMetadata
-from turtleact.rclpy.action.names import ActionKind, goal_key
-from turtleact.rclpy.action.status import StatusTopic
+from turtleact.rclpy.action.endpoints import ActionKind, StatusTopic, goal_key
 from turtleact.rclpy.exceptions import InvalidHandle, RCLError
 from turtleact.rclpy.executors import await_or_execute
 from turtleact.rclpy.impl.connection import RequestHandler, Respond

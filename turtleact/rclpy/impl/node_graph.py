@@ -9,9 +9,16 @@ from turtleact.rclpy.impl.connection import Connection
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.impl.waiting import wait_until
 from turtleact.transports.base import Endpoint, EndpointKind
-from turtleact.transports.graph import types_by_name
+from turtleact.transports.graph import SEND_GOAL, types_by_name
 
-__all__ = ["NodeGraph", "NodeNameNonExistentError", "endpoints_of"]
+__all__ = [
+    "NodeGraph",
+    "NodeNameNonExistentError",
+    "endpoints_of",
+    "get_action_client_names_and_types_by_node",
+    "get_action_names_and_types",
+    "get_action_server_names_and_types_by_node",
+]
 
 TOPIC_ENDS: tuple[EndpointKind, ...] = ("publisher", "subscription")
 
@@ -208,3 +215,40 @@ def _infos(node: Named, name: str, kind: EndpointKind) -> list[Anything]:
     from turtleact.rclpy.topic_endpoint_info import info_of
 
     return [info_of(each) for each in _ends(node, name, kind)]
+
+
+def get_action_client_names_and_types_by_node(
+    node: Named, remote_node_name: str, remote_node_namespace: str
+) -> list[tuple[str, list[str]]]:
+    """Return the names and types of the actions for which a node has clients.
+
+    Raises:
+        RuntimeError: if there is no such node.
+    """
+    ends = endpoints_of(node.connection, remote_node_name, remote_node_namespace)
+    return _actions(ends, "client")
+
+
+def get_action_server_names_and_types_by_node(
+    node: Named, remote_node_name: str, remote_node_namespace: str
+) -> list[tuple[str, list[str]]]:
+    """Return the names and types of the actions that a node serves.
+
+    Raises:
+        RuntimeError: if there is no such node.
+    """
+    ends = endpoints_of(node.connection, remote_node_name, remote_node_namespace)
+    return _actions(ends, "service")
+
+
+def get_action_names_and_types(node: Named) -> list[tuple[str, list[str]]]:
+    """Return the names and types of all actions that have a server or a client."""
+    return _actions(node.connection.endpoints(), "service", "client")
+
+
+def _actions(
+    ends: tuple[Endpoint, ...] | list[Endpoint], *kinds: EndpointKind
+) -> list[tuple[str, list[str]]]:
+    served = [each for each in ends if each.name.endswith(SEND_GOAL)]
+    found = types_by_name(served, "action", *kinds, hidden=True)
+    return [(name, list(types)) for name, types in found.items()]

@@ -8,16 +8,93 @@ from __future__ import annotations
 
 import atexit
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import (
+    AbstractAsyncContextManager,
+    AsyncExitStack,
+    asynccontextmanager,
+    contextmanager,
+)
+from functools import partial
 from typing import Protocol
 from weakref import WeakSet
 
+import anyio
+
+from turtleact.errors import TurtleactError
+from turtleact.rclpy.face import SETTINGS, Place
 from turtleact.rclpy.impl.connection import Connection, OpenTransport
 from turtleact.rclpy.impl.event_loop import EventLoop
-from turtleact.rclpy.impl.opening import open_chosen
+from turtleact.tasks.clock import Clock
+from turtleact.transports import MemoryTransport, Transport, open_zenoh
 
-__all__ = ["PROCESS", "Process"]
+__all__ = ["PROCESS", "Process", "open_chosen"]
+
+ATTEMPTS = 20
+"""How many times to try to open the graph.
+
+An attempt fails if another program becomes the router at the same time.
+"""
+
+PAUSE = 0.05
+"""How long to wait between two attempts to open the graph (s)."""
+
+LISTEN = ("tcp/127.0.0.1:7447",)
+"""Where the nodes of a machine look for a router."""
+
+
+@asynccontextmanager
+async def open_chosen(domain: int) -> AsyncIterator[Transport]:
+    """Open the graph that was chosen for this process.
+
+    An embedded world opens its own connection to the graph, like ``turtleact serve``. Other
+    programs and commands can therefore also see the world.
+
+    Raises:
+        TurtleactError: if the graph cannot be opened.
+    """
+    place = SETTINGS.place
+    async with AsyncExitStack() as stack:
+        if place.is_embedded:
+            from turtleact.sim.world_node import open_world
+
+            world = open_world(graph=partial(_open, place, domain))
+            await stack.enter_async_context(world)
+        yield await stack.enter_async_context(_open(place, domain))
+
+
+@asynccontextmanager
+async def _open(place: Place, domain: int, clock: Clock | None = None) -> AsyncIterator[Transport]:
+    if place.is_alone:
+        yield MemoryTransport(clock)
+        return
+    peer = partial(open_zenoh, domain=domain, config=place.config, clock=clock)
+    async with AsyncExitStack() as stack:
+        if place.connect:
+            yield await stack.enter_async_context(peer(place.connect))
+        else:
+            router = partial(peer, mode="router", listen=LISTEN)
+            yield await _first(stack, [peer, router])
+
+
+async def _first(
+    stack: AsyncExitStack,
+    opening: Sequence[Callable[[], AbstractAsyncContextManager[Transport]]],
+) -> Transport:
+    """Try to open several graphs in order, and return the first one that opens.
+
+    If none of them opens, try all of them again, up to `ATTEMPTS` times in total.
+    """
+    for attempt in range(ATTEMPTS):
+        for open_it in opening:
+            try:
+                return await stack.enter_async_context(open_it())
+            except TurtleactError:
+                if attempt == ATTEMPTS - 1 and open_it is opening[-1]:
+                    raise
+        await anyio.sleep(PAUSE)
+    raise AssertionError("the last attempt raises")
+
 
 PATIENCE = 2.5
 """How long to delay the end of the process while other threads shut contexts down (s)."""

@@ -17,15 +17,27 @@ import re
 import sys
 import time
 from contextlib import suppress
+from enum import IntEnum
 from types import FrameType
 
 from turtleact.rclpy.impl.connection import Sender
-from turtleact.rclpy.impl.logging_severity import LoggingSeverity
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.messages.codec import encode
 
-__all__ = ["Console", "RcutilsLogger", "Rosout", "logger_named", "reset_levels"]
+__all__ = ["Console", "LoggingSeverity", "RcutilsLogger", "Rosout", "logger_named", "reset_levels"]
+
+
+class LoggingSeverity(IntEnum):
+    """The severities of log messages, with the same numbers as in Python's `logging`."""
+
+    UNSET = 0
+    DEBUG = 10
+    INFO = 20
+    WARN = 30
+    ERROR = 40
+    FATAL = 50
+
 
 FIELDS = {
     "severity": "{levelname}",

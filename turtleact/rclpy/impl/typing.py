@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
-__all__ = ["Anything", "ServiceHost", "Subscriptable"]
+__all__ = ["Anything", "Subscriptable"]
 
 Anything: TypeAlias = Any
 """The type of the program's messages, interfaces and callbacks.
@@ -23,15 +23,3 @@ class Subscriptable:
     def __class_getitem__(cls, parameters: object) -> type:
         """Return the class itself."""
         return cls
-
-
-class ServiceHost(Protocol):
-    """The part of a node that standard services use, such as the services for parameters."""
-
-    def get_name(self) -> str:
-        """Return the node's name."""
-
-    def create_service(
-        self, srv_type: Anything, srv_name: str, callback: Anything, *, qos_profile: Anything = ...
-    ) -> object:
-        """Open a server of a service."""

@@ -20,7 +20,7 @@ from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import maker, shape_of
 from turtleact.rclpy.messages.fields import TYPECODES, sequence_of
 
-__all__ = ["decode", "encode", "hash_of"]
+__all__ = ["decode", "deserialize_message", "encode", "hash_of", "serialize_message"]
 
 
 def encode(message: Anything, message_class: Anything) -> bytes:
@@ -132,3 +132,13 @@ def _fitted_value(field_type: FieldType, nested: Anything, value: Anything, path
     elif kind in ("float32", "float64") and hasattr(value, "__float__"):
         return float(value)
     raise TypeError(f"{path.lstrip('.')}: a {field_type} cannot be {value!r}")
+
+
+def serialize_message(message: Anything) -> bytes:
+    """Return a message as the bytes that ROS 2 sends."""
+    return encode(message, type(message))
+
+
+def deserialize_message(serialized_message: bytes, message_type: Anything) -> Anything:
+    """Decode the bytes that ROS 2 sends, and return the message."""
+    return decode(bytes(serialized_message), message_type)

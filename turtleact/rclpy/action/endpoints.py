@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+from turtleact.goals.state import Goal
+from turtleact.goals.wire import pack_state, write_states
 from turtleact.interfaces.cdr import HEADER, UNFIT, encoder
 from turtleact.names import action_names
-from turtleact.rclpy.impl.calls import CallEnd
-from turtleact.rclpy.impl.connection import RequestHandler, Sender
+from turtleact.rclpy.impl.connection import CallEnd, RequestHandler, Sender
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.messages.classes import interface_class, maker
+from turtleact.rclpy.messages.classes import check_is_valid_action_type, interface_class, maker
 from turtleact.rclpy.messages.codec import encode, hash_of
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.service_introspection import SwitchableEvents
-from turtleact.rclpy.type_support import check_is_valid_action_type
-from turtleact.transports.base import Closeable, Target
+from turtleact.transports.base import Closeable, Source, Target
 
 if TYPE_CHECKING:
     from turtleact.rclpy.clock import Clock
     from turtleact.rclpy.node import Node
 
-__all__ = ["ActionKind", "goal_key"]
+__all__ = ["ActionKind", "StatusTopic", "goal_key"]
 
 TYPES = {
     "send_goal": "SendGoalService",
@@ -148,3 +149,60 @@ class ActionKind:
 def goal_key(goal_id: Anything) -> bytes:
     """Return the 16 bytes of a ``unique_identifier_msgs.msg.UUID``."""
     return bytes(goal_id.uuid)
+
+
+TYPE = "action_msgs/msg/GoalStatusArray"
+
+PER_GOAL = 5e-6
+"""How long to delay a status message, for each goal in the message (s)."""
+
+
+class StatusTopic(Source):
+    """Publishes the states of a server's goals.
+
+    Args:
+        node: The node.
+        kind: The action.
+        qos: The quality of service of the topic.
+        held: A function that returns the goals that the server holds.
+    """
+
+    def __init__(
+        self, node: Node, kind: ActionKind, qos: QoSProfile, held: Callable[[], list[Goal]]
+    ) -> None:
+        self._held = held
+        self._lock = threading.Lock()
+        self._is_due = False
+        end = node.endpoint("publisher", kind.names.status, TYPE, qos)
+        self._sender = node.connection.advertise(end, hash_of(TYPE), self)
+
+    def publish(self) -> None:
+        """Publish the goals' states after a short delay. Any thread may call this."""
+        with self._lock:
+            if self._is_due:
+                return
+            self._is_due = True
+        self._sender.refresh_soon(len(self._held()) * PER_GOAL, self._begin)
+
+    def _begin(self) -> None:
+        with self._lock:
+            self._is_due = False
+
+    def current(self) -> Sequence[object]:
+        """Return the encoded message with the goals' states."""
+        packed = [
+            pack_state(goal.id, (*divmod(goal.stamp, 1_000_000_000), goal.status))
+            for goal in self._held()
+        ]
+        return (write_states(packed),)
+
+    def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:
+        """Return the message with the goals' states, encoded for readers in other processes."""
+        return [encode(message) for message in self.current()]
+
+    def readers_changed(self, *, has_readers: bool) -> None:
+        """Do nothing, because the transport itself asks for the messages to send."""
+
+    def close(self) -> None:
+        """Close the topic."""
+        self._sender.close()

@@ -1,5 +1,0 @@
-"""The number of nanoseconds in a second."""
-
-__all__ = ["S_TO_NS"]
-
-S_TO_NS = 1_000_000_000
