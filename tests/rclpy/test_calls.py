@@ -220,7 +220,7 @@ def test_an_answer_that_comes_too_late_is_dropped(node, executor):
     answers: list[Any] = []
     end = node.endpoint("service", "/raw", "example_interfaces/srv/AddTwoInts")
     handler = RequestHandler(lambda request, respond: answers.append(respond))
-    node.connection.serve(end, hash_of(end.type_name), handler)
+    node.connection.serve(end, handler)
     client = node.create_client(AddTwoInts, "raw")
     future = client.call_async(AddTwoInts.Request())
     client.remove_pending_request(future)
@@ -248,9 +248,10 @@ def test_an_answer_to_a_caller_that_was_cancelled_is_dropped():
 
 
 def test_a_request_that_cannot_be_read_is_refused_and_logged(node, executor, capsys):
-    service = node.create_service(AddTwoInts, "add", add)
+    node.create_service(AddTwoInts, "add", add)
+    handler = node.connection.local("/add", AddTwoInts.type_name)
     answers: list[Any] = []
-    service.handler.take(b"\0\1\0\0", lambda answer, note: answers.append(answer))
+    handler.take(b"\0\1\0\0", lambda answer, note: answers.append(answer))
     executor.spin_once(timeout_sec=0)
     assert isinstance(answers[0], InvalidMessage)
     assert "a request to /add cannot be read" in capsys.readouterr().err

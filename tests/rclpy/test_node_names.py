@@ -92,22 +92,6 @@ def test_a_name_is_expanded():
 # --- the default context ------------------------------------------------------------------------
 
 
-def test_the_default_context_is_replaced_after_a_shutdown():
-    with rclpy.init(args=[], domain_id=7) as managed:
-        assert rclpy.ok()
-        assert managed.context.get_domain_id() == 7
-        assert rclpy.get_global_executor() is rclpy.get_global_executor()
-        node = rclpy.create_node("lab")
-        rclpy.spin_once(node, timeout_sec=0)
-        assert rclpy.get_global_executor().get_nodes() == []
-    assert not rclpy.ok()
-    rclpy.try_shutdown()
-    rclpy.init(args=[])
-    rclpy.shutdown()
-    with pytest.raises(RuntimeError):
-        rclpy.shutdown()
-
-
 def test_facts_of_the_installation_are_told():
     assert rclpy.get_rmw_implementation_identifier() == "rmw_zenoh_cpp"
     assert utilities.get_available_rmw_implementations() == {"rmw_zenoh_cpp"}

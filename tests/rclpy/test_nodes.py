@@ -32,20 +32,14 @@ from turtleact.rclpy.messages.codec import deserialize_message, serialize_messag
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.qos import (
     DurabilityPolicy,
-    HistoryPolicy,
-    InvalidQoSProfileException,
     LivelinessPolicy,
     QoSPolicyKind,
-    QoSPresetProfiles,
     QoSProfile,
     ReliabilityPolicy,
-    profile_of,
-    qos_check_compatible,
-    qos_policy_name_from_kind,
 )
 from turtleact.rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 from turtleact.rclpy.time import Time
-from turtleact.rclpy.topic_endpoint_info import TopicEndpointInfo, TypeHash
+from turtleact.rclpy.topic_endpoint_info import TopicEndpointInfo
 from turtleact.rclpy.wait_for_message import wait_for_message
 
 String = interface_class("std_msgs/msg/String")
@@ -200,15 +194,6 @@ def test_a_class_that_is_no_interface_is_refused():
         check_for_type_support(unready)
 
 
-def test_a_type_hash_is_shown_as_text():
-    text = f"RIHS01_{'0a' * 32}"
-    assert str(TypeHash.from_text(text)) == text
-    assert TypeHash.from_text("nonsense") == TypeHash()
-    assert str(TypeHash()) == "INVALID"
-    assert TypeHash() != 1
-    assert len({TypeHash(), TypeHash()}) == 1
-
-
 # --- the log ------------------------------------------------------------------------------------
 
 
@@ -334,51 +319,6 @@ def test_others_see_and_set_log_levels(context):
 
 
 # --- quality of service -------------------------------------------------------------------------
-
-
-def test_a_profile_has_defaults_and_checks_its_policies():
-    qos = QoSProfile(depth=5)
-    assert (qos.history, qos.reliability) == (HistoryPolicy.KEEP_LAST, ReliabilityPolicy.RELIABLE)
-    assert qos == QoSProfile(**qos.to_dict())
-    assert qos != 5
-    assert "depth=5" in str(qos)
-    assert not qos.avoid_ros_namespace_conventions
-    assert qos.lifespan == Duration()
-    for wrong in ({}, {"history": HistoryPolicy.KEEP_LAST}):
-        with pytest.raises(InvalidQoSProfileException):
-            QoSProfile(**wrong)
-    for field, value, error in (
-        ("depth", "5", AssertionError),
-        ("depth", -1, ValueError),
-        ("deadline", 1, AssertionError),
-        ("history", "all", AssertionError),
-        ("nonsense", 1, AssertionError),
-    ):
-        with pytest.raises(error):
-            QoSProfile(**{"depth": 1, field: value})
-    with pytest.warns(UserWarning, match="zero depth"):
-        assert QoSProfile(depth=0).kept == 10
-    assert QoSProfile(history=HistoryPolicy.KEEP_ALL).kept is None
-
-
-def test_a_number_is_a_depth():
-    assert profile_of(3).depth == 3
-    with pytest.raises(ValueError, match="greater than or equal"):
-        profile_of(-1)
-    for wrong in ("3", True, None):
-        with pytest.raises(TypeError, match="Expected QoSProfile or int"):
-            profile_of(wrong)  # type: ignore[arg-type]  # that is the point
-
-
-def test_policies_and_presets_have_short_names():
-    assert "best_effort" in ReliabilityPolicy.short_keys()
-    assert ReliabilityPolicy.get_from_short_key("BEST_effort") == ReliabilityPolicy.BEST_EFFORT
-    assert ReliabilityPolicy.BEST_EFFORT.short_key == "best_effort"
-    assert QoSPresetProfiles.get_from_short_key("sensor_data").depth == 5
-    assert "sensor_data" in QoSPresetProfiles.short_keys()
-    assert qos_policy_name_from_kind(QoSPolicyKind.DEPTH) == "DEPTH"
-    assert qos_check_compatible(QoSProfile(depth=1), QoSProfile(depth=1))[0].name == "OK"
-    assert rclpy_implementation.rmw_qos_profile_t.predefined("qos_profile_default").depth == 10
 
 
 def test_parameters_may_override_a_quality(context):

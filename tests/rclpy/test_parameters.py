@@ -19,9 +19,6 @@ from turtleact.rclpy.exceptions import (
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import (
     Parameter,
-    get_parameter_value,
-    parameter_dict_from_yaml_file,
-    parameter_value_to_python,
 )
 from turtleact.rclpy.parameter_client import AsyncParameterClient
 from turtleact.rclpy.parameter_event_handler import ParameterEventHandler
@@ -47,71 +44,6 @@ def names(node, prefixes=(), depth=0):
 
 
 # --- a parameter by itself ----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("value", "kind"),
-    [
-        (None, Type.NOT_SET),
-        (True, Type.BOOL),
-        (1, Type.INTEGER),
-        (1.5, Type.DOUBLE),
-        ("a", Type.STRING),
-        ([b"a"], Type.BYTE_ARRAY),
-        ([True], Type.BOOL_ARRAY),
-        ((1, 2), Type.INTEGER_ARRAY),
-        ([0.5], Type.DOUBLE_ARRAY),
-        (["a"], Type.STRING_ARRAY),
-    ],
-)
-def test_a_value_has_a_type_and_survives_a_message(value, kind):
-    parameter = Parameter("speed", value=value)
-    assert parameter.type_ is kind
-    back = Parameter.from_parameter_msg(parameter.to_parameter_msg())
-    assert (back.name, back.type_) == ("speed", kind)
-    assert back.value == (list(value) if isinstance(value, tuple) else value)
-
-
-@pytest.mark.parametrize("value", [object(), [1, "a"], [1, True], [None]])
-def test_other_values_are_refused(value):
-    with pytest.raises(TypeError, match="allowed types"):
-        Parameter("speed", value=value)
-
-
-def test_type_and_value_must_agree():
-    with pytest.raises(ValueError, match="do not agree"):
-        Parameter("speed", Type.INTEGER, 1.5)
-    with pytest.raises(TypeError, match="instance of"):
-        Parameter("speed", WRONG, 1)
-    assert Parameter("speed", Type.INTEGER_ARRAY, []).value == []
-    assert not Type.NOT_SET.check(1)
-    assert not Type.BOOL.check(object())
-
-
-def test_parameters_are_equal_by_name_type_and_value():
-    assert Parameter("a", value=1) == Parameter("a", value=1)
-    assert Parameter("a", value=1) != Parameter("a", value=2)
-    assert Parameter("a", value=1) != 1
-    assert len({Parameter("a", value=1), Parameter("a", value=1)}) == 1
-    assert "name='a'" in repr(Parameter("a", value=1))
-
-
-def test_a_text_stands_for_a_value():
-    assert get_parameter_value("[1, 2]").type == Type.INTEGER_ARRAY.value
-    assert get_parameter_value("{a: 1}").string_value == "{a: 1}"
-    with pytest.raises(RuntimeError, match="unexpected parameter type 77"):
-        parameter_value_to_python(Value(type=77))
-
-
-def test_a_file_of_parameters_is_read_for_some_nodes(tmp_path):
-    file = tmp_path / "lab.yaml"
-    file.write_text("/**: {ros__parameters: {a: 1}}\n/lab: {ros__parameters: {b: {c: x}}}\n")
-    assert set(parameter_dict_from_yaml_file(str(file))) == {"a", "b.c"}
-    found = parameter_dict_from_yaml_file(str(file), target_nodes=["lab"], namespace="up.")
-    assert {key: each.name for key, each in found.items()} == {"up.b.c": "up.b.c"}
-    assert set(parameter_dict_from_yaml_file(str(file), True, ["lab"])) == {"a", "b.c"}
-    with pytest.raises(RuntimeError, match="valid parameters for hall"):
-        parameter_dict_from_yaml_file(str(file), target_nodes=["hall"])
 
 
 # --- declaring ----------------------------------------------------------------------------------

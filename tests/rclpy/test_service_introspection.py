@@ -104,14 +104,6 @@ def test_a_destroyed_entity_cannot_publish_events(node, ends, index):
     assert [node.count_publishers(topic) for topic in topics] == [0, 0]
 
 
-def test_an_entity_that_is_destroyed_while_it_enters_the_topic_leaves_it(node, monkeypatch):
-    server = ActionServer(node, Fibonacci, "count", print)
-    with monkeypatch.context() as entering:
-        entering.setattr(node.connection, "wait_until_explored", server.destroy)
-        configure(node, ServiceIntrospectionState.METADATA, server)
-    assert node.count_publishers("count/_action/send_goal/_service_event") == 0
-
-
 def test_an_event_that_cannot_be_published_fails_no_call(node, executor, ends, events, capsys):
     class Broken:
         def now(self):

@@ -1,4 +1,4 @@
-"""Durations, times, clocks, timers, rates and the source of time."""
+"""Clocks, timers, rates and the source of time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from turtleact.rclpy.clock import Clock, ClockChange, JumpThreshold, ROSClock
-from turtleact.rclpy.duration import Duration, Infinite
+from turtleact.rclpy.duration import Duration
 from turtleact.rclpy.exceptions import (
     InvalidHandle,
     NotInitializedException,
@@ -32,74 +32,9 @@ def at(seconds: float, clock_type: ClockType = ClockType.ROS_TIME) -> Time:
     return Time(seconds=seconds, clock_type=clock_type)
 
 
-# --- durations and times ------------------------------------------------------------------------
-
-
-def test_durations_are_added_scaled_and_compared():
-    one, two = Duration(seconds=1), Duration(nanoseconds=2 * SECOND)
-    assert one + one == two
-    assert two - one == one
-    assert 2 * one == one * 2 == two
-    assert two * 0.5 == one
-    assert one * float("inf") == Infinite
-    assert one < two
-    assert one <= two
-    assert two > one
-    assert two >= one
-    assert len({one, Duration(seconds=1)}) == 1
-    assert (str(Infinite), str(one)) == ("Infinite", "1000000000 nanoseconds")
-    assert repr(one) == "Duration(nanoseconds=1000000000)"
-    assert Duration.from_msg(Duration(seconds=1.5).to_msg()).nanoseconds == 1.5 * SECOND
-
-
-@pytest.mark.parametrize("operator", ["__add__", "__sub__", "__lt__", "__le__", "__gt__", "__ge__"])
-def test_a_duration_is_not_mixed_with_others(operator):
-    assert getattr(Duration(), operator)(1) is NotImplemented
-    assert getattr(Time(), operator)(1) is NotImplemented
-    assert Duration().__mul__("1") is NotImplemented
-    assert Duration() != 1
-    assert Time() != 1
-
-
-def test_times_are_moved_and_compared():
-    later = at(1) + Duration(seconds=1)
-    assert Duration(seconds=1) + at(1) == later
-    assert (later - at(1)).nanoseconds == SECOND
-    assert later - Duration(seconds=1) == at(1)
-    assert at(1) < later
-    assert at(1) <= later
-    assert later > at(1)
-    assert later >= at(1)
-    assert at(1.5).seconds_nanoseconds() == (1, SECOND // 2)
-    assert len({at(1), at(1)}) == 1
-    assert "ROS_TIME" in repr(at(1))
-    assert Time.from_msg(at(1.5).to_msg()) == at(1.5)
-
-
 @pytest.mark.parametrize(
     ("make", "error"),
     [
-        (lambda: Duration(seconds=1e12), OverflowError),
-        (lambda: Duration.from_msg(1), TypeError),
-        (lambda: Time(seconds=-1), ValueError),
-        (lambda: Time(nanoseconds=-1), ValueError),
-        (lambda: Time(seconds=1e12), OverflowError),
-        (lambda: Time(clock_type=WRONG), TypeError),
-        (lambda: Time.from_msg(1), TypeError),
-        (lambda: at(1) - Duration(seconds=2), ValueError),
-        (lambda: Time(nanoseconds=2**63 - 1) + Duration(nanoseconds=1), OverflowError),
-        (lambda: at(1) - Time(), TypeError),
-        (lambda: at(1) < Time(), TypeError),
-        (
-            lambda: JumpThreshold(min_forward=None, min_backward=None, on_clock_change=False),
-            ValueError,
-        ),
-        (lambda: JumpThreshold(min_forward=Duration(), min_backward=None), ValueError),
-        (
-            lambda: JumpThreshold(min_forward=Duration(nanoseconds=-1), min_backward=None),
-            ValueError,
-        ),
-        (lambda: JumpThreshold(min_forward=None, min_backward=Duration()), ValueError),
         (lambda: Clock(clock_type=WRONG), TypeError),
         (lambda: ROSClock().set_ros_time_override(WRONG), TypeError),
     ],

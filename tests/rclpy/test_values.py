@@ -287,7 +287,7 @@ def test_parameters_are_compared_and_shown():
     assert repr(parameter) == "Parameter(name='p', type=Type.INTEGER, value=1)"
 
 
-@pytest.mark.parametrize("value", [[1, "a"], object(), [object()]])
+@pytest.mark.parametrize("value", [[1, "a"], [1, True], [None], object(), [object()]])
 def test_other_values_are_refused(value):
     with pytest.raises(TypeError, match="not one of the allowed types"):
         Parameter("p", value=value)

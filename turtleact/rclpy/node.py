@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from turtleact.rclpy.callback_groups import (
     CallbackGroup,
@@ -19,7 +18,7 @@ from turtleact.rclpy.duration import S_TO_NS
 from turtleact.rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
 from turtleact.rclpy.impl.arguments import arguments_of
-from turtleact.rclpy.impl.connection import CallEnd, Connection, Sender
+from turtleact.rclpy.impl.connection import CallEnd, Close, Connection, Sender
 from turtleact.rclpy.impl.entity import Block, Handle
 from turtleact.rclpy.impl.node_graph import NodeGraph
 from turtleact.rclpy.impl.node_parameters import NodeParameters
@@ -32,7 +31,6 @@ from turtleact.rclpy.messages.classes import (
     interface_class,
     type_name_of,
 )
-from turtleact.rclpy.messages.codec import hash_of
 from turtleact.rclpy.names import (
     expand_topic_name,
     validate_full_topic_name,
@@ -54,6 +52,7 @@ from turtleact.rclpy.qos import (
     qos_profile_rosout_default,
     qos_profile_services_default,
 )
+from turtleact.rclpy.qos_overriding_options import QoSOverridingOptions, declare_qos_parameters
 from turtleact.rclpy.service import Service
 from turtleact.rclpy.service_introspection import SwitchableEvents
 from turtleact.rclpy.subscription import Subscription
@@ -61,18 +60,18 @@ from turtleact.rclpy.time_source import TimeSource
 from turtleact.rclpy.timer import Rate, Timer
 from turtleact.rclpy.utilities import get_default_context
 from turtleact.rclpy.waitable import GuardCondition, Waitable
-from turtleact.transports.base import EVERY_SERVER, Closeable, Endpoint, EndpointKind, Target
+from turtleact.transports.base import EVERY_SERVER, Endpoint, EndpointKind, Target
 
 if TYPE_CHECKING:
     from turtleact.rclpy.context import Context
     from turtleact.rclpy.executors import Executor
-    from turtleact.rclpy.qos_overriding_options import QoSOverridingOptions
 
 __all__ = ["HIDDEN_NODE_PREFIX", "Node"]
 
 HIDDEN_NODE_PREFIX = "_"
 PARAMETER_EVENTS = "/parameter_events"
-E = TypeVar("E")
+ORDER = (Timer, Subscription, GuardCondition, Client, Service)
+"""The kinds of entities except waitables, in the order in which executors serve them."""
 
 
 class Node(NodeParameters, NodeGraph, Block):
@@ -126,23 +125,19 @@ class Node(NodeParameters, NodeGraph, Block):
         self._namespace = f"/{arguments.namespace(namespace or '', node_name).removeprefix('/')}"
         validate_namespace(self._namespace)
         self._arguments = arguments
-        self._publishers: list[Publisher] = []
-        self._subscriptions: list[Subscription] = []
-        self._clients: list[Client] = []
-        self._services: list[Service] = []
-        self._timers: list[Timer] = []
-        self._guards: list[GuardCondition] = []
-        self._waitables: list[Waitable] = []
+        self._held: dict[type, list[Anything]] = {
+            kind: [] for kind in (Publisher, *ORDER, Waitable)
+        }
+        self.entities = self._in_order()
         self._executor_ref: weakref.ReferenceType[Executor] | None = None
         self._default_callback_group = MutuallyExclusiveCallbackGroup()
         self._rate_group = ReentrantCallbackGroup()
         self._clock = ROSClock()
         self._connection = self._context.connection
-        self._membership = self._connection.enter(self.get_fully_qualified_name())
-        self._handle = Handle(self._membership.close)
+        self._handle = Handle(self._connection.enter(self.get_fully_qualified_name()))
         self._logger = get_logger(self.get_fully_qualified_name()[1:].replace("/", "."))
         self._rosout: Sender | None = None
-        self._descriptions: Closeable | None = None
+        self._leave_descriptions: Close | None = None
         if enable_rosout and "--disable-rosout-logs" not in arguments.flags:
             self._start_rosout(profile_of(rosout_qos_profile))
         self._start_parameters(
@@ -155,7 +150,9 @@ class Node(NodeParameters, NodeGraph, Block):
         if start_parameter_services:
             ParameterService(self)
         if declares_type_descriptions(self):
-            self._descriptions = self._connection.describe_types(self.get_fully_qualified_name())
+            self._leave_descriptions = self._connection.describe_types(
+                self.get_fully_qualified_name()
+            )
         if enable_logger_service:
             LoggingService(self)
         self._context.track_node(self)
@@ -163,7 +160,7 @@ class Node(NodeParameters, NodeGraph, Block):
     def _start_rosout(self, qos: QoSProfile) -> None:
         """Publish the node's log on ``/rosout``."""
         end = self.endpoint("publisher", "/rosout", "rcl_interfaces/msg/Log", qos)
-        self._rosout = self._connection.advertise(end, hash_of(end.type_name))
+        self._rosout = self._connection.advertise(end)
         self._log_handler = Rosout(self._rosout)
         logger_named(self._logger.name).addHandler(self._log_handler)
 
@@ -210,46 +207,37 @@ class Node(NodeParameters, NodeGraph, Block):
     @property
     def publishers(self) -> Iterator[Publisher]:
         """The publishers of the node."""
-        yield from self._publishers
+        yield from self._held[Publisher]
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
         """The subscriptions of the node."""
-        yield from self._subscriptions
+        yield from self._held[Subscription]
 
     @property
     def clients(self) -> Iterator[Client]:
         """The node's clients of services."""
-        yield from self._clients
+        yield from self._held[Client]
 
     @property
     def services(self) -> Iterator[Service]:
         """The services that the node offers."""
-        yield from self._services
+        yield from self._held[Service]
 
     @property
     def timers(self) -> Iterator[Timer]:
         """The timers of the node."""
-        yield from self._timers
+        yield from self._held[Timer]
 
     @property
     def guards(self) -> Iterator[GuardCondition]:
         """The guard conditions of the node."""
-        yield from self._guards
+        yield from self._held[GuardCondition]
 
     @property
     def waitables(self) -> Iterator[Waitable]:
         """The waitables of the node."""
-        yield from self._waitables
-
-    @property
-    def entities(self) -> tuple[Sequence[Anything], ...]:
-        """The node's entities except waitables: one sequence for each kind.
-
-        An executor checks the sequences in this order. The node replaces sequences and never
-        changes them, so any thread may iterate over a sequence.
-        """
-        return self._timers, self._subscriptions, self._guards, self._clients, self._services
+        yield from self._held[Waitable]
 
     @property
     def executor(self) -> Executor | None:
@@ -273,6 +261,35 @@ class Node(NodeParameters, NodeGraph, Block):
         executor = self.executor
         if executor is not None:
             executor.wake()
+
+    def _add(self, kind: type, entity: Anything) -> None:
+        self._held[kind] = [*self._held[kind], entity]
+        self.entities = self._in_order()
+        self._wake_executor()
+
+    def _remove(self, kind: type, entity: Anything) -> bool:
+        """Stop serving an entity. Return False if the node does not have it."""
+        was_there = entity in self._held[kind]
+        self._held[kind] = [each for each in self._held[kind] if each is not entity]
+        self.entities = self._in_order()
+        self._wake_executor()
+        return was_there
+
+    def _destroy(self, kind: type, entity: Anything) -> bool:
+        """Destroy an entity and its event handlers. Return False if the node does not have it."""
+        if not self._remove(kind, entity):
+            return False
+        for handler in getattr(entity, "event_handlers", ()):
+            self._remove(Waitable, handler)
+        entity.destroy()
+        return True
+
+    def _in_order(self) -> tuple[list[Anything], ...]:
+        """Return the node's entities except waitables, in the order in which executors serve them.
+
+        The lists never change, so any thread may iterate over them.
+        """
+        return tuple(self._held[kind] for kind in ORDER)
 
     @property
     def context(self) -> Context:
@@ -374,32 +391,42 @@ class Node(NodeParameters, NodeGraph, Block):
         Raises:
             InvalidTopicNameException: if the name of the topic is invalid.
         """
-        qos = profile_of(qos_profile)
         group = callback_group or self._default_callback_group
-        check_is_valid_msg_type(msg_type)
-        full = self._resolve(topic, is_service=False)
-        if qos_overriding_options is not None:
-            qos = self._overridden(qos_overriding_options, qos, full, is_publisher=True)
-        end = self.endpoint("publisher", full, type_name_of(msg_type), qos)
+        end, qos = self._topic_end(Publisher, msg_type, topic, qos_profile, qos_overriding_options)
         if topic != PARAMETER_EVENTS:  # so that even the first message reaches every subscription
             self._connection.wait_until_explored()
-        sender = self._connection.advertise(end, hash_of(type_name_of(msg_type)))
         callbacks = event_callbacks or PublisherEventCallbacks()
         handlers = callbacks.create_event_handlers(group, self._connection, end)
         publisher = publisher_class(
-            sender,
+            self._connection,
+            end,
             msg_type,
             topic,
-            full,
             qos,
             event_handlers=handlers,
             callback_group=group,
-            count_subscriptions=partial(self._count, full, "subscription"),
         )
-        self._publishers = [*self._publishers, publisher]
+        self._add(Publisher, publisher)
         for each in handlers:
             self.add_waitable(each)
         return publisher
+
+    def _topic_end(
+        self,
+        entity_type: type,
+        msg_type: Anything,
+        topic: str,
+        qos_profile: QoSProfile | int,
+        options: QoSOverridingOptions | None,
+    ) -> tuple[Endpoint, QoSProfile]:
+        """Return the description of a publisher or subscription, and its quality of service."""
+        qos = profile_of(qos_profile)
+        check_is_valid_msg_type(msg_type)
+        full = self._resolve(topic, is_service=False)
+        if options is not None:
+            qos = declare_qos_parameters(entity_type, self, full, qos, options)
+        kind: EndpointKind = "publisher" if entity_type is Publisher else "subscription"
+        return self.endpoint(kind, full, type_name_of(msg_type), qos), qos
 
     def create_subscription(
         self,
@@ -430,33 +457,27 @@ class Node(NodeParameters, NodeGraph, Block):
         Raises:
             InvalidTopicNameException: if the name of the topic is invalid.
         """
-        qos = profile_of(qos_profile)
         group = callback_group or self._default_callback_group
-        check_is_valid_msg_type(msg_type)
-        full = self._resolve(topic, is_service=False)
-        if qos_overriding_options is not None:
-            qos = self._overridden(qos_overriding_options, qos, full, is_publisher=False)
-        end = self.endpoint("subscription", full, type_name_of(msg_type), qos)
+        end, qos = self._topic_end(
+            Subscription, msg_type, topic, qos_profile, qos_overriding_options
+        )
         callbacks = event_callbacks or SubscriptionEventCallbacks()
         handlers = callbacks.create_event_handlers(group, self._connection, end)
         subscription = Subscription(
+            self._connection,
+            end,
             msg_type,
             topic,
-            full,
             callback,
             group,
             qos,
             raw=raw,
             event_handlers=handlers,
             wake=self._wake_executor,
-            count_publishers=partial(self._count, full, "publisher"),
         )
-        type_hash = hash_of(type_name_of(msg_type))
-        subscription.opened(self._connection.subscribe(end, type_hash, subscription.deliver))
-        self._subscriptions = [*self._subscriptions, subscription]
+        self._add(Subscription, subscription)
         for each in handlers:
             self.add_waitable(each)
-        self._wake_executor()
         return subscription
 
     def create_client(
@@ -491,16 +512,14 @@ class Node(NodeParameters, NodeGraph, Block):
             get_executor=lambda: self.executor,
             wake=self._wake_executor,
         )
-        self._clients = [*self._clients, client]
-        self._wake_executor()
+        self._add(Client, client)
         return client
 
     def join(self, full_name: str, srv_type: Anything, target: Target = EVERY_SERVER) -> CallEnd:
         """Make the node a client of a service, and return the object that sends the requests."""
-        type_name = type_name_of(srv_type)
-        end = self.endpoint("client", full_name, type_name)
+        end = self.endpoint("client", full_name, type_name_of(srv_type))
         events = SwitchableEvents(self, full_name, srv_type, is_client=True)
-        return CallEnd(self._connection, end, hash_of(type_name), events, target)
+        return CallEnd(self._connection, end, events, target)
 
     def create_service(
         self,
@@ -526,20 +545,17 @@ class Node(NodeParameters, NodeGraph, Block):
         check_is_valid_srv_type(srv_type)
         full = self._resolve(srv_name, is_service=True)
         service = Service(
+            self._connection,
+            self.endpoint("service", full, type_name_of(srv_type)),
             srv_type,
             srv_name,
-            full,
             callback,
             callback_group or self._default_callback_group,
             qos_profile,
             SwitchableEvents(self, full, srv_type, is_client=False),
             wake=self._wake_executor,
         )
-        end = self.endpoint("service", full, type_name_of(srv_type))
-        type_hash = hash_of(type_name_of(srv_type))
-        service.opened(self._connection.serve(end, type_hash, service.handler))
-        self._services = [*self._services, service]
-        self._wake_executor()
+        self._add(Service, service)
         return service
 
     def create_timer(
@@ -571,8 +587,7 @@ class Node(NodeParameters, NodeGraph, Block):
             autostart=autostart,
             wake=self._wake_executor,
         )
-        self._timers = [*self._timers, timer]
-        self._wake_executor()
+        self._add(Timer, timer)
         return timer
 
     def create_guard_condition(
@@ -582,8 +597,7 @@ class Node(NodeParameters, NodeGraph, Block):
         self._handle.check()
         group = callback_group or self._default_callback_group
         guard = GuardCondition(callback, group, self._context, self._wake_executor)
-        self._guards = [*self._guards, guard]
-        self._wake_executor()
+        self._add(GuardCondition, guard)
         return guard
 
     def create_rate(self, frequency: float, clock: Clock | None = None) -> Rate:
@@ -604,66 +618,42 @@ class Node(NodeParameters, NodeGraph, Block):
     def add_waitable(self, waitable: Waitable) -> None:
         """Add a waitable to the node, so that the node's executor runs it."""
         waitable.call_on_wake(self._wake_executor)
-        self._waitables = [*self._waitables, waitable]
-        self._wake_executor()
+        self._add(Waitable, waitable)
 
     def remove_waitable(self, waitable: Waitable) -> None:
         """Remove a waitable from the node, so that the node's executor no longer runs it."""
-        self._waitables = [each for each in self._waitables if each is not waitable]
-        self._wake_executor()
+        self._remove(Waitable, waitable)
 
     # closing
 
     def destroy_publisher(self, publisher: Publisher) -> bool:
         """Destroy a publisher of the node. Return False if the node does not have it."""
-        for each in publisher.event_handlers if publisher in self._publishers else ():
-            self.remove_waitable(each)
-        self._publishers, was_there = self._without(self._publishers, publisher)
-        return was_there
+        return self._destroy(Publisher, publisher)
 
     def destroy_subscription(self, subscription: Subscription) -> bool:
         """Destroy a subscription of the node. Return False if the node does not have it."""
-        for each in subscription.event_handlers if subscription in self._subscriptions else ():
-            self.remove_waitable(each)
-        self._subscriptions, was_there = self._without(self._subscriptions, subscription)
-        return was_there
+        return self._destroy(Subscription, subscription)
 
     def destroy_client(self, client: Client) -> bool:
         """Destroy a client of the node. Return False if the node does not have it."""
-        self._clients, was_there = self._without(self._clients, client)
-        return was_there
+        return self._destroy(Client, client)
 
     def destroy_service(self, service: Service) -> bool:
         """Destroy a service of the node. Return False if the node does not have it."""
-        self._services, was_there = self._without(self._services, service)
-        return was_there
+        return self._destroy(Service, service)
 
     def destroy_timer(self, timer: Timer) -> bool:
         """Destroy a timer of the node. Return False if the node does not have it."""
-        self._timers, was_there = self._without(self._timers, timer)
-        return was_there
+        return self._destroy(Timer, timer)
 
     def destroy_guard_condition(self, guard: GuardCondition) -> bool:
         """Destroy a guard condition of the node. Return False if the node does not have it."""
-        self._guards, was_there = self._without(self._guards, guard)
-        return was_there
+        return self._destroy(GuardCondition, guard)
 
     def destroy_rate(self, rate: Rate) -> bool:
         """Destroy a rate. Return False if the node does not have the rate's timer."""
         rate.destroy()
         return self.destroy_timer(rate.timer)
-
-    def _without(self, held: list[E], thing: E) -> tuple[list[E], bool]:
-        """Destroy ``thing`` if it is in ``held``.
-
-        Return the other items of ``held``, and whether ``thing`` was in ``held``.
-        """
-        if thing not in held:
-            return held, False
-        closing: Anything = thing
-        closing.destroy()
-        self._wake_executor()
-        return [each for each in held if each is not thing], True
 
     def destroy_node(self) -> None:
         """Destroy the node and all its entities. A second call does nothing."""
@@ -671,18 +661,16 @@ class Node(NodeParameters, NodeGraph, Block):
             return
         self._context.untrack_node(self)
         self._time_source.destroy()
-        if self._descriptions is not None:
-            self._descriptions.close()
+        if self._leave_descriptions is not None:
+            self._leave_descriptions()
         if self._rosout is not None:
             logger_named(self._logger.name).removeHandler(self._log_handler)
             self._rosout.close()
-        for waitable in self._waitables:
-            waitable.destroy()
-        for held in (self._publishers, *self.entities):
-            for each in held:
-                each.destroy()
-        self._publishers, self._subscriptions, self._clients = [], [], []
-        self._services, self._timers, self._guards, self._waitables = [], [], [], []
+        for kind in (Waitable, Publisher, *ORDER):
+            for entity in self._held[kind]:
+                entity.destroy()
+            self._held[kind] = []
+        self.entities = self._in_order()
         executor = self.executor
         if executor is not None:
             executor.remove_node(self)
@@ -690,16 +678,3 @@ class Node(NodeParameters, NodeGraph, Block):
 
     def _leave(self) -> None:
         self.destroy_node()
-
-    def _count(self, name: str, kind: EndpointKind) -> int:
-        return sum(each.kind == kind for each in self._connection.endpoints(name))
-
-    def _overridden(
-        self, options: QoSOverridingOptions, qos: QoSProfile, topic: str, *, is_publisher: bool
-    ) -> QoSProfile:
-        from turtleact.rclpy.qos_overriding_options import declare_qos_parameters
-
-        found: QoSProfile = declare_qos_parameters(
-            self, topic, qos, options, is_publisher=is_publisher
-        )
-        return found

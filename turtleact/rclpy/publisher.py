@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from turtleact.rclpy.duration import Duration
-from turtleact.rclpy.impl.connection import Sender
+from turtleact.rclpy.impl.connection import Connection
 from turtleact.rclpy.impl.entity import Destroyable, Handle
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.codec import encode
 from turtleact.rclpy.qos import QoSProfile
+from turtleact.transports.base import Endpoint
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
@@ -24,37 +25,35 @@ class Publisher(Subscriptable, Destroyable):
     `publish` encodes a message before it returns, so you may change the message afterwards.
 
     Args:
-        sender: Sends the encoded messages.
+        connection: The connection to the graph.
+        endpoint: Describes the publisher on the graph.
         msg_type: The class of the messages.
         topic: The name of the topic, as it was given to `Node.create_publisher`.
-        full_name: The full name of the topic.
         qos_profile: The quality of service.
         event_handlers: The waitables that call the callbacks for events of the publisher.
         callback_group: The callback group of these callbacks.
-        count_subscriptions: Returns the number of subscriptions of the topic.
     """
 
     def __init__(
         self,
-        sender: Sender,
+        connection: Connection,
+        endpoint: Endpoint,
         msg_type: Anything,
         topic: str,
-        full_name: str,
         qos_profile: QoSProfile,
         *,
         event_handlers: Sequence[Anything] = (),
         callback_group: CallbackGroup | None = None,
-        count_subscriptions: Callable[[], int],
     ) -> None:
-        self._sender = sender
-        self._handle = Handle(sender.close)
+        self._connection = connection
+        self._sender = connection.advertise(endpoint)
+        self._handle = Handle(self._sender.close)
+        self._full_name = endpoint.name
         self.msg_type = msg_type
         self.topic = topic
-        self._full_name = full_name
         self.qos_profile = qos_profile
-        self.event_handlers = list(event_handlers)
+        self.event_handlers = event_handlers
         self.callback_group = callback_group
-        self._count_subscriptions = count_subscriptions
 
     @property
     def handle(self) -> Handle:
@@ -88,7 +87,7 @@ class Publisher(Subscriptable, Destroyable):
     def get_subscription_count(self) -> int:
         """Return how many subscriptions the topic has."""
         with self._handle:
-            return self._count_subscriptions()
+            return self._connection.count(self._full_name, "subscription")
 
     def assert_liveliness(self) -> None:
         """Show that the publisher is alive.

@@ -62,18 +62,18 @@ class QoSOverridingOptions:
 
 
 def declare_qos_parameters(
+    entity_type: type,
     node: NodeParameters,
     topic: str,
     qos: QoSProfile,
     options: QoSOverridingOptions,
-    *,
-    is_publisher: bool,
 ) -> QoSProfile:
     """Declare a parameter for each policy. Return ``qos`` with the values of the parameters.
 
     Raises:
         InvalidQosOverridesError: if the callback rejects the profile.
     """
+    is_publisher = issubclass(entity_type, Publisher)
     kind = "publisher" if is_publisher else "subscription"
     suffix = f"_{options.entity_id}" if options.entity_id else ""
     prefix = f"qos_overrides.{topic}.{kind}{suffix}"
@@ -121,15 +121,4 @@ def _override(qos: QoSProfile, policy: QoSPolicyKind, given: Anything) -> None:
 
 # rclpy's tests and a few programs use these by rclpy's private names.
 _get_qos_policy_parameter = _parameter_of
-
-
-def _declare_qos_parameters(
-    entity_type: type,
-    node: NodeParameters,
-    topic: str,
-    qos: QoSProfile,
-    options: QoSOverridingOptions,
-) -> QoSProfile:
-    return declare_qos_parameters(
-        node, topic, qos, options, is_publisher=issubclass(entity_type, Publisher)
-    )
+_declare_qos_parameters = declare_qos_parameters

@@ -8,14 +8,14 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from turtleact.errors import InvalidMessage
-from turtleact.rclpy.impl.connection import RequestHandler, Respond
+from turtleact.rclpy.impl.connection import Connection, RequestHandler, Respond
 from turtleact.rclpy.impl.entity import NOTHING, Entity
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.service_introspection import Introspected, SwitchableEvents
-from turtleact.transports.base import Closeable
+from turtleact.transports.base import Endpoint
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
@@ -29,24 +29,23 @@ class Service(Introspected, Subscriptable, Entity):
     """Answers the requests of a service. `Node.create_service` makes a service.
 
     Args:
+        connection: The connection to the graph.
+        endpoint: Describes the service on the graph.
         srv_type: The class of the service.
         srv_name: The name of the service, as it was given to `Node.create_service`.
-        full_name: The full name of the service.
         callback: Takes a request and an empty response, and returns a response.
         callback_group: Decides when the callback may run.
         qos_profile: The quality of service.
         events: Publishes the events of calls, once `configure_introspection` has switched them on.
         wake: Called when a request has come.
-
-    Attributes:
-        handler: The object to which the transport passes requests.
     """
 
     def __init__(
         self,
+        connection: Connection,
+        endpoint: Endpoint,
         srv_type: Anything,
         srv_name: str,
-        full_name: str,
         callback: Anything,
         callback_group: CallbackGroup,
         qos_profile: QoSProfile,
@@ -56,24 +55,19 @@ class Service(Introspected, Subscriptable, Entity):
     ) -> None:
         self.srv_type = srv_type
         self.srv_name = srv_name
-        self._full_name = full_name
+        self._full_name = endpoint.name
         self.callback = callback
         self.qos_profile = qos_profile
         self.service_events = (events,)
-        self.handler = RequestHandler(self._receive, events)
         self._waiting: deque[tuple[bytes, Respond]] = deque()
-        self._opened: Closeable | None = None
         super().__init__(callback_group, close=self._close, wake=wake)
+        self._leave_graph = connection.serve(endpoint, RequestHandler(self._receive, events))
 
     @property
     def service_name(self) -> str:
         """The full name of the service."""
         with self.handle:
             return self._full_name
-
-    def opened(self, opened: Closeable) -> None:
-        """Store the transport's service object, so that `destroy` can close that object."""
-        self._opened = opened
 
     def _receive(self, request: bytes, respond: Respond) -> None:
         self._waiting.append((request, respond))
@@ -119,5 +113,4 @@ class Service(Introspected, Subscriptable, Entity):
     def _close(self) -> None:
         for each in self.service_events:
             each.close()
-        if self._opened is not None:
-            self._opened.close()
+        self._leave_graph()

@@ -87,7 +87,7 @@ class SwitchableEvents(CallEvents):
         if state != ServiceIntrospectionState.OFF:
             end = self._node.endpoint("publisher", self._topic, f"{self._type_name}_Event", qos)
             self._node.connection.wait_until_explored()  # so that a reader gets the first event
-            sender = self._node.connection.advertise(end, self._format.type_hash)
+            sender = self._node.connection.advertise(end)
         with self._lock:
             if self._is_closed:  # by another thread, while this one opened the topic
                 before = sender

@@ -10,12 +10,13 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from turtleact.errors import InvalidMessage
-from turtleact.rclpy.impl.entity import NOTHING, Entity
+from turtleact.rclpy.impl.connection import Connection
+from turtleact.rclpy.impl.entity import NOTHING, Entity, Handle
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.codec import decode
 from turtleact.rclpy.qos import QoSProfile
-from turtleact.transports.base import Closeable
+from turtleact.transports.base import Endpoint
 
 if TYPE_CHECKING:
     from turtleact.rclpy.callback_groups import CallbackGroup
@@ -39,16 +40,16 @@ class Subscription(Subscriptable, Entity):
     messages wait than the profile's depth, the oldest are dropped.
 
     Args:
+        connection: The connection to the graph.
+        endpoint: Describes the subscription on the graph.
         msg_type: The class of the messages.
         topic: The name of the topic, as it was given to `Node.create_subscription`.
-        full_name: The full name of the topic.
         callback: Called with each message and, if it takes two arguments, a `MessageInfo`.
         callback_group: Decides when the callback may run.
         qos_profile: The quality of service.
         raw: Whether the callback gets encoded messages (bytes).
         event_handlers: The waitables that call the callbacks for events of the subscription.
         wake: Called when a message has come.
-        count_publishers: Returns the number of publishers of the topic.
     """
 
     class CallbackType(Enum):
@@ -59,9 +60,10 @@ class Subscription(Subscriptable, Entity):
 
     def __init__(
         self,
+        connection: Connection,
+        endpoint: Endpoint,
         msg_type: Anything,
         topic: str,
-        full_name: str,
         callback: Anything,
         callback_group: CallbackGroup,
         qos_profile: QoSProfile,
@@ -69,19 +71,18 @@ class Subscription(Subscriptable, Entity):
         raw: bool = False,
         event_handlers: Sequence[Anything] = (),
         wake: Callable[[], object] | None = None,
-        count_publishers: Callable[[], int],
     ) -> None:
-        self._count_publishers = count_publishers
+        self._connection = connection
+        self._full_name = endpoint.name
         self.msg_type = msg_type
         self.topic = topic
-        self._full_name = full_name
         self.qos_profile = qos_profile
         self.raw = raw
-        self.event_handlers = list(event_handlers)
+        self.event_handlers = event_handlers
         self._waiting: deque[tuple[bytes, int]] = deque(maxlen=qos_profile.kept)
-        self._opened: Closeable | None = None
         self.callback = callback
-        super().__init__(callback_group, close=self._close, wake=wake)
+        super().__init__(callback_group, wake=wake)
+        self._handle = Handle(connection.subscribe(endpoint, self._deliver))
 
     @property
     def callback(self) -> Anything:
@@ -99,17 +100,13 @@ class Subscription(Subscriptable, Entity):
         with self.handle:
             return self._full_name
 
-    def deliver(self, data: bytes) -> None:
+    def _deliver(self, data: bytes) -> None:
         """Queue a message for the callback. The transport may call this method in any thread."""
         # A deque needs no lock: with a full one, appending drops the oldest message in one step.
         self._waiting.append((data, time.time_ns()))
         for each in self.event_handlers:
             each.noted()
         self.wake()
-
-    def opened(self, opened: Closeable) -> None:
-        """Store the transport's subscription object, so that `destroy` can close that object."""
-        self._opened = opened
 
     def is_ready_now(self) -> bool:
         """Whether a message waits; False after `destroy`."""
@@ -146,17 +143,13 @@ class Subscription(Subscriptable, Entity):
     def get_publisher_count(self) -> int:
         """Return how many publishers the topic has."""
         with self.handle:
-            return self._count_publishers()
+            return self._connection.count(self._full_name, "publisher")
 
     def destroy(self) -> None:
         """Destroy the subscription. A second call does nothing."""
         for each in self.event_handlers:
             each.destroy()
         super().destroy()
-
-    def _close(self) -> None:
-        if self._opened is not None:
-            self._opened.close()
 
 
 def _callback_type(callback: Anything) -> Subscription.CallbackType:

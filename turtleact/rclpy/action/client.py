@@ -167,7 +167,7 @@ class ActionClient(Introspected, Waitable):
             name: self._kind.join(name) for name in ("send_goal", "cancel_goal", "get_result")
         }
         self.service_events = [end.events for end in self._ends.values()]
-        self._opened = [
+        self._closing = [
             self._kind.subscribe_feedback(feedback_sub_qos_profile, self._take_feedback),
             self._kind.subscribe_status(status_sub_qos_profile, self._take_status),
         ]
@@ -340,8 +340,8 @@ class ActionClient(Introspected, Waitable):
         super().destroy()
         for end in self._ends.values():
             end.close()
-        for opened in self._opened:
-            opened.close()
+        for close in self._closing:
+            close()
         self._node.remove_waitable(self)
 
     def _answered(

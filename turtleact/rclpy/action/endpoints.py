@@ -10,13 +10,13 @@ from turtleact.goals.state import Goal
 from turtleact.goals.wire import pack_state, write_states
 from turtleact.interfaces.cdr import HEADER, UNFIT, encoder
 from turtleact.names import action_names
-from turtleact.rclpy.impl.connection import CallEnd, RequestHandler, Sender
+from turtleact.rclpy.impl.connection import CallEnd, Close, RequestHandler, Sender
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import check_is_valid_action_type, interface_class, maker
-from turtleact.rclpy.messages.codec import encode, hash_of
+from turtleact.rclpy.messages.codec import encode
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.service_introspection import SwitchableEvents
-from turtleact.transports.base import Closeable, Source, Target
+from turtleact.transports.base import Source, Target
 
 if TYPE_CHECKING:
     from turtleact.rclpy.clock import Clock
@@ -82,11 +82,11 @@ class ActionKind:
         name = getattr(self.names, service)
         return SwitchableEvents(self._node, name, self.service(service), is_client=False)
 
-    def serve(self, service: str, handler: RequestHandler) -> Closeable:
+    def serve(self, service: str, handler: RequestHandler) -> Close:
         """Open a server of one of the action's services."""
         name, type_name = getattr(self.names, service), self.service(service).type_name
         end = self._node.endpoint("service", name, type_name)
-        return self._node.connection.serve(end, hash_of(type_name), handler)
+        return self._node.connection.serve(end, handler)
 
     def has_built_in(self) -> bool:
         """Whether a built-in action has this name.
@@ -113,19 +113,19 @@ class ActionKind:
         """Open the publisher of the feedback topic."""
         type_name = self._feedback_type
         end = self._node.endpoint("publisher", self.names.feedback, type_name, qos)
-        return self._node.connection.advertise(end, hash_of(type_name))
+        return self._node.connection.advertise(end)
 
-    def subscribe_feedback(self, qos: QoSProfile, deliver: Callable[[bytes], None]) -> Closeable:
+    def subscribe_feedback(self, qos: QoSProfile, deliver: Callable[[bytes], None]) -> Close:
         """Open a subscription to the feedback topic."""
         type_name = self._feedback_type
         end = self._node.endpoint("subscription", self.names.feedback, type_name, qos)
-        return self._node.connection.subscribe(end, hash_of(type_name), deliver)
+        return self._node.connection.subscribe(end, deliver)
 
-    def subscribe_status(self, qos: QoSProfile, deliver: Callable[[bytes], None]) -> Closeable:
+    def subscribe_status(self, qos: QoSProfile, deliver: Callable[[bytes], None]) -> Close:
         """Open a subscription to the status topic."""
         type_name = "action_msgs/msg/GoalStatusArray"
         end = self._node.endpoint("subscription", self.names.status, type_name, qos)
-        return self._node.connection.subscribe(end, hash_of(type_name), deliver)
+        return self._node.connection.subscribe(end, deliver)
 
     def encode_feedback(self, goal_id: bytes, feedback: Anything) -> bytes:
         """Encode a feedback message.
@@ -174,7 +174,7 @@ class StatusTopic(Source):
         self._lock = threading.Lock()
         self._is_due = False
         end = node.endpoint("publisher", kind.names.status, TYPE, qos)
-        self._sender = node.connection.advertise(end, hash_of(TYPE), self)
+        self._sender = node.connection.advertise(end, self)
 
     def publish(self) -> None:
         """Publish the goals' states after a short delay. Any thread may call this."""

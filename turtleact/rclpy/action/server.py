@@ -298,7 +298,7 @@ class ActionServer(Introspected, Waitable):
             service: RequestHandler(partial(self._receive, service), events[service])
             for service in services
         }
-        self._opened = [self._kind.serve(*each) for each in self._handlers.items()]
+        self._closing = [self._kind.serve(*each) for each in self._handlers.items()]
         self._expects_readers = False
         node.add_waitable(self)
 
@@ -391,10 +391,10 @@ class ActionServer(Introspected, Waitable):
         super().destroy()
         for goal_handle in list(self._goal_handles.values()):
             goal_handle.destroy()
-        for each in (*self._opened, *self.service_events):
+        for close in self._closing:
+            close()
+        for each in (*self.service_events, self._feedback, self._status):
             each.close()
-        self._feedback.close()
-        self._status.close()
         self._node.remove_waitable(self)
 
     # goals

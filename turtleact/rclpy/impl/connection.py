@@ -27,6 +27,7 @@ import msgspec
 from turtleact.errors import TurtleactError
 from turtleact.node.type_descriptions import offer_descriptions
 from turtleact.rclpy.impl.event_loop import EventLoop
+from turtleact.rclpy.messages.codec import hash_of
 from turtleact.transports import Transport, ZenohTransport
 from turtleact.transports.base import (
     EVERY_SERVER,
@@ -34,6 +35,7 @@ from turtleact.transports.base import (
     CallObserver,
     Closeable,
     Endpoint,
+    EndpointKind,
     PendingCall,
     Publication,
     Reply,
@@ -46,6 +48,9 @@ __all__ = ["CallEnd", "CallEvents", "Connection", "OpenTransport", "RequestHandl
 
 OpenTransport: TypeAlias = Callable[[int], AbstractAsyncContextManager[Transport]]
 """A function that opens the graph of a ROS domain."""
+
+Close: TypeAlias = Callable[[], object]
+"""A function that closes an endpoint. Any thread may call the function."""
 
 Respond: TypeAlias = Callable[[bytes | TurtleactError, str], object]
 """A function that answers a request. Its arguments are the response or an error, and a note.
@@ -291,15 +296,15 @@ class Connection:
             for changed in tuple(self._watchers):
                 changed()
 
-    def enter(self, node: str) -> Closeable:
-        """Show a node on the graph. Closing the returned object removes the node again."""
-        return self._posted(self.loop.call(partial(self._transport.enter, node)))
+    def enter(self, node: str) -> Close:
+        """Show a node on the graph, until the returned function is called."""
+        return self._closer(self.loop.call(partial(self._transport.enter, node)))
 
-    def describe_types(self, node: str) -> Closeable:
+    def describe_types(self, node: str) -> Close:
         """Offer ``get_type_description`` for a node of this process."""
-        return self._posted(self.loop.call(partial(offer_descriptions, self._transport, node)))
+        return self._closer(self.loop.call(partial(offer_descriptions, self._transport, node)))
 
-    def advertise(self, endpoint: Endpoint, type_hash: str, source: Source | None = None) -> Sender:
+    def advertise(self, endpoint: Endpoint, source: Source | None = None) -> Sender:
         """Open a publisher of a topic.
 
         A subscription that this process has already discovered gets all messages, from the first.
@@ -307,7 +312,7 @@ class Connection:
         transport = self._transport
 
         def open_it() -> Publication:
-            publication = transport.advertise(endpoint, Encoded(type_hash), source)
+            publication = transport.advertise(endpoint, _format(endpoint), source)
             if any(each.kind == "subscription" for each in transport.endpoints(endpoint.name)):
                 publication.expect_readers()
             return publication
@@ -315,9 +320,7 @@ class Connection:
         is_latched = endpoint.qos.durability == "transient_local"
         return Sender(self, self.loop.call(open_it), is_latched=is_latched)
 
-    def subscribe(
-        self, endpoint: Endpoint, type_hash: str, deliver: Callable[[bytes], None]
-    ) -> Closeable:
+    def subscribe(self, endpoint: Endpoint, deliver: Callable[[bytes], None]) -> Close:
         """Open a subscription to a topic.
 
         Any thread may call ``deliver`` with an encoded message.
@@ -325,23 +328,23 @@ class Connection:
         opening = partial(
             self._transport.subscribe,
             endpoint,
-            Encoded(type_hash),
+            _format(endpoint),
             cast("Callable[[object], None]", deliver),
             in_any_thread=True,
         )
-        return self._posted(self.loop.call(opening))
+        return self._closer(self.loop.call(opening))
 
-    def serve(self, endpoint: Endpoint, type_hash: str, handler: RequestHandler) -> Closeable:
+    def serve(self, endpoint: Endpoint, handler: RequestHandler) -> Close:
         """Open a server of a service."""
-        opening = partial(self._transport.serve, endpoint, Encoded(type_hash), handler)
-        return self._posted(self.loop.call(opening))
+        opening = partial(self._transport.serve, endpoint, _format(endpoint), handler)
+        return self._closer(self.loop.call(opening))
 
-    def join(self, endpoint: Endpoint, type_hash: str, target: Target = EVERY_SERVER) -> Caller:
+    def join(self, endpoint: Endpoint, target: Target = EVERY_SERVER) -> Caller:
         """Open a client of a service.
 
         The client's methods must be called in the event loop, except those that allow any thread.
         """
-        return self.loop.call(partial(self._transport.join, endpoint, Encoded(type_hash), target))
+        return self.loop.call(partial(self._transport.join, endpoint, _format(endpoint), target))
 
     def local(self, name: str, type_name: str) -> RequestHandler | None:
         """Return the handler of a service in this process, if there is one."""
@@ -374,19 +377,16 @@ class Connection:
         self.wait_until_explored()
         return self.loop.call(self._transport.nodes)
 
-    def _posted(self, opened: Closeable) -> Closeable:
-        return _Posted(self.loop, opened)
+    def count(self, name: str, kind: EndpointKind) -> int:
+        """Count the endpoints of a kind that a topic or service has."""
+        return sum(each.kind == kind for each in self.endpoints(name))
+
+    def _closer(self, opened: Closeable) -> Close:
+        return partial(self.loop.post, opened.close)
 
 
-class _Posted:
-    """Wraps an object of the event loop, so that any thread may close the object."""
-
-    def __init__(self, loop: EventLoop, opened: Closeable) -> None:
-        self._loop = loop
-        self._opened = opened
-
-    def close(self) -> None:
-        self._loop.post(self._opened.close)
+def _format(endpoint: Endpoint) -> Encoded:
+    return Encoded(hash_of(endpoint.type_name))
 
 
 class CallEnd:
@@ -395,7 +395,6 @@ class CallEnd:
     Args:
         connection: The connection to the graph.
         endpoint: Describes the client on the graph.
-        type_hash: The type hash of the service.
         events: Publishes the events of the calls, if introspection is on.
         target: Which servers get the requests.
 
@@ -407,13 +406,12 @@ class CallEnd:
         self,
         connection: Connection,
         endpoint: Endpoint,
-        type_hash: str,
         events: CallEvents,
         target: Target = EVERY_SERVER,
     ) -> None:
         self._connection = connection
         self._endpoint = endpoint
-        self._caller: Caller = connection.join(endpoint, type_hash, target)
+        self._caller: Caller = connection.join(endpoint, target)
         self._caller.observer = self.events = events
         self._gid = os.urandom(16)  # identifies it in the events of calls inside the process
         self._sequence = count(1)
