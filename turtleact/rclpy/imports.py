@@ -26,7 +26,7 @@ from turtleact.interfaces.learned import LearnedTypes
 from turtleact.node import open_node
 from turtleact.node.learning import Learner, remember
 from turtleact.node.type_cache import Known, cached, cached_names, cached_types
-from turtleact.rclpy.impl.settings import SETTINGS
+from turtleact.rclpy.face import SETTINGS
 from turtleact.transports import open_zenoh
 from turtleact.transports.graph import Kind
 
