@@ -42,7 +42,7 @@ async def navigate(node: Node) -> None:
 
 async def main() -> None:
     if len(sys.argv) > 1:
-        async with open_zenoh(sys.argv[1]) as graph, open_node("nav", transport=graph) as node:
+        async with open_zenoh(sys.argv[1:]) as graph, open_node("nav", transport=graph) as node:
             await navigate(node)
     else:
         async with open_world(speed="max") as node:

@@ -56,6 +56,17 @@ class Ros:
         """
         return json.loads(self._output([str(HERE / program)], json.dumps(asked)))
 
+    def start(self, program: str) -> subprocess.Popen[str]:
+        """Start a program of this folder that is asked on stdin and answers on stdout."""
+        return subprocess.Popen(
+            [self._python, str(HERE / program)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            env=os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"},
+        )
+
     def _output(self, arguments: list[str], text: str = "") -> str:
         done = subprocess.run(
             [self._python, *arguments],
