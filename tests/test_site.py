@@ -10,7 +10,6 @@ import importlib
 import re
 import runpy
 import shlex
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -24,9 +23,6 @@ CONFIG = yaml.safe_load((ROOT / "mkdocs.yml").read_text("utf-8"))
 PAGES = {path.name for path in (ROOT / "docs").glob("*.md")}
 DIAGRAMS = runpy.run_path(str(ROOT / "scripts" / "draw_diagrams.py"))
 WORKFLOW = yaml.safe_load((ROOT / ".github" / "workflows" / "pages.yml").read_text("utf-8"))
-EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"][
-    "optional-dependencies"
-]
 
 
 @pytest.fixture(scope="module")
@@ -217,13 +213,6 @@ def test_a_page_that_loads_another_script_from_the_internet_is_an_error(build, t
     (tmp_path / "a.html").write_text('<script defer src="https://cdn.example/x.js"></script>')
     with pytest.raises(build.RemoteScript, match=r"a\.html loads https://cdn\.example/x\.js"):
         build.finish(tmp_path)
-
-
-def test_developers_get_what_builds_the_site_and_testers_do_not():
-    assert "turtleact[test,docs]" in EXTRAS["dev"]
-    names = {requirement.partition(">")[0] for requirement in EXTRAS["docs"]}
-    assert names == {"zensical", "mkdocstrings-python"}
-    assert not names & {requirement.partition(">")[0] for requirement in EXTRAS["test"]}
 
 
 def test_the_workflow_builds_the_site_as_a_developer_does():
