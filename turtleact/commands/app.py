@@ -65,6 +65,7 @@ HOMES: Final = {
         ("send-goal", "cancel", "pause", "resume", "watch", "result", "action"), "goals"
     ),
     **dict.fromkeys(("param", "service"), "node"),
+    "pkg": "run",
     **dict.fromkeys(("teleop", "snapshot"), "turtlesim"),
 }
 """Maps each verb to its module, unless the verb and the module have the same name."""

@@ -12,7 +12,7 @@ import re
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, TypeAlias
+from typing import Annotated, Final
 
 from turtleact.commands import completion
 from turtleact.commands.app import new_group, verb
@@ -29,19 +29,7 @@ from turtleact.interfaces.comments import commented_text
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.parse import Line, parse_member, without_comment
 
-if TYPE_CHECKING:
-    pass
-
-__all__ = [
-    "KINDS",
-    "print_definition",
-    "print_list",
-    "print_package",
-    "print_packages",
-    "print_prototype",
-    "read_type",
-    "write_python",
-]
+__all__ = ["app"]
 
 KINDS: Final = {"msg": "Messages", "srv": "Services", "action": "Actions"}
 """The kinds of interfaces with their headings, in the order in which they are listed."""
@@ -53,9 +41,12 @@ LONGEST_LINE: Final = 2**12
 """At most this many bytes of an interface name are read from a pipe. No such name is longer."""
 
 
-Messages: TypeAlias = Annotated[bool, flag("--only-msgs", "-m", text="Messages only.")]
-Services: TypeAlias = Annotated[bool, flag("--only-srvs", "-s", text="Services only.")]
-Actions: TypeAlias = Annotated[bool, flag("--only-actions", "-a", text="Actions only.")]
+Messages = Annotated[bool, flag("--only-msgs", "-m", text="Messages only.")]
+Services = Annotated[bool, flag("--only-srvs", "-s", text="Services only.")]
+Actions = Annotated[bool, flag("--only-actions", "-a", text="Actions only.")]
+Packages = Annotated[
+    list[str], argument("PACKAGE", "The packages, such as nav2_msgs.", completion.packages)
+]
 
 app = new_group("interface")
 
@@ -63,7 +54,11 @@ app = new_group("interface")
 @verb(app, "list", knows=True)
 def list_(*, msgs: Messages = False, srvs: Services = False, actions: Actions = False) -> None:
     """List all interfaces."""
-    print_list(_kinds(msgs=msgs, srvs=srvs, actions=actions))
+    for kind in _kinds(msgs=msgs, srvs=srvs, actions=actions):
+        names = [name for name in known_interfaces() if name.split("/")[1] == kind]
+        say(
+            "".join(f"{line}\n" for line in (f"{KINDS[kind]}:", *(f"    {each}" for each in names)))
+        )
 
 
 @verb(app, knows=True)
@@ -77,13 +72,16 @@ def package(
     actions: Actions = False,
 ) -> None:
     """List the interfaces of a package."""
-    print_package(name, _kinds(msgs=msgs, srvs=srvs, actions=actions))
+    _check_package(name)
+    known = _by_package(_kinds(msgs=msgs, srvs=srvs, actions=actions))
+    say("".join(f"{each}\n" for each in known.get(name, ())))
 
 
 @verb(app, knows=True)
 def packages(*, msgs: Messages = False, srvs: Services = False, actions: Actions = False) -> None:
     """List the packages that have interfaces."""
-    print_packages(_kinds(msgs=msgs, srvs=srvs, actions=actions))
+    known = _by_package(_kinds(msgs=msgs, srvs=srvs, actions=actions))
+    say("".join(f"{each}\n" for each in known))
 
 
 @verb(app, knows=True)
@@ -97,14 +95,13 @@ def proto(
     ] = False,
 ) -> None:
     """Print a message with its default values, as YAML."""
-    print_prototype(type_name, quotes=not no_quotes)
+    quote = "" if no_quotes else '"'
+    say(f"{quote}{to_yaml(first_message(type_name))}{quote}\n")
 
 
 @verb(app, "python", knows=True)
 def python_(
-    names: Annotated[
-        list[str], argument("PACKAGE", "The packages, such as nav2_msgs.", completion.packages)
-    ],
+    names: Packages,
     *,
     output: Annotated[
         Path, value("--output", "-o", metavar="DIR", text="Write DIR/PACKAGE/KIND.py.")
@@ -114,7 +111,7 @@ def python_(
     ] = False,
 ) -> int:
     """Write the interfaces of packages as typed Python classes."""
-    return write_python(names, output, is_check=check)
+    return _write_python(names, output, is_check=check)
 
 
 @verb(app, knows=True)
@@ -137,83 +134,32 @@ def show(
 ) -> None:
     """Print the definition of an interface."""
     only_one("what to do with comments", all_comments=all_comments, no_comments=no_comments)
-    name = read_type(type_name)
-    print_definition(name, comments=not no_comments, nested_comments=all_comments)
-
-
-def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
-    given = {"msg": msgs, "srv": srvs, "action": actions}
-    return [kind for kind, is_wanted in given.items() if is_wanted]
-
-
-def print_list(kinds: Sequence[str]) -> None:
-    """Print the names of all interfaces of these kinds. Without ``kinds``, print all names."""
-    for kind in kinds or KINDS:
-        names = [name for name in known_interfaces() if name.split("/")[1] == kind]
-        say(
-            "".join(f"{line}\n" for line in (f"{KINDS[kind]}:", *(f"    {name}" for name in names)))
-        )
-
-
-def print_packages(kinds: Sequence[str]) -> None:
-    """Print the names of the packages that have interfaces of these kinds, or of any kind."""
-    say("".join(f"{package}\n" for package in _by_package(kinds)))
-
-
-def print_package(package: str, kinds: Sequence[str]) -> None:
-    """Print the names of a package's interfaces of these kinds. Without ``kinds``, print all names.
-
-    Raises:
-        TurtleactError: if there is no such package. The error suggests the nearest name.
-    """
-    _check_package(package)
-    say("".join(f"{name}\n" for name in _by_package(kinds).get(package, ())))
-
-
-def print_prototype(type_name: str, *, quotes: bool) -> None:
-    """Print an action's goal, a service's request or a message as YAML, with default values.
-
-    Raises:
-        UnknownInterface: if the name is unknown. The error suggests the nearest name.
-    """
-    quote = '"' if quotes else ""
-    say(f"{quote}{to_yaml(first_message(type_name))}{quote}\n")
-
-
-def print_definition(type_name: str, *, comments: bool, nested_comments: bool) -> None:
-    """Print the definition of an interface, with nested messages indented by one tab more.
-
-    Args:
-        type_name: The name of the interface.
-        comments: Whether to print the interface's own comments and empty lines.
-        nested_comments: Whether to print the comments and empty lines of nested messages.
-
-    Raises:
-        UnknownInterface: if the name is unknown. The error suggests the nearest name.
-        InvalidInterface: if the file of an interface is malformed.
-    """
-    lines = _lines(type_name, depth=0, comments=comments, nested_comments=nested_comments)
+    name = _type_of_pipe() if type_name == "-" else type_name
+    lines = _lines(name, depth=0, comments=not no_comments, nested_comments=all_comments)
     say("".join(f"{line}\n" for line in lines))
 
 
-def read_type(type_name: str) -> str:
-    """Return the type that the user named: ``type_name``, or the first line of stdin if it is "-".
+def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
+    """Return the kinds that the user wants; all if none is given."""
+    given = {"msg": msgs, "srv": srvs, "action": actions}
+    return [kind for kind, is_wanted in given.items() if is_wanted] or [*KINDS]
+
+
+def _type_of_pipe() -> str:
+    """Return the first line of stdin.
 
     Raises:
         UsageError: if there is nothing to read.
     """
-    if type_name != "-":
-        return type_name
-    if sys.stdin is None or sys.stdin.isatty():
+    if sys.stdin.isatty():
         raise UsageError("'-' reads the type from a pipe, but stdin is not a pipe")
-    data = sys.stdin.buffer.readline(LONGEST_LINE)
-    line = data.partition(b"\n")[0].decode(errors="replace").strip()
+    line = sys.stdin.readline(LONGEST_LINE).strip()
     if not line:
         raise UsageError("stdin: is empty; expected a type such as std_msgs/msg/String")
     return line
 
 
-def write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> int:
+def _write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> int:
     """Write typed Python classes for the interfaces of some packages, and of the packages they use.
 
     The path of each written file is printed. Files that would not change are left alone.
@@ -283,18 +229,18 @@ def _replace(path: Path, text: str | None) -> None:
 
 def _check_package(package: str) -> None:
     """Raise an error if no interface of a package is known. The error suggests the nearest name."""
-    packages = _by_package(())
+    packages = _by_package([*KINDS])
     if package not in packages:
         hint = did_you_mean(package, packages)
         raise TurtleactError(f"unknown package '{package}'{hint}")
 
 
 def _by_package(kinds: Sequence[str]) -> dict[str, list[str]]:
-    """Return the names of the interfaces of these kinds, or of all kinds, by package."""
+    """Return the names of the interfaces of these kinds, by package."""
     packages: dict[str, list[str]] = {}
     for name in known_interfaces():
         package, kind, _ = name.split("/")
-        if not kinds or kind in kinds:
+        if kind in kinds:
             packages.setdefault(package, []).append(name)
     return packages
 

@@ -1,22 +1,37 @@
-"""The verb ``run``. `turtleact.commands.programs` finds and runs the programs."""
+"""The verb ``run``, and the verbs of ``pkg``: create, list and executables.
+
+`turtleact.commands.programs` finds and runs programs. A new package can be run and tested without a
+build. It follows the layout of ROS 2, so that colcon can build it as well.
+
+Source: ros2pkg ``verb/create.py`` for the options and the names of files; REP 149 for
+``package.xml``.
+"""
 
 from __future__ import annotations
 
+import getpass
+import keyword
 import os
+import re
+import shlex
+import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
+from xml.sax.saxutils import escape
 
 import typer
 
 from turtleact.commands import VERBS, completion
-from turtleact.commands.app import SETTINGS, Verb, verb
-from turtleact.commands.options import Interfaces, argument, flag, ros_domain
-from turtleact.commands.output import printable
+from turtleact.commands.app import SETTINGS, ManyVerb, Verb, new_group, verb
+from turtleact.commands.options import Interfaces, argument, flag, ros_domain, value
+from turtleact.commands.output import printable, say, say_names
 from turtleact.commands.programs import Program, Programs, run_program, runnable_here
 from turtleact.commands.settings import Fleet, Reach, Service, WrongOptions, quoted
+from turtleact.errors import TurtleactError
 
-__all__ = ["app"]
+__all__ = ["app", "pkg"]
 
 FIBONACCI = "turtleact.actions.fibonacci"
 
@@ -170,3 +185,274 @@ def _run_built_in(package: str, executable: str, arguments: Sequence[str], reach
         node_name=executable if targets else "turtleact",
     )
     return run(service)
+
+
+# packages
+
+_NAME: Final = re.compile(r"[a-z](?:_?[a-z0-9])*")
+
+_EXAMPLES = """\
+[bold]Examples[/]
+  turtleact pkg create my_robot
+  turtleact pkg create my_patrol --action-name patrol --dependencies geometry_msgs turtlesim
+"""
+
+Maintainer = Annotated[
+    str | None,
+    value("--maintainer-name", metavar="NAME", text="Who maintains it. If left out, you."),
+]
+
+Email = Annotated[
+    str | None,
+    value("--maintainer-email", metavar="ADDRESS", text="The address of the maintainer."),
+]
+
+Destination = Annotated[
+    Path,
+    value(
+        "--destination-directory",
+        metavar="DIR",
+        text="Where the folder of the package is made.",
+    ),
+]
+
+pkg = new_group("pkg", "Create and list packages, like 'ros2 pkg'. A package needs no build.")
+
+
+@verb(pkg, cls=ManyVerb, epilog=_EXAMPLES)
+def create(
+    name: Annotated[str, argument("NAME", "The name of the package.", show_default=False)],
+    *,
+    dependencies: Annotated[
+        list[str] | None,
+        value("--dependencies", metavar="PACKAGE...", text="Packages that it needs."),
+    ] = None,
+    _build_type: Annotated[  # there is one
+        Literal["ament_python"], value("--build-type", text="How colcon builds it.")
+    ] = "ament_python",
+    folder: Destination = Path(),
+    node_name: Annotated[
+        str, value("--node-name", metavar="NAME", text="The name of its program.")
+    ] = "server",
+    action_name: Annotated[
+        str, value("--action-name", metavar="NAME", text="The name of its action.")
+    ] = "countdown",
+    licence: Annotated[
+        str, value("--license", metavar="NAME", text="Its licence, such as Apache-2.0.")
+    ] = "TODO: License declaration",
+    description: Annotated[
+        str, value("--description", metavar="TEXT", text="What it is for.")
+    ] = "TODO: Package description",
+    maintainer: Maintainer = None,
+    email: Email = None,
+) -> None:
+    """Create a package with an action, a server and a test. The package needs no build."""
+    from turtleact.interfaces.workspace import proper_name
+
+    _check_package(name)
+    _check_module("--node-name", node_name)
+    _check_module("--action-name", action_name)
+    maintainer = maintainer or getpass.getuser()
+    words = {
+        "name": name,
+        "node": node_name,
+        "action": action_name,
+        "type": proper_name(action_name),
+        "description": description,
+        "licence": licence,
+        "maintainer": maintainer,
+        "email": email or f"{maintainer}@todo.todo",
+    }
+    depends = "".join(f"  <depend>{each}</depend>\n" for each in dependencies or ())
+    xml = {key: escape(each, {'"': "&quot;"}) for key, each in words.items()}
+    files = {path.format(**words): text.format(**words) for path, text in _FILES.items()}
+    files["package.xml"] = _PACKAGE_XML.format(**xml, depends=depends)
+    _write(folder / name, files)
+    say("".join(f"{line}\n" for line in ("", *_next_steps(folder, words))))
+
+
+@verb(pkg, "list")
+def list_() -> None:
+    """List all packages: in the working directory, in a sourced workspace, and built in."""
+    say_names("".join(f"{name}\n" for name in sorted(runnable_here())))
+
+
+@verb(pkg)
+def executables(
+    package: Annotated[
+        str | None,
+        argument("PACKAGE", "The package. If left out, all.", completion.runnable_packages),
+    ] = None,
+) -> None:
+    """List the executables of one package or of all packages."""
+    from turtleact.interfaces.definition import did_you_mean
+
+    known = runnable_here()
+    if package is not None and package not in known:
+        raise TurtleactError(f"unknown package '{package}'{did_you_mean(package, known)}")
+    names = sorted(known) if package is None else [package]
+    say_names("".join(f"{name} {each}\n" for name in names for each in known[name]))
+
+
+def _check_package(name: str) -> None:
+    if not _NAME.fullmatch(name):
+        problem = "use lower case, digits and single underscores, beginning with a letter"
+        raise WrongOptions(f"'{name}' is not the name of a ROS package: {problem}")
+    spec = None if name in sys.modules else find_spec(name)
+    is_module = name in sys.modules or (spec is not None and spec.origin is not None)
+    if keyword.iskeyword(name) or is_module:
+        raise WrongOptions(f"'{name}' is the name of a Python module already: choose another name")
+
+
+def _check_module(option: str, name: str) -> None:
+    if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):
+        raise WrongOptions(f"{option} must be a name that Python allows, not '{name}'")
+
+
+def _write(root: Path, files: dict[str, str]) -> None:
+    """Write the files of a package, and print their names."""
+    if root.exists():
+        raise TurtleactError(f"{root} exists already: choose another name, or remove it")
+    for name, text in files.items():
+        path = root / name
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, "utf-8")
+        except OSError as error:
+            raise TurtleactError(f"{path} cannot be written: {error.strerror}") from None
+    say("".join(f"{root / name}\n" for name in files))
+
+
+def _next_steps(folder: Path, words: dict[str, str]) -> list[str]:
+    """Return lines with the commands that the user can type next."""
+    here, name = Path(), words["name"]
+    is_near = folder.resolve() in (here.resolve(), (here / "src").resolve())
+    cd = "" if is_near else f"cd {shlex.quote(str(folder))} && "
+    package = shlex.quote(str((folder if is_near else here) / name))
+    install = "" if find_spec("pytest") else "pip install pytest && "
+    goal = f"/{words['action']} {name}/action/{words['type']} 'start: 3'"
+    return [
+        f"run it:   {cd}turtleact run {name} {words['node']}",
+        f"use it:   {cd}turtleact send-goal {goal}",
+        f"test it:  {cd}{install}pytest {package}",
+    ]
+
+
+_FILES: Final = {
+    "action/{type}.action": """\
+# Counts down to zero, one step a second.
+int32 start
+---
+string message
+---
+Step step
+""",
+    "msg/Step.msg": """\
+# One step of a countdown.
+int32 remaining
+""",
+    "package.xml": "",
+    "setup.py": """\
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = "{name}"
+
+setup(
+    name=package_name,
+    version="0.0.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + package_name]),
+        ("share/" + package_name, ["package.xml"]),
+        ("share/" + package_name + "/action", glob("action/*.action")),
+        ("share/" + package_name + "/msg", glob("msg/*.msg")),
+    ],
+    install_requires=["setuptools", "turtleact"],
+    zip_safe=True,
+    maintainer={maintainer!r},
+    maintainer_email={email!r},
+    description={description!r},
+    license={licence!r},
+    entry_points={{
+        "console_scripts": [
+            "{node} = {name}.{node}:main",
+        ],
+    }},
+)
+""",
+    "setup.cfg": """\
+[develop]
+script_dir=$base/lib/{name}
+[install]
+install_scripts=$base/lib/{name}
+""",
+    "resource/{name}": "",
+    "conftest.py": '"""Lets pytest find the modules of this package from any folder."""\n',
+    "{name}/__init__.py": '"""The modules of {name}."""\n',
+    "{name}/{node}.py": '''\
+"""Serves the action /{action}."""
+
+import asyncio
+from pathlib import Path
+
+import turtleact
+from turtleact import cli
+from turtleact.interfaces import load_interfaces
+
+# The files in action and msg are read here. They need no build.
+load_interfaces(Path(__file__).resolve().parents[1])
+{type} = turtleact.get_action("{name}/action/{type}")
+Step = turtleact.get_message("{name}/msg/Step")
+
+
+@turtleact.action({type}, "{action}")
+async def {action}(goal):
+    """Count down to zero, one step a second."""
+    for remaining in reversed(range(goal.start)):
+        await asyncio.sleep(1.0)
+        yield {type}.Feedback(step=Step(remaining=remaining))
+    yield {type}.Result(message="Lift-off!")
+
+
+def main():
+    """Serve the actions of this module until Ctrl-C."""
+    cli.serve(__file__, node="{node}")
+
+
+if __name__ == "__main__":
+    main()
+''',
+    "test/test_{name}.py": '''\
+"""Tests of {name}. The time in them is virtual, so they take no time."""
+
+from turtleact import testing
+
+from {name}.{node} import {type}, {action}
+
+
+def test_the_{action}_ends_with_lift_off():
+    feedback, outcome = testing.run(testing.run_goal, {action}, {type}.Goal(start=3))
+    assert [each.step.remaining for each in feedback] == [2, 1, 0]
+    assert outcome.status.name == "SUCCEEDED"
+    assert outcome.result.message == "Lift-off!"
+''',
+}
+
+_PACKAGE_XML: Final = """\
+<?xml version="1.0"?>
+<package format="3">
+  <name>{name}</name>
+  <version>0.0.0</version>
+  <description>{description}</description>
+  <maintainer email="{email}">{maintainer}</maintainer>
+  <license>{licence}</license>
+
+  <exec_depend>python3</exec_depend>
+{depends}
+  <export>
+    <build_type>ament_python</build_type>
+  </export>
+</package>
+"""
