@@ -41,43 +41,23 @@ app = typer.Typer(**SETTINGS)
 
 Actions: TypeAlias = Annotated[
     str | None,
-    value(
-        metavar="NAMES",
-        text="The actions to offer, such as /patrol,/go_to.",
-        panel=OFFER,
-    ),
+    value(metavar="NAMES", text="The actions to offer, such as /patrol,/go_to.", panel=OFFER),
 ]
 Services: TypeAlias = Annotated[
     str | None,
-    value(
-        metavar="NAMES",
-        text="The services to offer, such as /spawn,/clear.",
-        panel=OFFER,
-    ),
+    value(metavar="NAMES", text="The services to offer, such as /spawn,/clear.", panel=OFFER),
 ]
 Topics: TypeAlias = Annotated[
     str | None,
-    value(
-        metavar="NAMES",
-        text="The topics that may be read, such as /turtle1/pose.",
-        panel=OFFER,
-    ),
+    value(metavar="NAMES", text="The topics that may be read, such as /turtle1/pose.", panel=OFFER),
 ]
 Http: TypeAlias = Annotated[
     str | None,
-    value(
-        metavar="[HOST:]PORT",
-        text="Serve over HTTP instead of stdin and stdout.",
-        panel=HTTP,
-    ),
+    value(metavar="[HOST:]PORT", text="Serve over HTTP instead of stdin and stdout.", panel=HTTP),
 ]
 Token: TypeAlias = Annotated[
     str | None,
-    value(
-        metavar="TEXT",
-        text="The secret that clients must send over HTTP.",
-        panel=HTTP,
-    ),
+    value(metavar="TEXT", text="The secret that clients must send over HTTP.", panel=HTTP),
 ]
 
 
@@ -183,8 +163,9 @@ def _run(order: Order) -> int:
     from turtleact.commands import graph
     from turtleact.commands.interrupts import Interrupts
 
-    if not order.is_empty:
-        _check_sdk()
+    if not order.is_empty and find_spec("mcp") is None:
+        problem = "turtleact mcp needs one more package: pip install 'mcp>=2.3,<3'"
+        raise TurtleactError(problem)
 
     async def serve(node: Node) -> int:
         if order.is_empty:
@@ -194,13 +175,6 @@ def _run(order: Order) -> int:
         return await _serve(order, node)
 
     return Interrupts().run(graph.use(_open_node(order.reach), serve))
-
-
-def _check_sdk() -> None:
-    """Check that the MCP SDK is installed, without importing it."""
-    if find_spec("mcp") is None:
-        problem = "turtleact mcp needs one more package: pip install 'mcp>=2.3,<3'"
-        raise TurtleactError(problem)
 
 
 async def _serve(order: Order, node: Node) -> int:
