@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import AsyncIterator, Iterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -50,6 +49,9 @@ HEALTHY, FAULTY = 0, 1
 def _run(reach: Reach, *, as_json: bool, verbose: bool) -> int:
     """Print the faults of a graph, and return the exit status: 1 if there is a fault.
 
+    The node connects only to the router. The router also shows nodes that hang, until their lease
+    ends. A peer would have to connect to a hanging node before it could see that node.
+
     Args:
         reach: The graph to check.
         as_json: Whether to print a line of JSON for each fault.
@@ -63,46 +65,22 @@ def _run(reach: Reach, *, as_json: bool, verbose: bool) -> int:
     from turtleact.doctor.checks import Fault, find_faults
     from turtleact.doctor.gathering import take_snapshot
 
-    async def look(found: Node | Fault) -> int:
-        if isinstance(found, Fault):
-            return _print([found], None, as_json=as_json)
-        snapshot = await take_snapshot(found, with_domains=verbose)
+    async def look(node: Node) -> int:
+        snapshot = await take_snapshot(node, with_domains=verbose)
         return _print(find_faults(snapshot), snapshot if verbose else None, as_json=as_json)
 
-    return Interrupts().run(graph.use(_open(reach), look))
+    try:
+        return Interrupts().run(graph.use(graph.open_graph(reach, "client"), look))
+    except UsageError:
+        raise
+    except TurtleactError as error:
+        problem = str(error).partition("; ")[0]
+        return _print([Fault("no-router", (), problem, START)], None, as_json=as_json)
 
 
-@asynccontextmanager
-async def _open(reach: Reach) -> AsyncIterator[Node | Fault]:
-    """Open a node on the graph for a block. If the graph cannot be opened, yield the fault instead.
-
-    The node connects only to the router. The router also shows nodes that hang, until their lease
-    ends. A peer would have to connect to a hanging node before it could see that node.
-
-    Raises:
-        UsageError: if the ``--config`` file cannot be read, or has an invalid value.
-    """
-    from turtleact.commands import graph
-
-    async with AsyncExitStack() as stack:
-        try:
-            node = await stack.enter_async_context(graph.open_graph(reach, "client"))
-        except UsageError:
-            raise
-        except TurtleactError as error:
-            yield _unreachable(str(error))
-        else:
-            yield node
-
-
-def _unreachable(problem: str) -> Fault:
-    from turtleact.doctor.checks import Fault
-
-    advice = (
-        "start a router there, with 'turtleact serve' or rmw_zenohd, or give its address with "
-        "--connect"
-    )
-    return Fault("no-router", (), problem.partition("; ")[0], advice)
+START = (
+    "start a router there, with 'turtleact serve' or rmw_zenohd, or give its address with --connect"
+)
 
 
 def _print(faults: list[Fault], seen: Snapshot | None, *, as_json: bool) -> int:

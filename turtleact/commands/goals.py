@@ -144,8 +144,7 @@ Embedded: TypeAlias = Annotated[
 Reattach: TypeAlias = Annotated[
     float,
     in_seconds(
-        "--reattach",
-        text="If the server is not there yet or goes away, wait so long for it.",
+        "--reattach", text="If the server is not there yet or goes away, wait so long for it."
     ),
 ]
 

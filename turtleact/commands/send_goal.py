@@ -256,11 +256,16 @@ class GoalSender:
         """
         patience = self._request.reattach
         due = anyio.current_time() + patience
-        there, has_told = None, False
+        there: Node | None = None
+        has_told = False
         while True:
             is_late = anyio.current_time() >= due
-            if there is None:
-                there = await self._try_graph(stack, reach, is_last=is_late)
+            try:
+                if there is None:
+                    there = await graph.enter_if_there(stack, reach, graph.open_graph(reach))
+            except TurtleactError as error:
+                if is_late or isinstance(error, UsageError):
+                    raise
             if is_late or (there is not None and self._name in there.graph().actions):
                 return there
             if not has_told:
@@ -268,22 +273,6 @@ class GoalSender:
                 self._printer.note(f"nobody serves '{self._name}' yet: {waiting}")
                 has_told = True
             await anyio.sleep(AGAIN)
-
-    async def _try_graph(
-        self, stack: AsyncExitStack, reach: Reach, *, is_last: bool
-    ) -> Node | None:
-        """Try to join the graph, and return a node on it; None if that fails.
-
-        If this is the last attempt, raise the error instead.
-        """
-        try:
-            return await graph.enter_if_there(stack, reach, graph.open_graph(reach))
-        except UsageError:
-            raise
-        except TurtleactError:
-            if is_last:
-                raise
-            return None
 
     async def _find_action(self, node: Node) -> type[Action]:
         """Return the class of the action.
