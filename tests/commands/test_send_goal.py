@@ -18,7 +18,7 @@ import anyio
 import pytest
 
 from turtleact import open_node
-from turtleact.commands import send_goal
+from turtleact.commands import graph, send_goal
 from turtleact.commands.goal_printer import GoalPrinter
 from turtleact.interfaces import from_text
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
@@ -279,10 +279,13 @@ def test_a_paused_world_is_told_of(on_graph, graphs, state, note):
 
     ran = on_graph(graphs.in_turn(graphs.fibonacci, world), "send-goal", "fibonacci", "order: 3")
     assert (ran.status, ran.err) == (0, note)
+    echoing = graphs.in_turn(graphs.fibonacci, world)
+    line = ["topic", "echo", "/fibonacci/_action/feedback", "--timeout", "2"]
+    assert note in on_graph(echoing, *line).err
 
 
 def test_the_command_that_resumes_a_world_is_parsed():
-    command = shlex.split(send_goal.RESUMES.partition("'")[2].partition("' resumes")[0].rstrip("'"))
+    command = shlex.split(graph.RESUMES.partition("'")[2].partition("' resumes")[0].rstrip("'"))
     text = from_text(SetSimulationState.Request, command[-1])
     assert text.state.state == SimulationState.STATE_PLAYING
 

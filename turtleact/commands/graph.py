@@ -61,6 +61,7 @@ __all__ = [
     "not_served",
     "note_differing",
     "note_empty",
+    "note_pause",
     "open_graph",
     "open_transport",
     "print_action_info",
@@ -87,6 +88,12 @@ Look: TypeAlias = Callable[[Node], Awaitable[int]]
 
 ROUTER = "tcp/localhost:7447"
 """The endpoint of the router to which commands connect without ``--connect``."""
+
+WORLD_STATE = "/world/get_simulation_state"
+RESUMES = """'turtleact service call /world/set_simulation_state "state: {state: 1}"'"""
+
+PATIENCE = 5.0
+"""How long to wait for the world's answer (s, by the clock of the graph)."""
 
 MOST_SHOWN = 10
 """How many names an error lists if none of them resembles the unknown name."""
@@ -263,6 +270,23 @@ def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str
     seen = tuple(EndpointSeen(each) for each in endpoints if each.node != own)
     for fault in differing_definitions(Snapshot(endpoints=seen, known=known)):
         note(f"{fault.problem}; {fault.advice}")
+
+
+async def note_pause(node: Node, tell: Callable[[str], object] = note) -> None:
+    """Tell the user if the world is paused: its clock then stands still, and goals wait."""
+    from turtleact.interfaces.standard import GetSimulationState, SimulationState
+
+    if WORLD_STATE not in {each.name for each in node.transport.endpoints()}:
+        return
+    client = node.service_client(GetSimulationState, WORLD_STATE)
+    try:
+        response = await client.call(GetSimulationState.Request(), PATIENCE)
+    except TurtleactError:
+        return  # the world is silent or gone; the user's own server tells what matters
+    finally:
+        await client.aclose()
+    if response.state.state in (SimulationState.STATE_PAUSED, SimulationState.STATE_STOPPED):
+        tell(f"the world is paused; {RESUMES} resumes it")
 
 
 def suggest(node: Node, kind: EndpointKind, name: str, type_name: str) -> None:

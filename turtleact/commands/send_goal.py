@@ -37,7 +37,6 @@ from turtleact.errors import (
 )
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import Action, from_text
-from turtleact.interfaces.standard import GetSimulationState, SimulationState
 from turtleact.names import resolve_name
 from turtleact.transports.base import find_server
 
@@ -64,10 +63,6 @@ PATIENCE = 5.0
 A goal may take this long to end after its timeout. A server on the graph may take this long to
 become reachable. If no server has accepted the goal after this long, a note tells the user.
 """
-
-WORLD_STATE = "/world/get_simulation_state"
-
-RESUMES = """'turtleact service call /world/set_simulation_state "state: {state: 1}"'"""
 
 AGAIN = 0.25
 """The interval at which ``--reattach`` looks for a server that has not started (s, wall clock)."""
@@ -306,7 +301,7 @@ class GoalSender:
             beside.start_soon(self._heed_signal)
             beside.start_soon(self._heed_silence, sending)
             if not self._is_embedded:
-                beside.start_soon(self._tell_of_pause, node)
+                beside.start_soon(graph.note_pause, node, self._printer.note)
             try:
                 with sending:
                     await client.wait_for_server(PATIENCE)
@@ -354,21 +349,6 @@ class GoalSender:
         if outcome.status is GoalStatus.CANCELED and self._canceled_by is not None:
             return self._canceled_by
         return EXIT_STATUS[outcome.status]
-
-    async def _tell_of_pause(self, node: Node) -> None:
-        """Tell the user if the world is paused: its clock then stands still, and goals wait."""
-        services = {each.name for each in node.transport.endpoints() if each.kind == "service"}
-        if WORLD_STATE not in services:
-            return
-        client = node.service_client(GetSimulationState, WORLD_STATE)
-        try:
-            response = await client.call(GetSimulationState.Request(), PATIENCE)
-        except TurtleactError:
-            return  # the world is silent or gone; the goal's own server tells what matters
-        finally:
-            await client.aclose()
-        if response.state.state in (SimulationState.STATE_PAUSED, SimulationState.STATE_STOPPED):
-            self._printer.note(f"the world is paused; {RESUMES} resumes it")
 
     async def _tell_of_server(self, sent: Followed) -> None:
         """Tell the user when the goal's server goes away, and when it is back.

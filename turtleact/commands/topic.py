@@ -441,10 +441,15 @@ async def _subscribed(
 
 
 async def _beside_notes(node: Node, name: str, reading: Coroutine[object, object, T]) -> T:
-    """Wait for ``reading``. Print a note each time the topic has lost its last publisher."""
+    """Wait for ``reading``. Meanwhile, say if no publisher is left, or the world is paused."""
+    from turtleact.commands.graph import note_pause
     from turtleact.tasks import Background
 
-    notes = Background(_note_absence(node, name), "watching publishers")
+    async def tell() -> None:
+        await note_pause(node)
+        await _note_absence(node, name)
+
+    notes = Background(tell(), "watching publishers")
     try:
         return await reading
     finally:
