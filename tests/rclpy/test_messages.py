@@ -84,19 +84,9 @@ def test_nothing_is_checked_unless_asked_for():
     assert String(data=3, nonsense=4).data == 3
 
 
-@pytest.mark.parametrize(
-    ("make", "problem"),
-    [
-        (lambda: String(data=3, check_fields=True), "'data' field must be of type 'str'"),
-        (lambda: Point(x=1, check_fields=True), "'x' field must be of type 'float'"),
-        (lambda: Pose(position=1, check_fields=True), "a sub message of type 'Point'"),
-        (lambda: UUID(uuid=[1], check_fields=True), "a sequence of length 16"),
-        (lambda: String(check_fields=True, text=""), "Invalid arguments"),
-    ],
-)
-def test_a_check_names_the_field_and_the_type(make, problem):
-    with pytest.raises(AssertionError, match=problem):
-        make()
+def test_an_unknown_keyword_is_refused_if_asked_for():
+    with pytest.raises(AssertionError, match="Invalid arguments"):
+        String(check_fields=True, text="")
 
 
 def test_an_unknown_attribute_cannot_be_set():
@@ -201,15 +191,21 @@ def test_what_rclpy_converts_is_converted(mixed, fields):
         ({"name": "too long"}, "name"),
         ({"flag": 1}, "flag"),
         ({"raw": b""}, "raw"),
+        ({"names": [1]}, "names"),
         ({"names": "text"}, "names"),
         ({"pair": [True]}, "expected 2 elements"),
         ({"few": [1, 2, 3, 4]}, "at most 3"),
         ({"path": [Pose()]}, "geometry_msgs.msg.Point"),
     ],
 )
-def test_what_does_not_fit_cannot_be_sent(mixed, fields, problem):
+def test_what_does_not_fit_cannot_be_sent_nor_set_if_checks_are_asked_for(mixed, fields, problem):
     with pytest.raises(TypeError, match=problem):
         encode(mixed(**fields), mixed)
+    with pytest.raises(AssertionError, match=problem):
+        mixed(**fields, check_fields=True)
+    checked = mixed(check_fields=True, raw=b"a", flag=True, few=[1], names=["a"], path=[Point()])
+    with pytest.raises(AssertionError):
+        checked.ratio = "x"
 
 
 def test_a_message_of_another_class_cannot_be_sent():
@@ -251,26 +247,3 @@ def test_a_class_is_found_by_its_name():
     assert rosidl_runtime.get_message("geometry_msgs/Point") is Point
     assert rosidl_runtime.get_service("example_interfaces/srv/AddTwoInts") is AddTwoInts
     assert rosidl_runtime.get_action("example_interfaces/action/Fibonacci") is Fibonacci
-
-
-@pytest.mark.parametrize(
-    ("fields", "problem"),
-    [
-        ({"raw": b"ab"}, "'bytes', one byte"),
-        ({"flag": 1}, "'bool'"),
-        ({"letter": "a"}, "'int'"),
-        ({"letter": 300}, r"an integer in \[0, 255\]"),
-        ({"ratio": 1e39}, "single precision"),
-        ({"name": "too long"}, "at most 4 characters"),
-        ({"few": [1, 2, 3, 4]}, "at most 3 elements"),
-        ({"names": "text"}, "a set or sequence"),
-        ({"names": [1]}, "'str'"),
-        ({"path": [1]}, "sub message"),
-    ],
-)
-def test_each_kind_of_field_is_checked_if_asked_for(mixed, fields, problem):
-    with pytest.raises(AssertionError, match=problem):
-        mixed(**fields, check_fields=True)
-    checked = mixed(check_fields=True, raw=b"a", flag=True, few=[1], names=["a"], path=[Point()])
-    with pytest.raises(AssertionError):
-        checked.ratio = "x"

@@ -9,23 +9,17 @@ import weakref
 from collections.abc import Callable, Sequence
 from inspect import ismethod
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 from turtleact.rclpy.exceptions import NotInitializedException
 from turtleact.rclpy.impl.arguments import Arguments, parse_arguments
 from turtleact.rclpy.impl.connection import Connection
 from turtleact.rclpy.impl.entity import Handle
 from turtleact.rclpy.impl.process import PROCESS
+from turtleact.rclpy.impl.typing import Anything
 from turtleact.transports.rmw_zenoh.config import domain_of
 
 __all__ = ["Context"]
-
-
-class Tracked(Protocol):
-    """The interface that a context needs from a node."""
-
-    def destroy_node(self) -> None:
-        """Destroy the node. A second call does nothing."""
 
 
 class Context:
@@ -37,7 +31,7 @@ class Context:
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._callbacks: list[Callable[[], Callable[[], object] | None]] = []
-        self._nodes: weakref.WeakSet[Tracked] = weakref.WeakSet()
+        self._nodes: weakref.WeakSet[Anything] = weakref.WeakSet()
         self._handle: Handle | None = None
         self._is_ok = False
         self._domain: int | None = None
@@ -156,11 +150,11 @@ class Context:
                 return
         callback()
 
-    def track_node(self, node: Tracked) -> None:
+    def track_node(self, node: Anything) -> None:
         """Remember a node, so that the shutdown of the context destroys the node."""
         self._nodes.add(node)
 
-    def untrack_node(self, node: Tracked) -> None:
+    def untrack_node(self, node: Anything) -> None:
         """Forget a node, so that the shutdown of the context does not destroy the node."""
         self._nodes.discard(node)
 

@@ -23,10 +23,10 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from turtleact.rclpy.callback_groups import CallbackGroup
 from turtleact.rclpy.exceptions import InvalidHandle
@@ -61,25 +61,6 @@ On Windows, a signal cannot interrupt a wait for a lock. On other systems, a sig
 wait, unless the signal arrives right before the wait. In that case, Python calls the signal handler
 only after the wait.
 """
-
-
-class Spinnable(Protocol):
-    """The interface that an executor needs from a node."""
-
-    @property
-    def executor(self) -> Executor | None:
-        """The executor that runs the node's callbacks."""
-
-    @executor.setter
-    def executor(self, new_executor: Executor | None) -> None: ...
-
-    @property
-    def waitables(self) -> Iterable[Entity]:
-        """The waitables of the node."""
-
-    @property
-    def entities(self) -> Sequence[Sequence[Entity]]:
-        """The node's entities except its waitables, by kind, in the order of execution."""
 
 
 class TimeoutException(Exception):
@@ -132,13 +113,13 @@ class Executor(Block):
 
     def __init__(self, *, context: Context | None = None) -> None:
         self._context = get_default_context() if context is None else context
-        self._nodes: dict[Spinnable, None] = {}
+        self._nodes: dict[Anything, None] = {}
         self._nodes_lock = threading.RLock()
         self._is_shutdown = False
         self._wake = threading.Condition(threading.Lock())
         self._wakes = 0
         self._ready: deque[Task] = deque()  # those whose next step can run
-        self._round: deque[tuple[Spinnable, Entity]] = deque()
+        self._round: deque[tuple[Anything, Entity]] = deque()
         self._work = _WorkTracker()
         self._context.on_shutdown(self.wake)
 
@@ -162,7 +143,7 @@ class Executor(Block):
 
     # nodes
 
-    def add_node(self, node: Spinnable) -> bool:
+    def add_node(self, node: Anything) -> bool:
         """Run the callbacks of a node from now on. Return False if the node was added before."""
         with self._nodes_lock:
             if node in self._nodes:
@@ -174,13 +155,13 @@ class Executor(Block):
         self.wake()
         return True
 
-    def remove_node(self, node: Spinnable) -> None:
+    def remove_node(self, node: Anything) -> None:
         """Stop running the callbacks of a node."""
         with self._nodes_lock:
             self._nodes.pop(node, None)
         self.wake()
 
-    def get_nodes(self) -> list[Spinnable]:
+    def get_nodes(self) -> list[Anything]:
         """Return the nodes of the executor."""
         with self._nodes_lock:
             return list(self._nodes)
@@ -271,7 +252,7 @@ class Executor(Block):
     def wait_for_ready_callbacks(
         self,
         timeout_sec: float | TimeoutObject | None = None,
-        nodes: list[Spinnable] | None = None,
+        nodes: list[Anything] | None = None,
         condition: Callable[[], bool] = _never,
     ) -> Work:
         """Wait for the next task, and return it with its entity and its node.
@@ -306,14 +287,14 @@ class Executor(Block):
     def _wait_for_ready_callbacks(
         self,
         timeout_sec: float | TimeoutObject | None = None,
-        nodes: list[Spinnable] | None = None,
+        nodes: list[Anything] | None = None,
         condition: Callable[[], bool] = _never,
     ) -> Generator[Work, None, None]:
         """Call `wait_for_ready_callbacks` again and again, and yield each result."""
         while True:
             yield self.wait_for_ready_callbacks(timeout_sec, nodes, condition)
 
-    def _next_work(self, nodes: list[Spinnable] | None) -> Work | None:
+    def _next_work(self, nodes: list[Anything] | None) -> Work | None:
         """Return a task that can continue, or else a task for the next ready entity, if any."""
         work = self._next_task(nodes)
         if work is None and self._round:
@@ -323,7 +304,7 @@ class Executor(Block):
             work = self._next_entity(nodes)
         return work
 
-    def _next_task(self, nodes: list[Spinnable] | None) -> Work | None:
+    def _next_task(self, nodes: list[Anything] | None) -> Work | None:
         for _ in range(len(self._ready)):
             try:
                 task = self._ready.popleft()
@@ -337,7 +318,7 @@ class Executor(Block):
             self._ready.append(task)
         return None
 
-    def _next_entity(self, nodes: list[Spinnable] | None) -> Work | None:
+    def _next_entity(self, nodes: list[Anything] | None) -> Work | None:
         waiting = self._round
         while waiting:
             try:
@@ -350,7 +331,7 @@ class Executor(Block):
                     return work
         return None
 
-    def _begin(self, node: Spinnable, entity: Entity) -> Work | None:
+    def _begin(self, node: Anything, entity: Entity) -> Work | None:
         """Return a task that runs an entity's callback; None if the callback cannot run now."""
         group = entity.callback_group
         if not self.can_execute(entity) or not group.beginning_execution(entity):
@@ -386,7 +367,7 @@ class Executor(Block):
         """
         return isinstance(error, InvalidHandle) and not self._context.ok()
 
-    def _sleep(self, seen: int, end: float | None, nodes: list[Spinnable] | None) -> None:
+    def _sleep(self, seen: int, end: float | None, nodes: list[Anything] | None) -> None:
         """Wait until `wake` is called, until an entity is due, or until ``end``.
 
         ``end`` is a time of `time.monotonic` (s). ``seen`` is the number of calls of `wake` that
@@ -538,7 +519,7 @@ class _WorkTracker:
             return self._changed.wait_for(lambda: self._count <= own, timeout)
 
 
-def _in_order(nodes: Iterable[Spinnable]) -> Iterator[tuple[Spinnable, Entity]]:
+def _in_order(nodes: Iterable[Anything]) -> Iterator[tuple[Anything, Entity]]:
     """Yield each entity of the nodes with its node, in the order of execution."""
     nodes = list(nodes)
     for node in nodes:

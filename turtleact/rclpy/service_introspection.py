@@ -11,18 +11,16 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import Protocol
 
 from turtleact.interfaces import EventFormat, get_interface
 from turtleact.interfaces.standard import ServiceEventInfo as Info
 from turtleact.names import event_topic
 from turtleact.rclpy.clock import Clock
-from turtleact.rclpy.impl.connection import CallEvents, Connection, Sender
+from turtleact.rclpy.impl.connection import CallEvents, Sender
 from turtleact.rclpy.impl.entity import Entity
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.qos import QoSProfile
-from turtleact.transports.base import Endpoint, EndpointKind
 
 __all__ = ["Introspected", "ServiceIntrospectionState", "SwitchableEvents"]
 
@@ -41,19 +39,6 @@ class ServiceIntrospectionState(IntEnum):
     CONTENTS = 2
 
 
-class Owner(Protocol):
-    """The methods of a node that this module uses."""
-
-    @property
-    def connection(self) -> Connection:
-        """The connection to the graph."""
-
-    def endpoint(
-        self, kind: EndpointKind, name: str, type_name: str, qos: QoSProfile | None = None
-    ) -> Endpoint:
-        """Return the description of an endpoint of this node."""
-
-
 class SwitchableEvents(CallEvents):
     """Publishes the events of a client or server, once `configure` has switched them on.
 
@@ -64,7 +49,9 @@ class SwitchableEvents(CallEvents):
         is_client: Whether the events are those of a client.
     """
 
-    def __init__(self, node: Owner, service: str, srv_type: Anything, *, is_client: bool) -> None:
+    def __init__(
+        self, node: Anything, service: str, srv_type: Anything, *, is_client: bool
+    ) -> None:
         self._node = node
         self._topic = event_topic(service)
         self._type_name = srv_type.type_name
@@ -74,7 +61,6 @@ class SwitchableEvents(CallEvents):
         self._clock: Clock | None = None
         self._sender: Sender | None = None
         self._has_contents = False
-        self._is_closed = False
 
     @property
     def is_on(self) -> bool:
@@ -89,11 +75,8 @@ class SwitchableEvents(CallEvents):
             self._node.connection.wait_until_explored()  # so that a reader gets the first event
             sender = self._node.connection.advertise(end)
         with self._lock:
-            if self._is_closed:  # by another thread, while this one opened the topic
-                before = sender
-            else:
-                before, self._sender, self._clock = self._sender, sender, clock
-                self._has_contents = state == ServiceIntrospectionState.CONTENTS
+            before, self._sender, self._clock = self._sender, sender, clock
+            self._has_contents = state == ServiceIntrospectionState.CONTENTS
         if before is not None:
             before.close()
 
@@ -108,9 +91,8 @@ class SwitchableEvents(CallEvents):
         self._publish(kind, gid, sequence, response=response)
 
     def close(self) -> None:
-        """Close the topic. From then on, `configure` cannot switch the events on."""
+        """Close the topic."""
         with self._lock:
-            self._is_closed = True
             before, self._sender = self._sender, None
         if before is not None:
             before.close()

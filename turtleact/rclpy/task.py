@@ -13,22 +13,11 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Generator
-from typing import Protocol
 from weakref import ReferenceType, ref
 
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 
 __all__ = ["Future", "Task"]
-
-
-class Runner(Protocol):
-    """The executor methods that a `Future` calls."""
-
-    def create_task(self, callback: Anything, *args: Anything) -> object:
-        """Run a function or coroutine."""
-
-    def resume(self, task: Task) -> None:
-        """Run a task, or the next step of its coroutine."""
 
 
 class _Running(threading.local):
@@ -48,7 +37,7 @@ class Future(Subscriptable):
             sets the result.
     """
 
-    def __init__(self, *, executor: Runner | None = None) -> None:
+    def __init__(self, *, executor: Anything = None) -> None:
         self._done = False
         self._cancelled = False
         self._result: Anything = None
@@ -57,7 +46,7 @@ class Future(Subscriptable):
         self._callbacks: list[Callable[[Anything], object]] = []
         self._parked: list[Task] = []
         self._lock = threading.Lock()
-        self._executor: ReferenceType[Runner] | None = None
+        self._executor: ReferenceType[Anything] | None = None
         self.set_executor(executor)
 
     def __del__(self) -> None:
@@ -151,7 +140,7 @@ class Future(Subscriptable):
                 return True
             return False
 
-    def set_executor(self, executor: Runner | None) -> None:
+    def set_executor(self, executor: Anything) -> None:
         """Choose the executor that runs the done callbacks."""
         self._executor = None if executor is None else ref(executor)
 
@@ -197,7 +186,7 @@ class Task(Future):
         handler: Anything,
         args: tuple[Anything, ...] | None = None,
         kwargs: dict[str, Anything] | None = None,
-        executor: Runner | None = None,
+        executor: Anything = None,
     ) -> None:
         super().__init__(executor=executor)
         self.awaited: Future | None = None

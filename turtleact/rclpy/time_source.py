@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import weakref
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from turtleact.rclpy.clock import Clock, ROSClock
-from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
@@ -22,33 +21,6 @@ CLOCK_TOPIC = "/clock"
 USE_SIM_TIME_NAME = "use_sim_time"
 
 
-class Timed(Protocol):
-    """The methods of a node that a time source uses."""
-
-    def has_parameter(self, name: str) -> bool:
-        """Whether a parameter is declared."""
-
-    def declare_parameter(self, name: str, value: Anything) -> Parameter:
-        """Declare a parameter."""
-
-    def get_parameter(self, name: str) -> Parameter:
-        """Return a parameter."""
-
-    def add_on_set_parameters_callback(self, callback: Anything) -> None:
-        """Call ``callback(parameters)`` before parameters are set. The callback may reject them."""
-
-    def get_logger(self) -> RcutilsLogger:
-        """Return the node's logger."""
-
-    def create_subscription(
-        self, msg_type: Anything, topic: str, callback: Anything, qos_profile: QoSProfile
-    ) -> Subscription:
-        """Open a subscription."""
-
-    def destroy_subscription(self, subscription: Subscription) -> bool:
-        """Close a subscription."""
-
-
 class TimeSource:
     """Sets clocks to the time on ``/clock`` while a node's parameter ``use_sim_time`` is true.
 
@@ -56,9 +28,9 @@ class TimeSource:
         node: The node. If it is None, call `attach_node` later.
     """
 
-    def __init__(self, *, node: Timed | None = None) -> None:
+    def __init__(self, *, node: Anything = None) -> None:
         self._clock_sub: Subscription | None = None
-        self._node: weakref.ReferenceType[Timed] | None = None
+        self._node: weakref.ReferenceType[Anything] | None = None
         self._associated_clocks: list[ROSClock] = []
         self._last_time_set: Time | None = None
         self._ros_time_is_active = False
@@ -84,7 +56,7 @@ class TimeSource:
             node.destroy_subscription(self._clock_sub)
             self._clock_sub = None
 
-    def attach_node(self, node: Timed) -> None:
+    def attach_node(self, node: Anything) -> None:
         """Follow the parameter ``use_sim_time`` of a node. Declare the parameter if necessary.
 
         Raises:
@@ -142,7 +114,7 @@ class TimeSource:
         for clock in self._associated_clocks:
             clock.set_ros_time_override(time)
 
-    def _get_node(self) -> Timed | None:
+    def _get_node(self) -> Anything:
         return None if self._node is None else self._node()
 
     def _subscribe(self) -> None:

@@ -215,12 +215,7 @@ class ActionClient(Introspected, Waitable):
         if feedback_callback is not None:
             self._early[key] = []  # first, because feedback may come as soon as there is a callback
             self._feedback_callbacks[key] = feedback_callback
-        lost = partial(self._forget, key)
-        try:
-            return self._call("send_goal", data, partial(self._goal_answered, goal_uuid), lost)
-        except BaseException:
-            lost()
-            raise
+        return self._call("send_goal", data, partial(self._goal_answered, goal_uuid))
 
     def cancel_goal_async(self, goal_handle: ClientGoalHandle) -> Future:
         """Ask the server to cancel a goal, and return the future of the answer.
@@ -268,22 +263,20 @@ class ActionClient(Introspected, Waitable):
         service: str,
         data: bytes,
         handle: Callable[[Anything], Anything],
-        lost: Callable[[], object] = bool,
     ) -> Future:
         """Send a request. The returned future gets the return value of ``handle(response)``.
 
-        If there is no response, ``lost()`` is called and the future never gets a result.
+        If there is no response, the future never gets a result.
         """
         future = Future()
         response_class = self._kind.service(service).Response
 
         def answered(response: bytes, note: str) -> None:  # noqa: ARG001  # notes are for turtleact
-            self._push(self._answered, future, response_class, response, handle, lost)
+            self._push(self._answered, future, response_class, response, handle)
 
         def failed(error: TurtleactError) -> None:
             # As in ROS 2, a request that nobody answers is lost: its future is never done.
             self._node.get_logger().debug(f"a request was lost: {error}")
-            lost()
 
         self._ends[service].send(data, answered, failed)
         return future
@@ -350,13 +343,11 @@ class ActionClient(Introspected, Waitable):
         response_class: Anything,
         data: bytes,
         handle: Callable[[Anything], Anything],
-        lost: Callable[[], object],
     ) -> None:
         try:
             response = decode(data, response_class)
         except InvalidMessage as error:
             self._node.get_logger().error(f"a response cannot be read: {error}")
-            lost()
             return
         result = handle(response)
         if not future.cancelled():
@@ -379,12 +370,6 @@ class ActionClient(Introspected, Waitable):
                 self._events.extendleft((self._feedback, (data,)) for data in reversed(early))
         self.wake()
         return handle
-
-    def _forget(self, key: bytes) -> None:
-        """Remove the feedback callback of a goal whose request gets no answer."""
-        with self._lock:
-            self._early.pop(key, None)
-            self._feedback_callbacks.pop(key, None)
 
     def _goal_ended(self, goal_handle: ClientGoalHandle, response: Anything) -> Anything:
         goal_handle.update_status(response.status)

@@ -117,6 +117,7 @@ class ServerGoalHandle(Subscriptable):
         self._lock = threading.Lock()
         self._is_destroyed = False
         self.response: Anything = None
+        self.ended = Future()
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, ServerGoalHandle) and self.goal.id == other.goal.id
@@ -277,9 +278,9 @@ class ActionServer(Introspected, Waitable):
         self._kind = ActionKind(node, action_type, action_name)
         self._timeout_ns = round(result_timeout * 1e9)
         self._goal_handles: dict[bytes, ServerGoalHandle] = {}
-        self._result_futures: dict[bytes, Future] = {}
-        self._expiries: deque[tuple[int, bytes]] = deque()
+        self._expiries: deque[tuple[int, ServerGoalHandle]] = deque()
         self._requests: deque[Request] = deque()
+        self._lock = threading.Lock()
         self._logger = node.get_logger().get_child("action_server")
         self.register_goal_callback(goal_callback)
         self.register_handle_accepted_callback(handle_accepted_callback)
@@ -311,19 +312,17 @@ class ActionServer(Introspected, Waitable):
 
     def register_handle_accepted_callback(self, handle_accepted_callback: Anything) -> None:
         """Replace the callback for accepted goals. None means the default callback."""
-        if handle_accepted_callback is None:
-            handle_accepted_callback = default_handle_accepted_callback
-        self._handle_accepted_callback = handle_accepted_callback
+        self._handle_accepted_callback = (
+            handle_accepted_callback or default_handle_accepted_callback
+        )
 
     def register_goal_callback(self, goal_callback: Anything) -> None:
         """Replace the callback for goal requests. None means the default callback."""
-        self._goal_callback = default_goal_callback if goal_callback is None else goal_callback
+        self._goal_callback = goal_callback or default_goal_callback
 
     def register_cancel_callback(self, cancel_callback: Anything) -> None:
         """Replace the callback for cancel requests. None means the default callback."""
-        if cancel_callback is None:
-            cancel_callback = default_cancel_callback
-        self._cancel_callback = cancel_callback
+        self._cancel_callback = cancel_callback or default_cancel_callback
 
     def register_execute_callback(self, execute_callback: Anything) -> None:
         """Replace the execute callback.
@@ -406,7 +405,6 @@ class ActionServer(Introspected, Waitable):
         handle = None
         if accepted:
             handle = self._goal_handles[goal_id] = ServerGoalHandle(self, info, request.goal)
-            self._result_futures[goal_id] = Future()
             self._expect_readers()
         response = self._kind.service("send_goal").Response(accepted=accepted, stamp=info.stamp)
         respond(encode(response, type(response)), NOTE)
@@ -486,7 +484,6 @@ class ActionServer(Introspected, Waitable):
         return self._action_type.Result()
 
     def _end_goal(self, goal_handle: ServerGoalHandle, result: Anything) -> None:
-        goal_id = goal_handle.goal.id
         response = self._kind.service("get_result").Response(
             status=goal_handle.status, result=result
         )
@@ -495,15 +492,13 @@ class ActionServer(Introspected, Waitable):
         except TypeError as error:
             self._logger.error(f"The result cannot be sent, so an empty one is sent: {error}")
             response.result = self._action_type.Result()
-        future = self._result_futures.get(goal_id)
-        if future is not None:
-            future.set_result((response, goal_handle.goal.log.count))
+        goal_handle.ended.set_result((response, goal_handle.goal.log.count))
 
     def goal_changed(self, goal_handle: ServerGoalHandle) -> None:
         """Publish a goal's new state. The goal's handle calls this after each change."""
         if not goal_handle.is_active and self._timeout_ns >= 0:
             due = time.monotonic_ns() + self._timeout_ns
-            self._expiries.append((due, goal_handle.goal.id))
+            self._expiries.append((due, goal_handle))
             self.wake()
         self._status.publish()
 
@@ -556,9 +551,8 @@ class ActionServer(Introspected, Waitable):
     # results
 
     def _execute_get_result_request(self, request: Anything, respond: Respond) -> None:
-        goal_id = goal_key(request.goal_id)
-        future = self._result_futures.get(goal_id)
-        if future is None:
+        handle = self._goal_handles.get(goal_key(request.goal_id))
+        if handle is None:
             self._logger.warning(
                 f"Sending result response for unknown goal ID: {request.goal_id.uuid}"
             )
@@ -567,40 +561,26 @@ class ActionServer(Introspected, Waitable):
             return
 
         def answer(ended: Future) -> None:
-            if not ended.cancelled():
-                response, published = ended.result()
-                note = GoalMetadata(feedback=published).write()
-                respond(encode(response, type(response)), note)
+            response, published = ended.result()
+            note = GoalMetadata(feedback=published).write()
+            respond(encode(response, type(response)), note)
 
-        future.add_done_callback(answer)
+        handle.ended.add_done_callback(answer)
 
     def _first_expiry(self) -> int:
-        """Return the time at which the next goal is forgotten (ns, monotonic clock).
-
-        If no goal will be forgotten, return `NEVER`, a time in the far future.
-        """
-        try:
-            return self._expiries[0][0]
-        except IndexError:
-            return NEVER
+        """Return when the next goal is forgotten (ns, monotonic clock); `NEVER` if none will be."""
+        return self._expiries[0][0] if self._expiries else NEVER
 
     def _expire(self) -> None:
         """Forget the goals whose ``result_timeout`` has passed."""
-        now, before = time.monotonic_ns(), len(self._goal_handles)
-        while self._expiries:
-            try:
-                due, goal_id = self._expiries.popleft()
-            except IndexError:  # another thread that spins has taken it
-                break
-            if due > now:
-                self._expiries.appendleft((due, goal_id))
-                break
-            handle = self._goal_handles.pop(goal_id, None)
-            if handle is not None:
+        if self._first_expiry() > time.monotonic_ns():
+            return
+        with self._lock:
+            while self._first_expiry() <= time.monotonic_ns():
+                _, handle = self._expiries.popleft()
+                self._goal_handles.pop(handle.goal.id, None)
                 handle.destroy()
-            self._result_futures.pop(goal_id, None)
-        if len(self._goal_handles) < before:
-            self._status.publish()
+        self._status.publish()
 
     def _held(self) -> list[Goal]:
         """Return all goals that the server has not forgotten."""

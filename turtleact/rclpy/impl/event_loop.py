@@ -27,7 +27,6 @@ class EventLoop:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._starting: Future[asyncio.AbstractEventLoop] | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
 
@@ -82,37 +81,15 @@ class EventLoop:
         return asyncio.run_coroutine_threadsafe(begin(), loop)
 
     def _running(self) -> asyncio.AbstractEventLoop:
-        if self._loop is not None:
-            return self._loop
-        with self._lock:
-            if self._starting is None:
-                self._start()
-            starting = self._starting
-        assert starting is not None  # noqa: S101  # `_start` has set it
-        # Without the lock. After a KeyboardInterrupt here, the next call waits for the same loop.
-        return starting.result()
+        if self._loop is None:
+            with self._lock:
+                if self._loop is None:
+                    self._start()
+        assert self._loop is not None  # noqa: S101  # `_start` has set it
+        return self._loop
 
     def _start(self) -> None:
-        # The loop is made in its own thread: a KeyboardInterrupt in the main thread can then
-        # leave no half-made loop behind, and none without a thread.
-        starting = self._starting = Future()
-        thread = threading.Thread(
-            target=self._run, args=(starting,), name="turtleact-loop", daemon=True
-        )
-        try:
-            thread.start()
-        except RuntimeError:  # too many threads: the next call tries again
-            self._starting = None
-            raise
-
-    def _run(self, starting: Future[asyncio.AbstractEventLoop]) -> None:
-        self._thread = threading.current_thread()
-        try:
-            self._loop = new_event_loop()
-        except BaseException as error:  # such as too many open files: the next call tries again
-            with self._lock:
-                self._starting = None
-            starting.set_exception(error)
-            return
-        starting.set_result(self._loop)
-        self._loop.run_forever()
+        loop = new_event_loop()
+        self._thread = threading.Thread(target=loop.run_forever, name="turtleact-loop", daemon=True)
+        self._thread.start()
+        self._loop = loop

@@ -16,7 +16,6 @@ from contextlib import (
     contextmanager,
 )
 from functools import partial
-from typing import Protocol
 from weakref import WeakSet
 
 import anyio
@@ -25,6 +24,7 @@ from turtleact.errors import TurtleactError
 from turtleact.rclpy.face import SETTINGS, Place
 from turtleact.rclpy.impl.connection import Connection, OpenTransport
 from turtleact.rclpy.impl.event_loop import EventLoop
+from turtleact.rclpy.impl.typing import Anything
 from turtleact.tasks.clock import Clock
 from turtleact.transports import MemoryTransport, Transport, open_zenoh
 
@@ -100,13 +100,6 @@ PATIENCE = 2.5
 """How long to delay the end of the process while other threads shut contexts down (s)."""
 
 
-class Closable(Protocol):
-    """The interface that this module needs from a context."""
-
-    def try_shutdown(self) -> None:
-        """Shut down the context if it is initialised and not shut down yet."""
-
-
 class Process:
     """Holds the event loop, the joined graphs and the contexts of this process.
 
@@ -118,7 +111,7 @@ class Process:
 
     def __init__(self) -> None:
         self.loop = EventLoop()
-        self.contexts: WeakSet[Closable] = WeakSet()
+        self.contexts: WeakSet[Anything] = WeakSet()
         self.open_transport: OpenTransport = open_chosen
         self._lock = threading.Lock()
         self._ended = threading.Condition(self._lock)

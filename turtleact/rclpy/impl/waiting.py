@@ -6,9 +6,10 @@ import threading
 import time
 from collections.abc import Callable
 
-from turtleact.rclpy.callback_groups import Member, MutuallyExclusiveCallbackGroup
+from turtleact.rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from turtleact.rclpy.impl.entity import Entity
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
+from turtleact.rclpy.impl.typing import Anything
 
 __all__ = ["BLOCKED_AFTER", "note_blocked", "wait_for_answer", "wait_until", "warn_if_blocked"]
 
@@ -64,7 +65,7 @@ def warn_if_blocked(entity: Entity, what: str, *, is_answered: bool) -> None:
         )
 
 
-def _holder(entity: Entity) -> Member | None:
+def _holder(entity: Entity) -> Anything:
     group = entity.callback_group
     return group.active_entity if isinstance(group, MutuallyExclusiveCallbackGroup) else None
 

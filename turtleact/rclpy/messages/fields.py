@@ -6,7 +6,7 @@ Source: ``rosidl_generator_py``, whose behaviour was observed in ROS 2 Kilted.
 from __future__ import annotations
 
 import array
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from functools import partial
 
 from turtleact.interfaces.definition import INTEGER_RANGES, PRIMITIVES, ArrayForm, Field, FieldType
@@ -15,6 +15,7 @@ from turtleact.rclpy.impl.typing import Anything
 __all__ = [
     "TYPECODES",
     "checker",
+    "fitted",
     "initial",
     "is_numeric_array",
     "is_numeric_sequence",
@@ -45,8 +46,6 @@ NAMES = {
     "float64": "double",
 }
 """The types that have another name in IDL."""
-
-LARGEST_FLOAT32 = 3.402823466e38
 
 
 def type_text(field_type: FieldType) -> str:
@@ -133,51 +132,87 @@ def _listed(field: Field) -> list[object]:
 def checker(field: Field, nested: type | None) -> Callable[[object], None]:
     """Return a function that checks a value for a field. Messages with ``check_fields`` call it.
 
-    The function raises AssertionError if the value does not fit, as in rclpy.
+    The function raises AssertionError if the value could not be sent.
     """
-    check = partial(_check_one, field.name, field.type.element, nested)
-    if not field.type.is_sequence:
-        return check
 
-    def check_all(value: object) -> None:
-        is_collection = isinstance(value, Collection) and not isinstance(value, str | bytes)
-        _expect(is_collection, field.name, "a set or sequence")
-        assert isinstance(value, Collection)  # noqa: S101  # checked above
-        size, form = field.type.size, field.type.form
-        if form is ArrayForm.FIXED:
-            _expect(len(value) == size, field.name, f"a sequence of length {size}")
-        elif form is ArrayForm.BOUNDED:
-            _expect(len(value) <= size, field.name, f"a sequence of at most {size} elements")
-        if not isinstance(value, array.array) and not hasattr(value, "dtype"):
-            for element in value:
-                check(element)
+    def check(value: object) -> None:
+        try:
+            fitted(field.type, nested, value, field.name, _check_class)
+        except TypeError as error:
+            raise AssertionError(f"The '{field.name}' field does not fit: {error}") from error
 
-    return check_all
+    return check
 
 
-def _check_one(name: str, field_type: FieldType, nested: type | None, value: object) -> None:
+def _check_class(message: object, message_class: type, path: str) -> None:
+    if not isinstance(message, message_class):
+        module, name = message_class.__module__, message_class.__name__
+        raise TypeError(f"{path}: expected {module}.{name}, got {type(message)}")
+
+
+def fitted(
+    field_type: FieldType, nested: Anything, value: Anything, path: str, fit_message: Anything
+) -> object:
+    """Return a field's value as turtleact's codecs take it.
+
+    Args:
+        field_type: The type of the field.
+        nested: The class of the field's messages; None if it holds no messages.
+        value: The value that the program has set.
+        path: The names of the field and of the fields around it, for errors.
+        fit_message: Called with each nested message, its class and its path.
+
+    Raises:
+        TypeError: if the value does not fit.
+    """
+    if not field_type.is_sequence:
+        return _fitted_value(field_type, nested, value, path, fit_message)
+    if isinstance(value, str) or not hasattr(value, "__iter__"):
+        raise TypeError(f"{path}: expected a sequence, got {value!r}")
+    if field_type.name in TYPECODES:
+        return _sized(field_type, _converted(field_type, value, path), path)
+    element = field_type.element
+    values = [_fitted_value(element, nested, each, path, fit_message) for each in value]
+    return _sized(field_type, values, path)
+
+
+def _converted(field_type: FieldType, value: Anything, path: str) -> list[object]:
+    try:
+        converted: Anything = sequence_of(field_type)(value)
+        listed: list[object] = converted.tolist()
+    except (TypeError, ValueError, OverflowError) as error:
+        raise TypeError(f"{path}: {error}") from error
+    return listed
+
+
+def _sized(field_type: FieldType, values: list[object], path: str) -> object:
+    size, form = field_type.size, field_type.form
+    if form is ArrayForm.FIXED and len(values) != size:
+        raise TypeError(f"{path}: expected {size} elements, got {len(values)}")
+    if form is ArrayForm.BOUNDED and len(values) > size:
+        raise TypeError(f"{path}: expected at most {size} elements, got {len(values)}")
+    return values
+
+
+def _fitted_value(
+    field_type: FieldType, nested: Anything, value: Anything, path: str, fit_message: Anything
+) -> object:
     kind = field_type.name
     if nested is not None:
-        _expect(isinstance(value, nested), name, f"a sub message of type '{nested.__name__}'")
-    elif kind == "byte":
-        _expect(isinstance(value, bytes) and len(value) == 1, name, "of type 'bytes', one byte")
-    elif kind == "bool":
-        _expect(isinstance(value, bool), name, "of type 'bool'")
-    elif field_type.is_string:
-        _expect(isinstance(value, str), name, "of type 'str'")
+        found: object = fit_message(value, nested, path)
+        return found
+    if kind == "byte" and isinstance(value, bytes) and len(value) == 1:
+        return value[0]
+    if kind == "bool" and (isinstance(value, bool) or type(value).__name__ in ("bool", "bool_")):
+        return bool(value)
+    if field_type.is_string and isinstance(value, str):
         bound = field_type.string_bound
-        fits = bound is None or len(str(value)) <= bound
-        _expect(fits, name, f"a string of at most {bound} characters")
-    elif kind in INTEGER_RANGES:
-        _expect(isinstance(value, int), name, "of type 'int'")
+        if bound is None or len(value) <= bound:
+            return str(value)
+    elif kind in INTEGER_RANGES and hasattr(value, "__index__"):
         low, high = INTEGER_RANGES[kind]
-        _expect(low <= int(str(int(value))) <= high, name, f"an integer in [{low}, {high}]")  # type: ignore[call-overload]  # an int
-    else:
-        _expect(isinstance(value, float), name, "of type 'float'")
-        small = kind == "float64" or not abs(value) > LARGEST_FLOAT32 or abs(value) == float("inf")  # type: ignore[arg-type]  # a float
-        _expect(small, name, "a float of single precision")
-
-
-def _expect(fits: bool, name: str, expected: str) -> None:
-    if not fits:
-        raise AssertionError(f"The '{name}' field must be {expected}")
+        if low <= (number := value.__index__()) <= high:
+            return number
+    elif kind in ("float32", "float64") and hasattr(value, "__float__"):
+        return float(value)
+    raise TypeError(f"{path}: a {field_type} cannot be {value!r}")
