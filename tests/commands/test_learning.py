@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import socket
 
 import pytest
 
-from ..robots import write_package
+from ..robots import FILES, write_package
 
 ROBOT = """
 import anyio
@@ -140,3 +141,34 @@ def test_a_recording_has_the_schemas_of_learned_types(start, robot, tmp_path):
     assert program.end().status == 0
     [bag] = (tmp_path / "bag").glob("*.mcap")
     assert b"float32 charge" in bag.read_bytes()
+
+
+def test_the_interfaces_of_a_node_are_fetched_as_packages(at_robot, start, cache, tmp_path):
+    ran = at_robot("interface", "fetch", "digger", "-o", "src")
+    assert (ran.status, ran.err) == (0, "")
+    for name, text in FILES.items():
+        assert (tmp_path / "src" / "robot_msgs" / name).read_text() == text
+    made = (tmp_path / "src" / "robot_msgs" / "CMakeLists.txt").read_text()
+    assert '  "action/Dig.action"\n' in made
+    assert "find_package(geometry_msgs REQUIRED)" in made
+    package = (tmp_path / "src" / "robot_msgs" / "package.xml").read_text()
+    assert "<depend>geometry_msgs</depend>" in package
+    line = ("interface", "python", "robot_msgs", "--interfaces", "src", "-o", "made")
+    assert start(*line, module=True).end().status == 0
+    assert "class Dig(Action" in (tmp_path / "made" / "robot_msgs" / "action.py").read_text()
+
+
+def test_what_was_learned_is_listed_and_shown_with_its_node(at_robot, start):
+    at_robot("send-goal", "/dig", "{}")
+    listed = start("interface", "list", "--learned", module=True).end().out
+    assert re.fullmatch(r"robot_msgs/action/Dig RIHS01_\w{64} /digger\n", listed)
+    shown = start("interface", "show", "robot_msgs/action/Dig", module=True).end()
+    assert "# How deep to dig (m)\n" in shown.out
+    assert "turtleact: robot_msgs/action/Dig was learned from node /digger (RIHS01_" in shown.err
+
+
+@pytest.mark.parametrize("line", [[], ["digger", "--all"]])
+def test_fetch_takes_nodes_or_all(at_robot, line):
+    assert (
+        "give the names of nodes, or --all" in at_robot("interface", "fetch", *line, "-o", ".").err
+    )

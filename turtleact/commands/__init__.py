@@ -17,7 +17,7 @@ GROUPS: Final = {
     "node": ("list", "info"),
     "param": ("list", "get", "set", "delete", "describe", "dump", "load"),
     "pkg": ("create", "list", "executables"),
-    "interface": ("list", "package", "packages", "proto", "python", "show"),
+    "interface": ("list", "package", "packages", "proto", "fetch", "python", "show"),
     "bag": ("record", "info", "play", "goals", "convert", "view"),
     "journal": ("prune",),
 }

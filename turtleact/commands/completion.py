@@ -211,6 +211,10 @@ def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
         get_interface(type_name)
     except UnknownInterface:
         make_known(_folder(ctx), is_silent=True)
+        from turtleact.node.type_cache import cached, remember
+
+        for each in cached(type_name):
+            remember(each)
     text = flow(to_dict(first_message(type_name)))
     # Only bash inserts a value as it is, so there the quotes must be part of it.
     is_bash = os.environ.get("_TURTLEACT_COMPLETE") == "complete_bash"

@@ -1,7 +1,7 @@
 """The verbs of ``interface``, which list and show interfaces and print prototypes.
 
-These verbs need no graph. They know the interfaces that ship with turtleact, and those in the
-folder of ``--interfaces``, in the sourced ROS workspace, and near the working directory.
+Only ``fetch`` needs a graph. The others know the interfaces that ship with turtleact, and those in
+the folder of ``--interfaces``, in the sourced ROS workspace, and near the working directory.
 
 Source: ros2cli ``ros2interface/verb/*.py`` (Jazzy), for the printed text.
 """
@@ -12,22 +12,27 @@ import re
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from turtleact.commands import completion
 from turtleact.commands.app import new_group, verb
 from turtleact.commands.interface_search import first_message
 from turtleact.commands.options import argument, flag, only_one, value
 from turtleact.commands.output import say
-from turtleact.errors import TurtleactError, UsageError
+from turtleact.commands.settings import WrongOptions
+from turtleact.errors import TurtleactError, UnknownInterface, UsageError
 from turtleact.interfaces import (
-    get_interface,
     known_interfaces,
     to_yaml,
 )
 from turtleact.interfaces.comments import commented_text
 from turtleact.interfaces.definition import did_you_mean
+from turtleact.interfaces.loading import find_interface
 from turtleact.interfaces.parse import Line, parse_member, without_comment
+
+if TYPE_CHECKING:
+    from turtleact.interfaces.types import Interface
+    from turtleact.node import Node
 
 __all__ = ["app"]
 
@@ -52,8 +57,21 @@ app = new_group("interface")
 
 
 @verb(app, "list", knows=True)
-def list_(*, msgs: Messages = False, srvs: Services = False, actions: Actions = False) -> None:
+def list_(
+    *,
+    msgs: Messages = False,
+    srvs: Services = False,
+    actions: Actions = False,
+    learned: Annotated[
+        bool, flag("--learned", text="Only what was learned from nodes, and from which.")
+    ] = False,
+) -> None:
     """List all interfaces."""
+    if learned:
+        from turtleact.commands.interface_fetch import print_learned
+
+        print_learned()
+        return
     for kind in _kinds(msgs=msgs, srvs=srvs, actions=actions):
         names = [name for name in known_interfaces() if name.split("/")[1] == kind]
         say(
@@ -97,6 +115,27 @@ def proto(
     """Print a message with its default values, as YAML."""
     quote = "" if no_quotes else '"'
     say(f"{quote}{to_yaml(first_message(type_name))}{quote}\n")
+
+
+@verb(app, knows=True)
+async def fetch(
+    node: Node,
+    names: Annotated[
+        list[str] | None,
+        argument("NODE", "The nodes.", completion.nodes, show_default=False),
+    ] = None,
+    *,
+    everything: Annotated[bool, flag("--all", text="Fetch the interfaces of all nodes.")] = False,
+    output: Annotated[
+        Path, value("--output", "-o", metavar="DIR", text="Write DIR/PACKAGE/KIND/NAME.EXT.")
+    ],
+) -> int:
+    """Write the interfaces that only nodes have as packages for a workspace."""
+    from turtleact.commands import interface_fetch
+
+    if everything == bool(names):
+        raise WrongOptions("give the names of nodes, or --all")
+    return await interface_fetch.fetch(node, names or [], output, is_all=everything)
 
 
 @verb(app, "python", knows=True)
@@ -245,9 +284,21 @@ def _by_package(kinds: Sequence[str]) -> dict[str, list[str]]:
     return packages
 
 
+def _find(type_name: str) -> Interface:
+    """Return the class of an interface, if necessary one that was learned before."""
+    try:
+        return find_interface(type_name)
+    except UnknownInterface:
+        from turtleact.commands.interface_fetch import find_shown
+
+        if not find_shown(type_name):
+            raise
+        return find_interface(type_name)
+
+
 def _lines(type_name: str, *, depth: int, comments: bool, nested_comments: bool) -> Iterator[str]:
     """Yield the lines that `print_definition` prints."""
-    interface = get_interface(type_name)
+    interface = _find(type_name)
     package = interface.type_name.partition("/")[0]
     for number, text in enumerate(commented_text(interface).splitlines(), 1):
         shown = _CONTROL.sub("", text).rstrip()

@@ -11,11 +11,11 @@ from turtleact.commands.output import note
 from turtleact.interfaces import (
     Action,
     Service,
-    get_interface,
     load_interfaces,
     load_workspace,
     offer_interfaces,
 )
+from turtleact.interfaces.loading import find_interface
 from turtleact.interfaces.workspace import find_interfaces
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def first_message(type_name: str) -> Message:
     Raises:
         UnknownInterface: if the name is unknown. The error suggests the nearest name.
     """
-    interface = get_interface(type_name)
+    interface = find_interface(type_name)
     if issubclass(interface, Action):
         return interface.Goal()
     return interface.Request() if issubclass(interface, Service) else interface()

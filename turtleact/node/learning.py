@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from turtleact.interfaces.types import Interface
     from turtleact.node.type_cache import Known
 
-__all__ = ["Learner", "Use", "learn_interface", "remember", "uses_of"]
+__all__ = ["Learner", "Use", "learn_interface", "uses_of"]
 
 logger = logging.getLogger("turtleact.learning")
 
@@ -304,7 +304,7 @@ class Learner:
         found = known_class(use, nodes)
         if found is not None:
             return found
-        from turtleact.node.type_cache import cached, keep  # a known type needs no cache
+        from turtleact.node.type_cache import cached, keep, remember  # a known type needs no cache
 
         if not all(map(HASH.fullmatch, filter(None, use.hashes))) or not use.hashes[0]:
             problem = f"node {nodes[0]} sends no type hash, as in ROS 2 Humble"
@@ -479,13 +479,6 @@ def _is_known(type_name: str) -> bool:
     except TurtleactError:
         return False
     return True
-
-
-def remember(known: Known) -> Interface:
-    """Keep a learned type for this process, and return its class."""
-    holder = known.node if known.has_own_defaults else ""
-    REGISTRY.learned[known.interface.type_name, known.type_hash] = known.interface, holder
-    return known.interface
 
 
 class _Answers(WireFormat):

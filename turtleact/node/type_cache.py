@@ -22,9 +22,9 @@ from turtleact.interfaces.standard.type_description_interfaces.msg import (
     IndividualTypeDescription,
     TypeSource,
 )
-from turtleact.interfaces.types import Interface
+from turtleact.interfaces.types import REGISTRY, Interface
 
-__all__ = ["Known", "cached", "cached_names", "cached_types", "keep"]
+__all__ = ["Known", "cached", "cached_names", "cached_types", "keep", "remember"]
 
 LARGEST = 4_000_000
 """The most bytes of a file that is read."""
@@ -75,6 +75,13 @@ def keep(known: Known) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         part.write_text(json.dumps(content), "utf-8")
         part.replace(path)
+
+
+def remember(known: Known) -> Interface:
+    """Keep a learned type for this process, and return its class."""
+    holder = known.node if known.has_own_defaults else ""
+    REGISTRY.learned[known.interface.type_name, known.type_hash] = known.interface, holder
+    return known.interface
 
 
 def cached(type_name: str) -> Iterator[Known]:

@@ -24,8 +24,8 @@ from turtleact.errors import NotLearned, TurtleactError
 from turtleact.interfaces import type_hash
 from turtleact.interfaces.learned import LearnedTypes
 from turtleact.node import open_node
-from turtleact.node.learning import Learner, remember
-from turtleact.node.type_cache import Known, cached, cached_names, cached_types
+from turtleact.node.learning import Learner
+from turtleact.node.type_cache import Known, cached, cached_names, cached_types, remember
 from turtleact.rclpy.face import SETTINGS
 from turtleact.transports import open_zenoh
 from turtleact.transports.graph import Kind
