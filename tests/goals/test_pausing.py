@@ -27,6 +27,7 @@ from ..lab import (
     local_server,
     result,
     running,
+    settle,
     take_turns,
 )
 from .test_remote_server import Apart
@@ -772,3 +773,25 @@ async def test_a_sleeping_generator_takes_longer_by_its_pause():
                 await handle.result()
             assert clock.time() == pytest.approx(paused_at + 10.0 + (3.0 - paused_at))
         group.cancel_scope.cancel()
+
+
+async def test_a_preempted_goal_is_no_longer_paused_while_it_cleans_up():
+    gate = Gate()
+
+    async def body(request):
+        try:
+            while True:
+                yield feedback(1)
+        finally:
+            with anyio.CancelScope(shield=True):
+                await gate.opened.wait()
+
+    async with (
+        lab(body, policy="preempt") as served,
+        served.client.send_goal(goal(1)) as handle,
+    ):
+        await handle.pause()
+        async with served.client.send_goal(goal(2)):
+            await settle()
+            assert (handle.is_paused, handle.done) == (False, False)
+            gate.opened.set()

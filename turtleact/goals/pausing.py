@@ -98,12 +98,12 @@ class Pauses(GoalObserver):
     @property
     def paused(self) -> list[Goal]:
         """The paused goals, in the order in which they were paused."""
-        return [goal for goal, each in self._requests.items() if each.since is not None]
+        return [goal for goal in self._requests if self.is_paused(goal)]
 
     def is_paused(self, goal: Goal) -> bool:
-        """Whether a goal is paused."""
+        """Whether a goal is paused. A goal that is being canceled or preempted is not."""
         request = self._requests.get(goal)
-        return request is not None and request.since is not None
+        return request is not None and request.since is not None and not _is_ending(goal)
 
     def paused_time(self, goal: Goal) -> float:
         """How long a goal has been paused in total (s, by the graph's clock)."""
