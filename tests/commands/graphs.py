@@ -85,12 +85,12 @@ def after(seconds, act):
 
 
 def later(seconds, nodes):
-    """The nodes of a graph that come some seconds after its beginning."""
+    """The nodes of a graph that come some seconds after its beginning, by its clock."""
 
     @asynccontextmanager
     async def coming(transport):
         async def run():
-            await anyio.sleep(seconds)
+            await transport.clock.sleep(seconds)
             async with nodes(transport):
                 await anyio.sleep_forever()
 

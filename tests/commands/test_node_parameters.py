@@ -300,7 +300,7 @@ def test_a_value_is_taken_as_the_type_of_its_parameter(on_graph, name, text, val
 @pytest.mark.parametrize(
     ("name", "text", "problem"),
     [
-        ("label", "5", "is of type {string}, setting it to {integer} is not allowed: for text, "),
+        ("label", "5", "is of type {string}, setting it to {integer} is not allowed."),
         ("data", "[256]", "setting it to {integer_array} is not allowed."),
     ],
 )
@@ -429,18 +429,7 @@ def test_an_unknown_node_is_told_with_the_nearest(on_turtlesim, line):
 
 
 def test_a_node_that_comes_late_is_waited_for(on_graph, graphs):
-    @asynccontextmanager
-    async def nodes(transport):
-        async def appear():
-            await transport.clock.sleep(0.9)
-            async with graphs.parameters(transport):
-                await anyio.sleep_forever()
-
-        async with anyio.create_task_group() as beside:
-            beside.start_soon(appear)
-            yield
-            beside.cancel_scope.cancel()
-
+    nodes = graphs.later(0.9, graphs.parameters)
     assert on_graph(nodes, "param", "get", "/turtlesim", "background_r").status == 0
 
 

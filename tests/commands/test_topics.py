@@ -19,7 +19,6 @@ from turtleact.commands.message_text import python_text
 from turtleact.interfaces import array, float64, get_interface, int32, load_interface, string
 from turtleact.interfaces.standard import (
     UUID,
-    Empty,
     GoalInfo,
     GoalStatusArray,
     GoalStatusMessage,
@@ -532,39 +531,16 @@ def test_a_service_is_called_at_a_rate(on_graph, graphs):
 
 
 def test_a_service_that_is_not_there_is_waited_for(on_graph, graphs):
-    @asynccontextmanager
-    async def nodes(transport):
-        async def appear():
-            await transport.clock.sleep(3.0)
-            async with graphs.turtlesim(transport):
-                await anyio.sleep_forever()
-
-        async with anyio.create_task_group() as beside:
-            beside.start_soon(appear)
-            yield
-            beside.cancel_scope.cancel()
-
+    nodes = graphs.later(3, graphs.turtlesim)
     ran = on_graph(nodes, "service", "call", "/clear", "std_srvs/srv/Empty")
     assert ran.status == 0
     assert ran.out.startswith("waiting for service to become available...\nrequester: making")
 
 
 def test_a_wait_for_a_typing_error_is_told(on_graph, graphs):
-    @asynccontextmanager
-    async def nodes(transport):
-        async with graphs.turtlesim(transport), open_node("o", transport=transport) as node:
-
-            async def appear():
-                await node.clock.sleep(3.0)
-                node.service(Empty, "/claer", lambda _: Empty.Response())
-
-            async with anyio.create_task_group() as beside:
-                beside.start_soon(appear)
-                yield
-                beside.cancel_scope.cancel()
-
+    nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(3))
     ran = on_graph(nodes, "service", "call", "/claer", "std_srvs/srv/Empty")
-    assert (ran.status, ran.err) == (0, "turtleact: did you mean '/clear'?\n")
+    assert (ran.status, ran.err) == (130, "turtleact: did you mean '/clear'?\n")
 
 
 def test_a_type_with_which_a_service_is_not_there_is_named_with_the_one_it_is(on_graph, graphs):

@@ -492,21 +492,10 @@ async def _set_again(
     if value != parameter.value:
         request = SetParameters.Request([Parameter(parameter.name, value)])
         [result] = (await _ask(node, SetParameters, owner, request)).results
-    taken = "" if result.successful else out_of_range(known, value) or _quoted(value, known.type)
+    taken = "" if result.successful else out_of_range(known, value)
     if taken[1:] not in result.reason:
         result.reason = f"{result.reason.rstrip('.')}: {taken}" if result.reason else taken
     return result
-
-
-def _quoted(value: ParameterValue, kind: int) -> str:
-    """Return a hint on how to quote a number or bool that was given for a text parameter.
-
-    For all other values, return an empty string.
-    """
-    plain = value_of(value)
-    if kind != ParameterType.PARAMETER_STRING or not isinstance(plain, bool | int | float):
-        return ""
-    return f"for text, write \"'{str(plain).lower()}'\""
 
 
 # how answers are printed

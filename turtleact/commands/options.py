@@ -452,12 +452,20 @@ def only_one(what: str, **given: bool) -> None:
         raise WrongOptions(f"{what} is given twice: give one of {ways}")
 
 
-def seconds(given: str | float) -> float:
-    """Parse a number of seconds, 0 or more."""
-    value = _finite(given)
-    if not value >= 0:
-        raise typer.BadParameter(f"{quoted(str(given))} is not a number of seconds, 0 or more")
-    return value
+def _number(problem: str, is_fit: Callable[[float], bool]) -> Callable[[str | float], float]:
+    """Return a parser of finite numbers. The error for other texts ends with ``problem``."""
+
+    def parse(given: str | float) -> float:
+        value = _finite(given)
+        if not is_fit(value):
+            raise typer.BadParameter(f"{quoted(str(given))} {problem}")
+        return value
+
+    return parse
+
+
+seconds = _number("is not a number of seconds, 0 or more", lambda value: value >= 0)
+hertz = _number("is not a rate in Hz above zero", lambda value: value > 0)
 
 
 def bag_seconds(given: str | float) -> float:
@@ -481,14 +489,6 @@ def span(given: str | float) -> float:
         problem = "is not a time such as 90s, 30min, 12h or 7d"
         raise typer.BadParameter(f"{quoted(str(given))} {problem}")
     return float(found["number"]) * UNITS[found["unit"]]
-
-
-def hertz(given: str | float) -> float:
-    """Parse a rate in Hz, above zero."""
-    value = _finite(given)
-    if not value > 0:
-        raise typer.BadParameter(f"{quoted(str(given))} is not a rate in Hz above zero")
-    return value
 
 
 def speed(given: str | float) -> float:
