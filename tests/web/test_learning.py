@@ -1,0 +1,36 @@
+"""The page has a form for any action of the graph, because it learns the types."""
+
+from __future__ import annotations
+
+import pytest
+
+import turtleact
+from turtleact.interfaces.types import REGISTRY
+from turtleact.transports import MemoryTransport
+from turtleact.web import open_bridge
+from turtleact.web.name_lookup import action_class
+from turtleact.web.rosapi import typedefs
+
+from ..lab import take_turns
+from ..robots import Robot, write_package
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    with REGISTRY.isolated():
+        yield
+
+
+async def test_an_action_that_appears_later_gets_a_form(tmp_path):
+    transport = MemoryTransport()
+    async with turtleact.open_node("web", transport=transport) as node, open_bridge(node):
+        await take_turns()
+        robot = Robot(transport, write_package(tmp_path))
+        with pytest.raises(turtleact.UnknownInterface):
+            action_class("robot_msgs/Dig")
+        robot.serve_action("/dig", "robot_msgs/action/Dig")
+        for _ in range(10):
+            await take_turns()
+        fields = typedefs(action_class("robot_msgs/Dig").Goal)[0]["fieldnames"]
+        assert fields == ["depth", "speed", "where", "tools"]
