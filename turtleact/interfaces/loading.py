@@ -86,6 +86,7 @@ __all__ = [
     "interface_text",
     "known_classes",
     "known_interfaces",
+    "learned_classes",
     "load_action",
     "load_interface",
     "load_interfaces",

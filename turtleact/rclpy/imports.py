@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import cache
 from typing import Final
@@ -22,10 +22,10 @@ import anyio
 
 from turtleact.errors import NotLearned, TurtleactError
 from turtleact.interfaces import type_hash
-from turtleact.interfaces.learned import LearnedTypes
+from turtleact.interfaces.loading import learned_classes
 from turtleact.node import open_node
 from turtleact.node.learning import Learner
-from turtleact.node.type_cache import Known, cached, cached_names, cached_types, remember
+from turtleact.node.type_cache import cached, cached_names, remember
 from turtleact.rclpy.face import SETTINGS
 from turtleact.transports import open_zenoh
 from turtleact.transports.graph import Kind
@@ -49,9 +49,7 @@ def learn_import(type_name: str) -> None:
     """
     if type_name in PROBLEMS:
         raise PROBLEMS[type_name]
-    versions = list(cached(type_name)) or list(_nested(type_name))
-    if len(versions) == 1:
-        remember(versions[0])
+    if len({type_hash(each) for each in learned_classes(type_name)}) == 1:
         return
     try:
         _on_graph(lambda learner: learner.learn_type(type_name), type_name)
@@ -62,7 +60,10 @@ def learn_import(type_name: str) -> None:
 
 @cache
 def learn_package(package: str) -> bool:
-    """Learn all types of a package that are used on the graph. Return whether there are any."""
+    """Learn the types of a package, and return whether there are any.
+
+    A type of which the cache has several versions is left to `learn_import`, which asks the graph.
+    """
 
     async def learn(learner: Learner) -> None:
         def wants(kind: Kind, name: str) -> bool:
@@ -71,21 +72,18 @@ def learn_package(package: str) -> bool:
 
         await learner.learn_all(wants)
 
-    with suppress(TurtleactError):
-        _on_graph(learn, package)
-    return any(name.startswith(f"{package}/") for name in cached_names())
+    if not _cached(package):
+        with suppress(TurtleactError):
+            _on_graph(learn, package)
+    for name in _cached(package):
+        versions = list(cached(name))
+        if len(versions) == 1:
+            remember(versions[0])
+    return bool(_cached(package))
 
 
-def _nested(type_name: str) -> Iterator[Known]:
-    """Yield the versions of a message that the learned types contain."""
-    found: dict[str, Known] = {}
-    for each in cached_types():
-        if any(one.type_name == type_name for one in each.described):
-            types = LearnedTypes(each.described, each.sources, with_defaults=False)
-            interface = types.interface(type_name)
-            own = type_hash(interface)
-            found[own] = each._replace(interface=interface, type_hash=own)
-    yield from found.values()
+def _cached(package: str) -> list[str]:
+    return [name for name in cached_names() if name.startswith(f"{package}/")]
 
 
 def _on_graph(learn: Callable[[Learner], Awaitable[object]], what: str) -> None:
