@@ -12,41 +12,22 @@ from pathlib import Path
 
 import pytest
 
-from .. import warm
-from .ttys import Screen, open_terminal, read
+from .ttys import HIDE, SHOW, STAGE, Terminal
 
-ESCAPE = re.compile(r"\x1b(\[[0-9;?]*[A-Za-z]|[78])")
-SHOW, HIDE = b"\x1b[?25h", b"\x1b[?25l"
 PATROL = "targets: [{x: 9, y: 7}, {x: 5, y: 1}]"
 ON_WINDOWS = Path(__file__).with_name("on_windows.py")
 
 
-def on_terminal(*arguments, columns=80, rows=24, **environment):
-    """What ``send-goal`` writes to a terminal, and its exit status."""
-    main, other = open_terminal(columns, rows)
-    settings = {"TERM": "xterm-256color", "PYTHONUTF8": "1"} | environment
-    hidden = ("NO_COLOR", "COLUMNS", "LINES")
-    base = {name: each for name, each in os.environ.items() if name not in hidden}
-    process = warm.start(
-        [sys.executable, "-m", "turtleact", "send-goal", *arguments],
-        stdin=other,
-        stdout=other,
-        stderr=subprocess.PIPE,
-        env=base | settings,
-    )
-    os.close(other)
-    written = b""
-    while chunk := read(main):
-        written += chunk
-    os.close(main)
-    assert process.stderr is not None
-    process.stderr.close()
-    return written.decode().replace("\r\n", "\n"), process.wait(30)
+def on_terminal(*arguments, **options):
+    """``send-goal`` on a terminal, to its end: what it shows, and its exit status."""
+    with Terminal("send-goal", *arguments, **options) as terminal:
+        status, _ = terminal.end()
+        return terminal.shown, status
 
 
 def standing(text):
     """What stays on the screen from the last frame on."""
-    shown = ESCAPE.sub("", text).replace("\r", "")
+    shown = text.replace("\r", "")
     return shown[shown.rindex("● /") :]
 
 
@@ -82,22 +63,17 @@ def test_a_window_of_30_by_10_shows_no_map():
 
 def test_a_value_that_does_not_remain_is_progress():
     text, _ = on_terminal("go_to", "{x: 9, y: 7}")
-    assert re.search(r" \d+%  distance_remaining \d\.\d\d", ESCAPE.sub("", text))
+    assert re.search(r" \d+%  distance_remaining \d\.\d\d", text)
 
 
 def test_feedback_that_was_asked_for_is_a_line_each_above():
     text, _ = on_terminal("fibonacci", "order: 3", "-f", "--speed", "10")
-    lines = [line.strip() for line in ESCAPE.sub("", text).replace("\r", "\n").splitlines()]
+    lines = [line.strip() for line in text.replace("\r", "\n").splitlines()]
     told = [line for line in lines if line.startswith("Feedback: ")]
     assert told == [
         "Feedback: partial_sequence [0, 1, 1]",
         "Feedback: partial_sequence [0, 1, 1, 2]",
     ]
-
-
-def test_no_color_is_respected():
-    text, _ = on_terminal("patrol", PATROL, "--speed", "max", NO_COLOR="1")
-    assert not re.search(r"\x1b\[[0-9;]*3[0-7]", text)
 
 
 @pytest.mark.parametrize(
@@ -110,9 +86,10 @@ def test_no_color_is_respected():
     ],
 )
 def test_where_nothing_can_or_shall_move_no_escape_sequence_is_written(arguments, environment):
-    text, status = on_terminal("fibonacci", "--speed", "max", *arguments, **environment)
-    assert status == 0
-    assert "\x1b" not in text
+    line = "send-goal", "fibonacci", "--speed", "max", *arguments
+    with Terminal(*line, **environment) as terminal:
+        assert terminal.end() == (0, True)
+        assert b"\x1b" not in terminal.written
 
 
 def test_a_goal_of_many_lines_does_not_flood_the_terminal():
@@ -124,46 +101,38 @@ def test_a_goal_of_many_lines_does_not_flood_the_terminal():
 # --- the terminal comes back ----------------------------------------------------------------
 
 
-def echoes(main):
-    return bool(termios.tcgetattr(main)[3] & termios.ECHO)
-
-
 @pytest.mark.parametrize(
     ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
 )
 def test_a_program_that_is_ended_gives_the_terminal_back(number, status):
-    with Screen("hold") as screen:
-        screen.wait_for(b"EXECUTING")
-        assert not echoes(screen.main)
+    with Terminal("send-goal", "hold", program=STAGE) as screen:
+        screen.wait_for("EXECUTING")
+        assert not screen.echoes
         screen.process.send_signal(number)
-        assert screen.process.wait(30) == status
-        text = screen.rest()
-        assert text.rindex(SHOW) > text.rindex(HIDE)
-        assert text.rstrip().endswith(b"Goal finished with status: CANCELED")
-        assert echoes(screen.main)
+        assert screen.end() == (status, True)
+        assert screen.written.rindex(SHOW) > screen.written.rindex(HIDE)
+        assert screen.shown.rstrip().endswith("Goal finished with status: CANCELED")
 
 
 def test_a_program_that_lets_go_of_its_goal_gives_the_terminal_back():
-    with Screen("stubborn") as screen:
-        screen.wait_for(b"EXECUTING")
+    with Terminal("send-goal", "stubborn", program=STAGE) as screen:
+        screen.wait_for("EXECUTING")
         screen.process.send_signal(signal.SIGINT)
-        screen.wait_for(b"Canceling goal")
+        screen.wait_for("Canceling goal")
         screen.process.send_signal(signal.SIGINT)
-        assert screen.process.wait(30) == 130
-        text = screen.rest()
-        assert text.rindex(SHOW) > text.rindex(HIDE)
-        assert echoes(screen.main)
+        assert screen.end() == (130, True)
+        assert screen.written.rindex(SHOW) > screen.written.rindex(HIDE)
 
 
 def test_ctrl_z_does_not_stop_a_program_in_the_middle_of_a_display():
-    with Screen("hold") as screen:
-        screen.wait_for(b"EXECUTING")
+    with Terminal("send-goal", "hold", program=STAGE) as screen:
+        screen.wait_for("EXECUTING")
         assert termios.tcgetattr(screen.main)[6][termios.VSUSP] == b"\0"
 
 
 def test_a_terminal_that_goes_away_ends_the_program():
-    with Screen("hold") as screen:
-        screen.wait_for(b"EXECUTING")
+    with Terminal("send-goal", "hold", program=STAGE) as screen:
+        screen.wait_for("EXECUTING")
         os.close(screen.main)
         screen.main = os.open(os.devnull, os.O_RDONLY)
         screen.process.send_signal(signal.SIGHUP)
@@ -174,15 +143,13 @@ def test_a_terminal_that_goes_away_ends_the_program():
 
 
 def test_p_pauses_and_resumes_the_goal():
-    with Screen("fibonacci", "order: 40", program=("-m", "turtleact")) as screen:
-        screen.wait_for(b"EXECUTING")
+    with Terminal("send-goal", "fibonacci", "order: 40") as screen:
+        screen.wait_for("EXECUTING")
         os.write(screen.main, b"x\x1b[AP")  # an arrow means nothing here
-        screen.wait_for(b"  paused")
+        screen.wait_for("  paused")
         os.write(screen.main, b"p")
-        running = re.compile(r"EXECUTING \d+\.\d s +[0-9a-f]{8}")
         screen.written = b""
-        while not running.search(ESCAPE.sub("", screen.written.decode(errors="ignore"))):
-            screen.written += read(screen.main)
+        screen.wait_for(r"EXECUTING \d+\.\d s +[0-9a-f]{8}")
 
 
 # --- Windows --------------------------------------------------------------------------------

@@ -7,46 +7,25 @@ import re
 import signal
 import socket
 import sys
-import termios
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 import pytest
 
 from .. import warm
-from .ttys import open_terminal, read
+from .ttys import Terminal
 
 PATIENCE = 30.0
-ESCAPE = re.compile(r"\x1b(\[[0-9;?]*[A-Za-z]|[78])")
 
 
-class Served:
-    """A server on a terminal, in a process group of its own."""
+class Served(Terminal):
+    """A server on a terminal."""
 
     def __init__(self, *arguments, columns=100, rows=40, **environment):
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.at = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-        self.main, self.other = open_terminal(columns, rows)
-        settings = {"TERM": "xterm-256color", "PYTHONUTF8": "1", "ROS_DOMAIN_ID": "0"}
-        hidden = ("NO_COLOR", "COLUMNS", "LINES")
-        base = {name: each for name, each in os.environ.items() if name not in hidden}
-        self.process = warm.start(
-            [sys.executable, "-m", "turtleact", "serve", "--listen", self.at, *arguments],
-            stdin=self.other,
-            stdout=self.other,
-            stderr=self.other,
-            process_group=0,
-            env=base | settings | environment,
-        )
-        self.text = b""
-
-    def wait_for(self, text):
-        while text.encode() not in self.text:
-            self.text += read(self.main)
-
-    @property
-    def echoes(self):
-        return bool(termios.tcgetattr(self.main)[3] & termios.ECHO)
+        line = "serve", "--listen", self.at, *arguments
+        super().__init__(*line, columns=columns, rows=rows, ROS_DOMAIN_ID="0", **environment)
 
     def send_goal(self, name="go_to", goal="{x: 7, y: 7}", *options):
         """The exit status of a goal that is sent to it, and what is said of it."""
@@ -61,45 +40,31 @@ class Served:
         )
         return sent.returncode, sent.stdout + sent.stderr
 
-    def end(self):
-        """End it, and give its exit status and all that it has written."""
+    def stop(self):
+        """Stop the server, and give its exit status and all that it has shown."""
         self.process.terminate()
-        os.close(self.other)
-        while chunk := read(self.main):
-            self.text += chunk
-        return self.process.wait(PATIENCE), self.text.decode(errors="replace").replace("\r\n", "\n")
+        return self.end()[0], self.shown
 
 
 def fill(terminal):
     """Write until a terminal takes nothing more."""
-    descriptor = os.open(os.ttyname(terminal), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    descriptor = os.open(terminal, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
     with suppress(BlockingIOError):
         while os.write(descriptor, b"x" * 4096):
             pass
     os.close(descriptor)
 
 
-@contextmanager
-def serving(*arguments, **options):
-    served = Served(*arguments, **options)
-    try:
-        yield served
-    finally:
-        served.process.kill()
-        served.process.wait()
-        os.close(served.main)
-
-
 def test_a_terminal_shows_a_dashboard_and_is_given_back_with_what_has_happened():
-    with serving("--speed", "100") as served:
+    with Served("--speed", "100") as served:
         served.wait_for("no goals yet")
         assert not served.echoes
         assert served.send_goal()[0] == 0
         served.wait_for("SUCCEEDED")
-        status, text = served.end()
+        status, text = served.stop()
     assert status == 0
-    assert "\x1b[?1049h" not in text
-    said = ESCAPE.sub("", text).replace("\r", "\n")
+    assert b"\x1b[?1049h" not in served.written
+    said = text.replace("\r", "\n")
     assert re.findall(r"\d\d:\d\d:\d\d /go_to [0-9a-f]{8} (\w+)\n", said) == [
         "ACCEPTED",
         "EXECUTING",
@@ -112,7 +77,7 @@ def test_a_terminal_shows_a_dashboard_and_is_given_back_with_what_has_happened()
 
 
 def test_a_wide_dashboard_has_a_row_for_each_goal_with_its_turtle_and_its_targets():
-    with serving("--speed", "10", "--turtles", "2", columns=140, NO_COLOR="1") as served:
+    with Served("--speed", "10", "--turtles", "2", columns=140, NO_COLOR="1") as served:
         served.wait_for("no goals yet")
         sent = served.send_goal("turtle1/rotate_absolute", "{theta: 1.0}")
         assert sent[0] == 0, sent
@@ -120,8 +85,8 @@ def test_a_wide_dashboard_has_a_row_for_each_goal_with_its_turtle_and_its_target
         sent = served.send_goal("patrol", patrol, "-t", "0")
         assert sent[0] == 0, sent
         served.wait_for("of 2002 targets  turtle2")
-        _, text = served.end()
-    said = ESCAPE.sub("", text).replace("\r", "\n")
+        _, text = served.stop()
+    said = text.replace("\r", "\n")
     row = r"\d+\.\d s +[0-9a-f]{8}"
     targets = r"\d+ of 2002 targets +turtle2"
     assert re.search(rf"● /patrol +EXECUTING +{row} +{targets} 1✓? 2", said)
@@ -131,15 +96,14 @@ def test_a_wide_dashboard_has_a_row_for_each_goal_with_its_turtle_and_its_target
 
 
 def test_a_terminal_that_takes_nothing_does_not_hold_up_the_world():
-    with serving("--speed", "100") as served:
+    with Served("--speed", "100") as served:
         served.wait_for("no goals yet")
-        fill(served.other)
+        fill(served.name)
         status, said = served.send_goal()
         assert (status, said.endswith("status: SUCCEEDED\n")) == (0, True)
         served.process.terminate()
         served.process.send_signal(signal.SIGINT)
         assert served.process.wait(PATIENCE) == 0
-        os.close(served.other)
 
 
 @pytest.mark.parametrize(
@@ -147,10 +111,10 @@ def test_a_terminal_that_takes_nothing_does_not_hold_up_the_world():
     [(["--plain"], {}), (["--headless"], {}), ([], {"TERM": "dumb"})],
 )
 def test_lines_are_written_where_nothing_can_or_shall_move(option, environment):
-    with serving("--no-sim", *option, **environment) as served:
+    with Served("--no-sim", *option, **environment) as served:
         served.wait_for("ready at")
         assert served.echoes
-        assert served.end() == (
+        assert served.stop() == (
             0,
             f"ready at {served.at}, domain 0: no actions\n"
             "turtleact: no more goals are accepted; running goals are ended\n",
@@ -158,9 +122,9 @@ def test_lines_are_written_where_nothing_can_or_shall_move(option, environment):
 
 
 def test_without_a_world_there_is_no_map():
-    with serving("--no-sim", columns=60, rows=20, NO_COLOR="1") as served:
+    with Served("--no-sim", columns=60, rows=20, NO_COLOR="1") as served:
         served.wait_for("no goals yet")
-        status, text = served.end()
+        status, text = served.stop()
     assert status == 0
     assert "┌" not in text
-    assert not re.search(r"\x1b\[[0-9;]*3[0-9]", text)
+    assert not re.search(rb"\x1b\[[0-9;]*3[0-9]", served.written)

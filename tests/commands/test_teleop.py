@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import sys
-import termios
 from contextlib import asynccontextmanager
 
 import anyio
@@ -16,8 +14,7 @@ from turtleact import Abort, open_node
 from turtleact.commands import teleop
 from turtleact.interfaces.standard import RotateAbsolute, Twist
 
-from .. import warm
-from .ttys import open_terminal, read
+from .ttys import HIDE, SHOW, Terminal, open_terminal
 
 ARROWS = {"up": "\x1b[A", "down": "\x1b[B", "right": "\x1b[C", "left": "\x1b[D"}
 EMBEDDED = ("teleop", "--embedded")
@@ -282,63 +279,18 @@ def test_arguments_stand_behind_ros_args(turtleact):
 # --- the terminal ---------------------------------------------------------------------------
 
 
-class Terminal:
-    """``teleop`` on a terminal of its own, in a session of its own."""
-
-    def __init__(self, *arguments, **environment):
-        self.main, other = open_terminal()
-        self.before = termios.tcgetattr(self.main)
-        settings = {"TERM": "xterm-256color", "PYTHONUTF8": "1"} | environment
-        self.process = warm.start(
-            [sys.executable, "-m", "turtleact", *EMBEDDED, *arguments],
-            stdin=other,
-            stdout=other,
-            stderr=other,
-            process_group=0,
-            env=os.environ | settings,
-        )
-        os.close(other)
-        self.text = b""
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.process.kill()
-        self.process.wait()
-        os.close(self.main)
-
-    def wait_for(self, pattern):
-        while not re.search(pattern, self.text):
-            chunk = read(self.main)
-            assert chunk, self.text
-            self.text += chunk
-
-    @property
-    def is_raw(self):
-        modes = termios.tcgetattr(self.main)[3]
-        assert bool(modes & termios.ECHO) == bool(modes & termios.ICANON)
-        return not modes & termios.ICANON
-
-    def end(self):
-        """Its exit status, and whether the terminal is as it was."""
-        while chunk := read(self.main):
-            self.text += chunk
-        return self.process.wait(30), termios.tcgetattr(self.main) == self.before
-
-
-LIVE = rb"driving turtle1"
+LIVE = "driving turtle1"
 
 
 def test_the_map_shows_where_the_turtle_goes():
-    with Terminal() as terminal:
+    with Terminal(*EMBEDDED) as terminal:
         terminal.wait_for(LIVE)
-        assert terminal.is_raw
+        assert not terminal.echoes
         typed(terminal.main, "up")
-        terminal.wait_for(rb"x 6\.\d\d")
+        terminal.wait_for(r"x 6\.\d\d")
         typed(terminal.main, "q")
         assert terminal.end() == (0, True)
-        assert terminal.text.rindex(b"\x1b[?25h") > terminal.text.rindex(b"\x1b[?25l")
+        assert terminal.written.rindex(SHOW) > terminal.written.rindex(HIDE)
 
 
 @pytest.mark.parametrize(
@@ -350,16 +302,16 @@ def test_the_map_shows_where_the_turtle_goes():
     ],
 )
 def test_a_signal_gives_the_terminal_back(number, status):
-    with Terminal() as terminal:
+    with Terminal(*EMBEDDED) as terminal:
         terminal.wait_for(LIVE)
         terminal.process.send_signal(number)
         assert terminal.end() == (status, True)
 
 
 def test_without_a_map_the_terminal_is_given_back_too():
-    with Terminal(TERM="dumb") as terminal:
-        terminal.wait_for(b"'Q' to quit")
-        assert terminal.is_raw
+    with Terminal(*EMBEDDED, TERM="dumb") as terminal:
+        terminal.wait_for("'Q' to quit")
+        assert not terminal.echoes
         terminal.process.send_signal(signal.SIGTERM)
         assert terminal.end() == (143, True)
-        assert b"\x1b" not in terminal.text
+        assert b"\x1b" not in terminal.written

@@ -6,15 +6,18 @@ import errno
 import fcntl
 import os
 import pty
+import re
 import struct
-import subprocess
 import sys
 import termios
 from pathlib import Path
 
 from .. import warm
 
-STAGE = Path(__file__).with_name("stage.py")
+STAGE = (Path(__file__).with_name("stage.py"),)
+TURTLEACT = ("-m", "turtleact")
+ESCAPE = re.compile(r"\x1b(\[[0-9;?]*[A-Za-z]|[78])")
+SHOW, HIDE = b"\x1b[?25h", b"\x1b[?25l"
 
 
 def open_terminal(columns=80, rows=24):
@@ -34,22 +37,33 @@ def read(main):
         return b""
 
 
-class Screen:
-    """A goal on the stage, sent from a terminal.
+class Terminal:
+    """A command line on a terminal of its own, in a process group of its own.
 
-    It has a process group of its own in our session, or the system would not let it stop.
+    Args:
+        *arguments: The command line.
+        program: What Python runs.
+        columns: The width of the terminal.
+        rows: Its height.
+        **environment: More variables.
     """
 
-    def __init__(self, *arguments, program=(STAGE,)):
-        self.main, self.other = open_terminal()
+    def __init__(self, *arguments, program=TURTLEACT, columns=80, rows=24, **environment):
+        hidden = ("NO_COLOR", "COLUMNS", "LINES")
+        base = {name: each for name, each in os.environ.items() if name not in hidden}
+        settings = {"TERM": "xterm-256color", "PYTHONUTF8": "1"} | environment
+        self.main, other = open_terminal(columns, rows)
+        self.before = termios.tcgetattr(self.main)
         self.process = warm.start(
-            [sys.executable, *program, "send-goal", *arguments],
-            stdin=self.other,
-            stdout=self.other,
-            stderr=subprocess.DEVNULL,
+            [sys.executable, *program, *arguments],
+            stdin=other,
+            stdout=other,
+            stderr=other,
             process_group=0,
-            env=os.environ | {"TERM": "xterm-256color", "PYTHONUTF8": "1"},
+            env=base | settings,
         )
+        self.name = os.ttyname(other)
+        os.close(other)
         self.written = b""
 
     def __enter__(self):
@@ -59,21 +73,25 @@ class Screen:
         self.process.kill()
         self.process.wait()
         os.close(self.main)
-        os.close(self.other)
 
-    def wait_for(self, text):
-        """Read until something has been written."""
-        while text not in self.written:
-            self.written += read(self.main)
+    @property
+    def shown(self):
+        """What has been written so far, without styles."""
+        return ESCAPE.sub("", self.written.decode(errors="ignore").replace("\r\n", "\n"))
 
-    def rest(self):
-        """All that has been written; whoever writes must have ended or stopped."""
-        os.set_blocking(self.main, False)
-        try:
-            while chunk := read(self.main):
-                self.written += chunk
-        except BlockingIOError:
-            pass
-        finally:
-            os.set_blocking(self.main, True)
-        return self.written
+    @property
+    def echoes(self):
+        return bool(termios.tcgetattr(self.main)[3] & termios.ECHO)
+
+    def wait_for(self, pattern):
+        """Read until what is shown has a match."""
+        while not re.search(pattern, self.shown):
+            chunk = read(self.main)
+            assert chunk, self.shown
+            self.written += chunk
+
+    def end(self):
+        """Read to the end. Give the exit status, and whether the terminal is as it was."""
+        while chunk := read(self.main):
+            self.written += chunk
+        return self.process.wait(30), termios.tcgetattr(self.main) == self.before
