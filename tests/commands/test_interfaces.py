@@ -122,6 +122,20 @@ def test_the_comments_of_the_interface_itself_are_shown(turtleact, paint):
     )
 
 
+@pytest.mark.parametrize("name", ["/fibonacci", "fibonacci"])
+def test_an_action_of_the_graph_is_shown_with_a_goal_to_copy(on_graph, graphs, name):
+    ran = on_graph(graphs.fibonacci, "interface", "show", name)
+    fields, goal = ran.out.split("\n\n")
+    assert "counted from 0.\nint32 order\n---\n# The Fibonacci numbers" in fields
+    assert goal == f"To send it:  turtleact send-goal {name} '{{order: 0}}'\n"
+
+
+def test_an_action_that_is_not_there_is_told_with_the_nearest(on_graph, graphs):
+    ran = on_graph(graphs.fibonacci, "interface", "show", "fibonaci")
+    assert ran.status == 1
+    assert "action '/fibonaci' is not there, did you mean '/fibonacci'?" in ran.err
+
+
 def test_control_characters_of_comments_do_not_reach_the_terminal(turtleact, install):
     install("paint_interfaces/msg/Pot", "# red\x1b[31m\x07\u3000\u200d\nuint8 r\t# a\tb\x00\n")
     out = turtleact("interface", "show", "paint_interfaces/msg/Pot").out

@@ -1,7 +1,8 @@
 """The verbs of ``interface``, which list and show interfaces and print prototypes.
 
-Only ``fetch`` needs a graph. The others know the interfaces that ship with turtleact, and those in
-the folder of ``--interfaces``, in the sourced ROS workspace, and near the working directory.
+Only ``fetch``, and ``show`` for the name of an action, need a graph. The others know the interfaces
+that ship with turtleact, and those in the folder of ``--interfaces``, in the sourced ROS workspace,
+and near the working directory.
 
 Source: ros2cli ``ros2interface/verb/*.py`` (Jazzy), for the printed text.
 """
@@ -9,6 +10,7 @@ Source: ros2cli ``ros2interface/verb/*.py`` (Jazzy), for the printed text.
 from __future__ import annotations
 
 import re
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -21,16 +23,15 @@ from turtleact.commands.options import argument, flag, only_one, value
 from turtleact.commands.output import say
 from turtleact.commands.settings import WrongOptions
 from turtleact.errors import TurtleactError, UnknownInterface, UsageError
-from turtleact.interfaces import (
-    known_interfaces,
-    to_yaml,
-)
+from turtleact.interfaces import Action, known_interfaces, to_dict, to_yaml
 from turtleact.interfaces.comments import commented_text
 from turtleact.interfaces.definition import did_you_mean
 from turtleact.interfaces.loading import find_interface
 from turtleact.interfaces.parse import Line, parse_member, without_comment
+from turtleact.interfaces.text import flow
 
 if TYPE_CHECKING:
+    from turtleact.commands.settings import Reach
     from turtleact.interfaces.types import Interface
     from turtleact.node import Node
 
@@ -155,11 +156,13 @@ def python_(
 
 @verb(app, knows=True)
 def show(
+    reach: Reach,
     type_name: Annotated[
         str,
         argument(
             "TYPE",
-            "The interface, such as std_msgs/msg/String. A dash (-) reads it from stdin.",
+            "The interface, such as std_msgs/msg/String, or an action of the graph, such as "
+            "/patrol. A dash (-) reads it from stdin.",
             completion.interfaces,
         ),
     ],
@@ -170,12 +173,31 @@ def show(
     no_comments: Annotated[
         bool, flag("--no-comments", text="Leave out comments and empty lines.")
     ] = False,
-) -> None:
+) -> int:
     """Print the definition of an interface."""
     only_one("what to do with comments", all_comments=all_comments, no_comments=no_comments)
     name = _type_of_pipe() if type_name == "-" else type_name
-    lines = _lines(name, depth=0, comments=not no_comments, nested_comments=all_comments)
-    say("".join(f"{line}\n" for line in lines))
+
+    def print_lines(type_name: str) -> None:
+        lines = _lines(type_name, depth=0, comments=not no_comments, nested_comments=all_comments)
+        say("".join(f"{line}\n" for line in lines))
+
+    async def print_action(node: Node) -> int:
+        from turtleact.commands.graph import chosen_class
+        from turtleact.names import resolve_name
+
+        action = await chosen_class(node, "action", Action, resolve_name(name), None)
+        print_lines(action.type_name)
+        goal = flow(to_dict(action.Goal()))
+        say(f"\nTo send it:  turtleact send-goal {name} {shlex.quote(goal)}\n")
+        return 0
+
+    if name.startswith("/") or "/" not in name:  # otherwise it is a type
+        from turtleact.commands import graph
+
+        return graph.run(reach, print_action)
+    print_lines(name)
+    return 0
 
 
 def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
