@@ -310,6 +310,24 @@ async def test_a_node_that_offers_no_descriptions_is_named(package, monkeypatch)
             await learn_interface(node, "battery")
 
 
+async def test_a_node_that_breaks_the_rules_of_names_does_not_stop_the_others(package):
+    async with robot_and_node(package) as (robot, node):
+        robot.open("publisher", "//bad name", BATTERY, "RIHS01_" + "0" * 64)
+        robot.serve_action("/dig", DIG)
+        await node.learner.learn_all(lambda kind, name: True)
+        dig = node.learner.known("/dig", "action")
+        assert dig is not None
+        assert dig.type_name == DIG
+
+
+async def test_no_node_is_asked_while_learning_is_off(package):
+    async with robot_and_node(package) as (robot, node):
+        robot.serve_action("/dig", DIG)
+        node.learner.is_on = False
+        await node.learner.learn_all(lambda kind, name: True)
+        assert not robot.asked
+
+
 async def test_a_cache_file_that_was_changed_is_not_used(package, empty_cache):
     async with robot_and_node(package) as (robot, node):
         robot.open("publisher", "/battery", BATTERY)

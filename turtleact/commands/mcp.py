@@ -256,7 +256,9 @@ async def _open_node(reach: Reach | None) -> AsyncIterator[Node]:
             there = await graph.enter_if_there(stack, reach, opened)
         if there is not None:
             name = f"turtleact_mcp_{os.getpid()}"
-            yield await stack.enter_async_context(open_node(name, transport=there))
+            node = await stack.enter_async_context(open_node(name, transport=there))
+            node.learner.is_on = reach is None or reach.learns
+            yield node
             return
         node = await stack.enter_async_context(embedded_world(1.0, 0))
         note(graph.world_started("" if reach is None else graph.no_router(reach)))

@@ -175,6 +175,7 @@ class Server:
             stack.push_async_callback(self._end_goals, node)
             await self._begin(node)
             if service.page is not None:
+                node.learner.is_on = service.reach.learns
                 url = await _open_web(pages, service.page, node)
                 log.say(f"web page, and rosbridge, at {url}")
             if service.keeping is not None:

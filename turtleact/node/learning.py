@@ -33,11 +33,11 @@ from turtleact.errors import (
 from turtleact.interfaces import Action, Message, WireFormat, get_interface, implied, type_hash
 from turtleact.interfaces.type_hash import structure_hash
 from turtleact.interfaces.types import REGISTRY
-from turtleact.names import action_names, resolve_name
+from turtleact.names import resolve_name
 from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION, SERVICE, TYPE_HASH
 from turtleact.tasks.clock import check_timeout
 from turtleact.transports.base import Endpoint, EndpointKind, Target, Transport
-from turtleact.transports.graph import ENDPOINTS, Kind, types_by_name
+from turtleact.transports.graph import ENDPOINTS, SEND_GOAL, Kind, types_by_name
 
 if TYPE_CHECKING:
     from turtleact.interfaces.learned import LearnedTypes
@@ -135,21 +135,21 @@ def uses_of(transport: Transport, name: str, kind: Kind | None = None) -> dict[U
 
 
 def _uses(transport: Transport, name: str, kind: Kind) -> Iterator[tuple[Use, str]]:
-    names = action_names(name)
     if kind != "action":
         for end in transport.endpoints(name):
             if end.kind in ENDPOINTS[kind]:
                 yield Use(kind, end.type_name, (end.type_hash,)), end.node
         return
 
-    def hashes(of: str, kind: EndpointKind, node: str) -> list[str]:
-        ends = [each for each in transport.endpoints(of) if (each.kind, each.node) == (kind, node)]
-        return sorted({each.type_hash for each in ends}) or [""]
+    def hashes(part: str, kind: EndpointKind, node: str) -> list[str]:
+        ends = transport.endpoints(f"{name}/_action/{part}")
+        found = {each.type_hash for each in ends if (each.kind, each.node) == (kind, node)}
+        return sorted(found) or [""]
 
-    for end in transport.endpoints(names.send_goal):
+    for end in transport.endpoints(f"{name}{SEND_GOAL}"):
         if end.kind == "service":
-            results = hashes(names.get_result, "service", end.node)
-            feedbacks = hashes(names.feedback, "publisher", end.node)
+            results = hashes("get_result", "service", end.node)
+            feedbacks = hashes("feedback", "publisher", end.node)
             for each in product([end.type_hash], results, feedbacks):
                 yield Use(kind, end.type_name.removesuffix(PARTS[0]), each), end.node
 
@@ -329,6 +329,8 @@ class Learner:
 
         Each type is looked at once. If it cannot be learned, the user is told why.
         """
+        if not self.is_on:
+            return
         endpoints = self.transport.endpoints()
         fresh = [each for each in endpoints if (each.type_name, each.type_hash) not in self._seen]
         names = [
