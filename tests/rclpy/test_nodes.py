@@ -275,7 +275,7 @@ def test_a_place_in_the_code_may_not_change_its_mind():
         log(30, once=True)
     with pytest.raises(ValueError, match="name"):
         log(name="other", once=True)
-    with pytest.raises(ValueError, match="filters"):
+    with pytest.raises(ValueError, match="parameters"):
         log(skip_first=True)
     with pytest.raises(ValueError, match="parameters"):
         log(once=2)

@@ -100,12 +100,6 @@ def test_what_cannot_be_declared(context):
         node.declare_parameter("any", Type.DOUBLE, Descriptor(dynamic_typing=True))
     with pytest.raises(ValueError, match="PARAMETER_NOT_SET"):
         node.declare_parameter("empty", descriptor=Descriptor())
-    with pytest.raises(TypeError, match="length between 1 and 3"):
-        node.declare_parameters("", [()])
-    with pytest.raises(TypeError, match="not a str"):
-        node.declare_parameters("", [(1, 2)])
-    with pytest.raises(TypeError, match="ParameterDescriptor"):
-        node.declare_parameters("", [("a", 1, 2)])
 
 
 def test_a_declaration_may_hold_a_message(node):
@@ -147,22 +141,6 @@ def test_parameters_are_found_by_names_and_prefixes(node):
     assert names(node, ["arm"]) == (["arm.left.length", "arm.right"], ["arm.left", "arm"])
     assert names(node, ["arm"], 1) == (["arm.right"], ["arm"])
     assert "speed" in names(node, depth=1)[0]
-
-
-@pytest.mark.parametrize(
-    ("call", "error"),
-    [
-        (lambda node: node.get_parameters([1]), TypeError),
-        (lambda node: node.get_parameter_types([1]), TypeError),
-        (lambda node: node.list_parameters("arm", 0), TypeError),
-        (lambda node: node.list_parameters([], "0"), TypeError),
-        (lambda node: node.list_parameters([], -1), ValueError),
-        (lambda node: node.set_parameters(["speed"]), TypeError),
-    ],
-)
-def test_arguments_of_other_types_are_refused(node, call, error):
-    with pytest.raises(error):
-        call(node)
 
 
 # --- setting ------------------------------------------------------------------------------------

@@ -348,13 +348,8 @@ def test_a_hash_is_shown_as_ros_does():
     assert str(TypeHash.from_text(text)) == text
     assert TypeHash.from_text(text) == TypeHash(1, b"\xab" * 32)
     assert TypeHash.from_text("?") == TypeHash()
-    assert TypeHash() != "?"
     assert str(TypeHash()) == "INVALID"
     assert len({TypeHash(), TypeHash()}) == 1
-    with pytest.raises(AssertionError):
-        TypeHash("1")  # type: ignore[arg-type]
-    with pytest.raises(AssertionError):
-        TypeHash(1, "ab")  # type: ignore[arg-type]
 
 
 def test_an_endpoint_is_described():

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import IntEnum
 
+import msgspec
+
 from turtleact.rclpy.duration import Duration
 from turtleact.rclpy.qos import (
     DurabilityPolicy,
@@ -21,19 +23,16 @@ __all__ = ["TopicEndpointInfo", "TopicEndpointTypeEnum", "TypeHash", "info_of"]
 SIZE = 32
 
 
-class TypeHash:
+class TypeHash(msgspec.Struct, frozen=True):
     """The hash of an interface type.
 
-    Args:
+    Attributes:
         version: The version of the algorithm; -1 if there is no hash.
         value: The 32 bytes of the hash.
     """
 
-    __slots__ = ("_value", "_version")
-
-    def __init__(self, version: int = -1, value: bytes = bytes(SIZE)) -> None:
-        self.version = version
-        self.value = value
+    version: int = -1
+    value: bytes = bytes(SIZE)
 
     @classmethod
     def from_text(cls, text: str) -> TypeHash:
@@ -44,38 +43,10 @@ class TypeHash:
         except ValueError:
             return cls()
 
-    @property
-    def version(self) -> int:
-        """The version of the algorithm; -1 if there is no hash."""
-        return self._version
-
-    @version.setter
-    def version(self, value: int) -> None:
-        assert isinstance(value, int)  # noqa: S101  # as in rclpy
-        self._version = value
-
-    @property
-    def value(self) -> bytes:
-        """The 32 bytes of the hash."""
-        return self._value
-
-    @value.setter
-    def value(self, value: bytes) -> None:
-        assert isinstance(value, bytes)  # noqa: S101  # as in rclpy
-        self._value = value
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, TypeHash):
-            return False
-        return (self._version, self._value) == (other._version, other._value)
-
-    def __hash__(self) -> int:
-        return hash((self._version, self._value))
-
     def __str__(self) -> str:
-        if self._version <= 0 or len(self._value) != SIZE:
+        if self.version <= 0 or len(self.value) != SIZE:
             return "INVALID"
-        return f"RIHS{self._version:02}_{self._value.hex()}"
+        return f"RIHS{self.version:02}_{self.value.hex()}"
 
 
 FOREVER = 2**63 - 1

@@ -118,8 +118,8 @@ class NodeParameters:
         """
         declared: list[Parameter] = []
         descriptors: dict[str, Anything] = {}
-        for index, given in enumerate(parameters):
-            parameter, descriptor = self._declaration(index, given, namespace, ignore_override)
+        for given in parameters:
+            parameter, descriptor = self._declaration(given, namespace, ignore_override)
             validate_parameter_name(parameter.name)
             declared.append(parameter)
             descriptors[parameter.name] = descriptor
@@ -135,19 +135,10 @@ class NodeParameters:
         return [self._parameters[name] for name in names if name in self._parameters]
 
     def _declaration(
-        self, index: int, given: tuple[Anything, ...], namespace: str, ignore_override: bool
+        self, given: tuple[Anything, ...], namespace: str, ignore_override: bool
     ) -> tuple[Parameter, Anything]:
         """Return the parameter that a tuple declares, with its initial value and descriptor."""
-        if not 1 <= len(given) <= 3:
-            raise TypeError(
-                f"Invalid parameter tuple length at index {index} in parameters list: {given}; "
-                "expecting length between 1 and 3"
-            )
         name, value, descriptor = (*given, None, None)[:3]
-        if not isinstance(name, str):
-            raise TypeError(
-                f"First element {name} at index {index} in parameters list is not a str."
-            )
         if isinstance(value, interface_class("rcl_interfaces/msg/ParameterValue")):
             value = parameter_value_to_python(value)
         full = f"{namespace}{PARAMETER_SEPARATOR_STRING}{name}" if namespace else name
@@ -160,12 +151,6 @@ class NodeParameters:
             descriptor = _descriptor(dynamic_typing=True)
         if descriptor is None:
             descriptor = _descriptor()
-        wanted: Anything = interface_class("rcl_interfaces/msg/ParameterDescriptor")
-        if not isinstance(descriptor, wanted):
-            raise TypeError(
-                f"Third element {descriptor} at index {index} in parameters list is not a "
-                "ParameterDescriptor."
-            )
         if descriptor.dynamic_typing and isinstance(value, Parameter.Type):
             raise ValueError(
                 f"Parameter '{full}' has a descriptor with dynamic_typing, so it can have no type"
@@ -239,13 +224,7 @@ class NodeParameters:
         raise ParameterNotDeclaredException(name)
 
     def get_parameters(self, names: list[str]) -> list[Parameter]:
-        """Return several parameters; see `get_parameter`.
-
-        Raises:
-            TypeError: if a name is not a string.
-        """
-        if not all(isinstance(name, str) for name in names):
-            raise TypeError("All names must be instances of type str")
+        """Return several parameters; see `get_parameter`."""
         return [self.get_parameter(name) for name in names]
 
     def get_parameter_or(self, name: str, alternative_value: Parameter | None = None) -> Parameter:
@@ -281,8 +260,6 @@ class NodeParameters:
 
     def get_parameter_types(self, names: list[str]) -> list[Parameter.Type]:
         """Return the types of several parameters; see `get_parameter_type`."""
-        if not all(isinstance(name, str) for name in names):
-            raise TypeError("All names must be instances of type str")
         return [self.get_parameter_type(name) for name in names]
 
     def list_parameters(self, prefixes: list[str], depth: int) -> Anything:
@@ -294,13 +271,8 @@ class NodeParameters:
                 number.
 
         Raises:
-            TypeError: if a prefix is not a string, or the depth is not a number.
             ValueError: if the depth is negative.
         """
-        if isinstance(prefixes, str) or not all(isinstance(each, str) for each in prefixes):
-            raise TypeError("All prefixes must be instances of type str")
-        if not isinstance(depth, int):
-            raise TypeError(f"depth must be an instance of type int, got {depth!r}")
         if depth < 0:
             raise ValueError("depth must be greater than or equal to zero")
         made: Anything = interface_class("rcl_interfaces/msg/ListParametersResult")

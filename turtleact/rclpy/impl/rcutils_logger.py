@@ -162,8 +162,6 @@ class _Site:
             raise ValueError("Logger severity cannot be changed between calls.")
         if name != self.name:
             raise ValueError("Logger name cannot be changed between calls.")
-        if filters.keys() != self.filters.keys():
-            raise ValueError("Requested logging filters cannot be changed between calls.")
         if filters != self.filters:
             raise ValueError("Logging filter parameters cannot be changed between calls.")
 
