@@ -147,7 +147,9 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
 
 
 def start_python(folder: Path, *arguments: str) -> subprocess.Popen[str]:
-    return warm.start(
+    # A reload runs the command line of the process again, which must be a Python of its own.
+    begin = subprocess.Popen if "--reload" in arguments else warm.start
+    return begin(
         [sys.executable, *arguments],
         cwd=folder,
         env=HERE,

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import socket
-import subprocess
-import sys
-from contextlib import contextmanager
 
-import pytest
+from .test_serve import first_lines, serving
 
 BROKEN = "def mine(:\n"
 LAB = """
@@ -32,71 +27,34 @@ async def mine(goal):
 """
 
 
-def command(folder, *arguments):
-    return subprocess.Popen(  # a new Python, whose command line can be run again
-        [sys.executable, "-m", "turtleact", *arguments],
-        cwd=folder,
-        env={**os.environ, "ROS_DOMAIN_ID": "0"},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-
-
-@contextmanager
-def reloading(folder, text):
-    """A server of ``lab.py`` that prints to a pipe, and where it listens."""
-    (folder / "lab.py").write_text(text)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        at = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    options = "--reload", "--no-sim", "--listen", at, "--ros-args", "-p", "speed:=2"
-    process = command(folder, "serve", "lab.py", *options)
-    try:
-        yield process, at
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def lines_until(process, text):
-    """The lines that a process prints, to the first that has a text."""
-    lines = []
-    for line in process.stdout:
-        lines.append(line)
-        if text in line:
-            return lines
-    pytest.fail(f"no line has {text!r}: {lines}")
-
-
 def save(folder, text):
     (folder / "lab.new").write_text(text)
     (folder / "lab.new").rename(folder / "lab.py")
 
 
 def test_a_file_is_served_and_served_anew_and_its_goals_end(tmp_path):
-    with reloading(tmp_path, BROKEN) as (server, at):
-        first = lines_until(server, "ready at")
-        assert first[0].startswith("turtleact: lab.py:1: module 'lab' cannot be imported: ")
-        assert "; nothing of it is served until the next change" in first[0]
+    save(tmp_path, BROKEN)
+    options = "lab.py", "--reload", "--no-sim", "--ros-args", "-p", "speed:=2"
+    with serving(tmp_path, *options) as server:
+        out, err = server.process.stdout, server.process.stderr
+        assert out is not None
+        assert err is not None
+        first = err.readline()
+        assert first.startswith("turtleact: lab.py:1: module 'lab' cannot be imported: ")
+        assert "; nothing of it is served until the next change" in first
         save(tmp_path, LAB)
-        lines_until(server, "reloading: lab.py changed")
-        lines_until(server, "ready at")
-        with command(tmp_path, "send-goal", "mine", "--plain", "--connect", at) as goal:
-            lines_until(server, "EXECUTING")
+        assert any(line == "turtleact: reloading: lab.py changed\n" for line in err)
+        first_lines(server.process, "ready at")
+        with server.start("send-goal", "mine", "--plain") as goal:
+            first_lines(server.process, "EXECUTING")
             save(tmp_path, LAB.replace('"mine"', '"yours"'))
-            out, _ = goal.communicate(timeout=20)
+            _, said = goal.communicate(timeout=20)
         assert goal.returncode == 4
-        assert "turtleact: the goal was aborted: shutdown" in out
-        ready = lines_until(server, "ready at")
-        assert "beating on lab\n" in ready
-        assert ready[-1].endswith(": /yours\n")
-        with command(tmp_path, "param", "get", "/lab", "speed", "--connect", at) as param:
-            assert param.communicate(timeout=20)[0] == "Double value is: 2.0\n"
-        server.send_signal(signal.SIGINT)
-        server.communicate(timeout=20)
-        assert server.returncode == 0
+        assert "turtleact: the goal was aborted: shutdown" in said
+        first_lines(server.process, "beating on lab")
+        assert out.readline().endswith(": /yours\n")
+        assert server.run("param", "get", "/lab", "speed")[1] == "Double value is: 2.0\n"
+        assert server.end(signal.SIGINT)[0] == 0
 
 
 def test_reload_needs_a_target(turtleact):
