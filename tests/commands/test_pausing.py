@@ -1,4 +1,4 @@
-"""``pause`` and ``resume``, the key of the live display, and ``goals`` with paused goals."""
+"""``pause`` and ``resume``, and ``goals`` with paused goals."""
 
 from __future__ import annotations
 
