@@ -20,7 +20,7 @@ import ast
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, cast
 
-from turtleact.errors import InvalidInterface, InvalidMessage, TurtleactError
+from turtleact.errors import InvalidInterface, InvalidMessage
 from turtleact.interfaces.classes import make_action, make_message, make_service
 from turtleact.interfaces.definition import (
     ActionDefinition,
@@ -32,7 +32,7 @@ from turtleact.interfaces.definition import (
     ServiceDefinition,
     parts_of,
 )
-from turtleact.interfaces.loading import get_message
+from turtleact.interfaces.loading import installed_class
 from turtleact.interfaces.parse import literal, parse
 from turtleact.interfaces.type_hash import (
     BOUNDED_STRING,
@@ -199,8 +199,10 @@ class LearnedTypes:
     def _known(self, made: type[Message]) -> type[Message] | None:
         """Return the class of this name that is known here, if the two do not differ."""
         try:
-            known = get_message(made.type_name)
-        except TurtleactError:
+            known = installed_class(made.type_name)
+        except InvalidInterface:
+            return None
+        if known is None or not issubclass(known, Message):
             return None
         ours, theirs = fields(known), fields(made)
         is_same = _shape(ours) == _shape(theirs) and nested_classes(known) == nested_classes(made)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from msgspec.structs import replace
 
-from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface
+from turtleact.errors import InvalidInterface, UnknownInterface
 from turtleact.interfaces.classes import (
     make_action,
     make_message,
@@ -82,6 +82,7 @@ __all__ = [
     "get_interface",
     "get_message",
     "get_service",
+    "installed_class",
     "interface_source",
     "interface_text",
     "known_classes",
@@ -120,9 +121,21 @@ def get_interface(type_name: str) -> Interface:
 
 def known_classes(type_name: str) -> Iterator[Interface]:
     """Yield all classes of this name: the one of `get_interface`, then those that were learned."""
-    with suppress(TurtleactError):
-        yield get_interface(type_name)
+    with suppress(InvalidInterface):
+        found = installed_class(type_name)
+        if found is not None:
+            yield found
     yield from learned_classes(type_name)
+
+
+def installed_class(type_name: str) -> Interface | None:
+    """Return what `get_interface` returns; None for an unknown name, without a look for others.
+
+    Raises:
+        InvalidInterface: if the interface's file is malformed.
+    """
+    found = (look_up(name, ()) for name in full_names(type_name, KINDS))
+    return next((each for each in found if each is not None), None)
 
 
 def find_interface(type_name: str) -> Interface:

@@ -17,6 +17,7 @@ import logging
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
@@ -28,9 +29,9 @@ from turtleact.errors import (
     InvalidMessage,
     NotLearned,
     TurtleactError,
-    UnknownInterface,
 )
 from turtleact.interfaces import Action, Message, WireFormat, get_interface, implied, type_hash
+from turtleact.interfaces.loading import installed_class
 from turtleact.interfaces.type_hash import structure_hash
 from turtleact.interfaces.types import REGISTRY
 from turtleact.names import resolve_name
@@ -467,19 +468,14 @@ def known_class(use: Use, nodes: Iterable[str] = ()) -> Interface | None:
     for (type_name, _), (learned, holder) in REGISTRY.learned.items():
         if type_name == use.type_name and use.is_of(learned) and holder in ("", *nodes):
             return learned
-    try:
-        found = get_interface(use.type_name)
-    except UnknownInterface:
-        return None
-    return found if use.is_of(found) else None
+    found = installed_class(use.type_name)
+    return found if found is not None and use.is_of(found) else None
 
 
 def _is_known(type_name: str) -> bool:
     """Whether this process has a definition of a type, perhaps another one than the graph."""
-    try:
-        get_interface(type_name)
-    except TurtleactError:
-        return False
+    with suppress(InvalidInterface):
+        return installed_class(type_name) is not None
     return True
 
 
