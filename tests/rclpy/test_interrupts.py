@@ -126,7 +126,7 @@ def run(tmp_path):
 def test_an_interrupt_ends_a_program_with_rclpys_status(run, moment):
     status, _, err = run(MOMENTS[moment])
     assert status == -signal.SIGINT, err
-    assert err.rstrip().endswith("KeyboardInterrupt")
+    assert "KeyboardInterrupt" in err
 
 
 def test_nothing_runs_on_after_shutdown(run):

@@ -183,9 +183,11 @@ class GoalSender:
             InvalidGoal: if the goal does not fit the action.
             ServerUnavailable: if nobody serves the action with this type.
         """
+        sending = self._open_and_send()
         try:
-            status = self._interrupts.run(self._open_and_send())
+            status = self._interrupts.run(sending)
         finally:
+            sending.close()  # it has not begun if a signal came first
             self._printer.close()
         return self._interrupted() if self._interrupts.received and self._sent is None else status
 

@@ -42,6 +42,7 @@ from turtleact.interfaces import (
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.tasks import GRACE, Tasks, wait_while
+from turtleact.tasks.failures import CUT_OFF, STOPPED
 from turtleact.transports.base import (
     STATUS_QOS,
     CallObserver,
@@ -69,6 +70,10 @@ OURS = GoalMetadata().write()
 
 A response with a note shows that a turtleact server has sent the response.
 """
+
+
+LATE_REQUEST = 0.5
+"""How long a closing server waits for clients in other processes to request results (s)."""
 
 
 class ActionEndpoints:
@@ -158,6 +163,8 @@ class ActionEndpoints:
         Call this after all bodies have ended.
         """
         results = self._get_result
+        if self._services:
+            await wait_while(self._is_expected, results.answered, LATE_REQUEST)
         await wait_while(lambda: results.waiting, results.answered, GRACE)
         for opened in self._services:
             opened.close()
@@ -166,6 +173,17 @@ class ActionEndpoints:
         for topic in self._topics:
             topic.close()
         await self._pausing.aclose()
+
+    def _is_expected(self) -> bool:
+        """Whether a client in another process is likely to ask soon how a goal ended just now."""
+        reasons = (self._server.closing_reason, STOPPED, CUT_OFF)
+        return any(
+            isinstance(goal.sender, bytes)
+            and goal.sender != b""
+            and goal.reason in reasons
+            and goal.id not in self._get_result.told
+            for goal in self._server.held().values()
+        )
 
 
 class _ActionService(ServiceHandler):
@@ -338,11 +356,16 @@ class _CancelGoal(_ActionService):
 
 
 class _GetResult(_ActionService):
-    """Answers with the results of goals, once the goals have ended."""
+    """Answers with the results of goals, once the goals have ended.
+
+    Attributes:
+        told: The goals whose results were given after the closing began.
+    """
 
     def __init__(self, server: LocalActionServer, names: ActionNames, tasks: Tasks) -> None:
         super().__init__(server, names.get_result, tasks)
         self._asked: dict[Goal, list[Respond]] = {}  # for goals that have not ended
+        self.told: set[bytes] = set()
         self._retire, server.retire = server.retire, self.retire
 
     def find_type(self) -> Any:  # noqa: ANN401  # a service class
@@ -388,6 +411,8 @@ class _GetResult(_ActionService):
         return self._end(goal)
 
     def _end(self, goal: Goal) -> Reply:
+        if not self.server.is_open:
+            self.told.add(goal.id)
         result: Any = goal.result
         message = self._implied.get_result.Response(status=int(goal.status), result=result)
         if goal.reason or goal.log.count:
