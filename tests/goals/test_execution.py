@@ -23,9 +23,8 @@ from turtleact.errors import (
     InvalidMessage,
     InvalidTransition,
 )
-from turtleact.goals.feedback import FeedbackLog
-from turtleact.goals.generators import BURST
-from turtleact.goals.state import CURRENT_GOAL
+from turtleact.goals.body import BURST
+from turtleact.goals.state import CURRENT_GOAL, FeedbackLog
 from turtleact.tasks.failures import LONGEST
 
 from ..lab import (

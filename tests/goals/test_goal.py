@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from turtleact.errors import GoalAborted, GoalCanceled, InvalidTransition
-from turtleact.goals.feedback import FeedbackLog
 from turtleact.goals.state import (
     TRANSITIONS,
     CancelCode,
     CancelResponse,
+    FeedbackLog,
     Goal,
     GoalEvent,
     GoalResponse,

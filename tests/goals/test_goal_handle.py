@@ -18,8 +18,7 @@ from turtleact.errors import (
     UnknownGoal,
 )
 from turtleact.goals.client_handle import FeedbackReceived, Outcome, ResultReceived, StatusChanged
-from turtleact.goals.feedback import FeedbackLog
-from turtleact.goals.state import CancelCode
+from turtleact.goals.state import CancelCode, FeedbackLog
 
 from ..lab import (
     ON_ASYNCIO,

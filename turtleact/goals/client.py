@@ -2,7 +2,7 @@
 
 `turtleact.goals.client_handle` defines the client's handle of a goal. A client calls a server in
 the same process directly, and sends messages to a server in another process. The client uses both
-kinds of server through the interface `turtleact.goals.goal_server.GoalServer`.
+kinds of server through the interface `turtleact.goals.server.GoalServer`.
 
 Source: rclpy ``action/client.py`` for names and behaviour.
 """
@@ -38,11 +38,11 @@ from turtleact.goals.client_handle import (
     StatusChanged,
     leave_goal,
 )
-from turtleact.goals.goal_server import GoalServer, OffersGoals
 from turtleact.goals.ids import goal_id_bytes, new_goal_id
 from turtleact.goals.observers import Detached, GoalObserver, News, Observers
 from turtleact.goals.remote import RemoteActionServer
 from turtleact.goals.running import BodyTask
+from turtleact.goals.server import GoalServer, OffersGoals
 from turtleact.goals.state import CURRENT_GOAL, Goal, GoalRequest, GoalStatus, failure
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.definition import nearest

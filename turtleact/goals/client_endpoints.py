@@ -1,10 +1,7 @@
 """Opens the endpoints of an action client: three service clients and two subscriptions.
 
-This module also finds out whether the server runs turtleact, because that decides how requests are
-sent. A ROS 2 service queues at most ten requests that its node has not taken yet. If more arrive,
-the service silently drops the oldest. The client therefore sends only a few requests at a time.
-Servers that run turtleact drop no requests. They attach a note to each answer, and the client
-recognizes them by this note.
+A ROS 2 service queues at most ten requests that its node has not taken yet. If more arrive, the
+service silently drops the oldest. The client therefore sends only a few requests at a time.
 
 Source: rcl_action ``action_client.c``; rmw_zenoh_cpp ``rmw_service_data.cpp``, ``add_new_query``;
 rmw ``qos_profiles.h``.
@@ -12,7 +9,6 @@ rmw ``qos_profiles.h``.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar, cast
@@ -61,7 +57,7 @@ if TYPE_CHECKING:
     from turtleact.goals.introspection import Introspection
     from turtleact.interfaces import Service
 
-__all__ = ["ClientEndpoints", "RequestLimiter"]
+__all__ = ["ClientEndpoints"]
 
 T = TypeVar("T")
 
@@ -78,57 +74,6 @@ other clients.
 # Both responses begin with a number, in the byte after the CDR header.
 _UNKNOWN: Final = bytes([GoalStatus.UNKNOWN])
 _UNKNOWN_GOAL_ID: Final = bytes([CancelCode.UNKNOWN_GOAL_ID])
-
-
-class RequestLimiter:
-    """Sends requests to one service in order, with at most `AT_ONCE` unanswered at a time."""
-
-    def __init__(self) -> None:
-        self._unanswered = 0
-        self._waiting: deque[anyio.Event] = deque()
-
-    async def call(self, caller: Caller, request: object, note: str = "") -> Reply:
-        """Send a request when its turn comes, and wait for the reply.
-
-        If ``caller`` raises an error, this method raises the same error.
-
-        Cancelling: safe. If the request is still waiting for its turn, it is not sent.
-        """
-        await self._wait_for_turn()
-        try:
-            return await caller.call(request, note)
-        finally:
-            self._unanswered -= 1
-            if self._unanswered < AT_ONCE:
-                self._admit_next()
-
-    def admit_all(self) -> None:
-        """Send all waiting requests now. Call this only if the server drops no requests."""
-        while self._waiting:
-            self._admit_next()
-
-    async def _wait_for_turn(self) -> None:
-        if self._unanswered < AT_ONCE and not self._waiting:
-            self._unanswered += 1
-            return
-        turn = anyio.Event()
-        self._waiting.append(turn)
-        try:
-            await turn.wait()
-        except BaseException:
-            # The turn and the cancellation may arrive together. This request then already counts
-            # as sent, so the turn must be passed on, or every later request would wait for ever.
-            if turn.is_set():
-                self._unanswered -= 1
-                self._admit_next()
-            else:
-                self._waiting.remove(turn)
-            raise
-
-    def _admit_next(self) -> None:
-        if self._waiting:
-            self._unanswered += 1
-            self._waiting.popleft().set()
 
 
 class ClientEndpoints:
@@ -154,7 +99,8 @@ class ClientEndpoints:
         send_goal: The service client that sends goals. If the action has several servers, each goal
             goes to only one server.
         get_result: The service client that asks for results. It exists only after `open`.
-        is_ours: Whether the last answer to a goal request came from a turtleact server.
+        is_ours: Whether the last answer to a goal request came from a turtleact server, because
+            only such a server attaches a note.
     """
 
     get_result: Caller
@@ -180,7 +126,8 @@ class ClientEndpoints:
         self._events: list[CallObserver] = []
         self._canceling = 0  # cancel requests under way
         self._watches_status = self._watches_paused = False
-        self._goals, self._cancels = RequestLimiter(), RequestLimiter()
+        self._goals = anyio.Semaphore(AT_ONCE, fast_acquire=True)
+        self._cancels = anyio.Semaphore(AT_ONCE, fast_acquire=True)
         self._lost: LostFeedback | None = None
         self.send_goal = self._join(
             names.send_goal,
@@ -211,33 +158,23 @@ class ClientEndpoints:
     # requests
 
     async def ask_for_goal(self, request: object, note: str) -> Reply:
-        """Send a goal, and return the server's answer.
-
-        If the last answer came from a turtleact server, the request is sent at once. Otherwise, the
-        request goes through a `RequestLimiter`.
-        """
-        if self.is_ours:
+        """Send a goal when its turn comes, and return the server's answer. Cancelling: safe."""
+        async with self._goals:
             reply = await self.send_goal.call(request, note)
-        else:
-            reply = await self._goals.call(self.send_goal, request, note)
-        self.is_ours = bool(reply.note)  # only a turtleact server attaches a note
-        if self.is_ours:
-            self._goals.admit_all()
-            self._cancels.admit_all()
+        self.is_ours = bool(reply.note)
         return reply
 
     async def ask_to_cancel(self, request: object) -> Reply:
-        """Send a cancel request, and return the server's answer. Call `open` first.
+        """Send a cancel request when its turn comes, and return the server's answer.
 
-        As in `ask_for_goal`, only requests to ROS 2 servers are limited.
+        Call `open` first.
         """
         # A client that has just come may know a server's other services before this one.
         await find_server(self.transport, lambda: self._cancel_goal.is_served or None)
         self._canceling += 1
         try:
-            if self.is_ours:
+            async with self._cancels:
                 return await self._cancel_goal.call(request)
-            return await self._cancels.call(self._cancel_goal, request)
         finally:
             self._canceling -= 1
             self._close_events()

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, ca
 
 import msgspec
 
-from turtleact.goals.goal_server import GoalServer
+from turtleact.goals.server import GoalServer
 from turtleact.goals.state import Goal, GoalStatus, failure
 from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import CancelGoal, Time

@@ -32,10 +32,9 @@ import msgspec
 
 from turtleact.errors import PauseRefused, ServerUnavailable
 from turtleact.goals.body import ServerOptions
-from turtleact.goals.goal_server import GoalServer
 from turtleact.goals.observers import GoalObserver, News
 from turtleact.goals.running import BodyTask
-from turtleact.goals.server import LocalActionServer
+from turtleact.goals.server import GoalServer, LocalActionServer
 from turtleact.goals.state import Goal, GoalStatus
 from turtleact.tasks import Background
 from turtleact.tasks.failures import summary

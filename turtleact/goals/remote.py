@@ -1,6 +1,6 @@
 """Represents an action server in another process.
 
-`RemoteActionServer` implements `turtleact.goals.goal_server.GoalServer` by exchanging messages with
+`RemoteActionServer` implements `turtleact.goals.server.GoalServer` by exchanging messages with
 the server. The client has a `Goal` object of its own for each goal, which messages keep up to date.
 One task follows a goal: it sends the goal request, asks for the result once the server has
 accepted the goal, and then waits for feedback that arrives late.
@@ -36,11 +36,11 @@ from turtleact.errors import (
     UnknownGoal,
 )
 from turtleact.goals.client_endpoints import ClientEndpoints
-from turtleact.goals.feedback import FeedbackLog
 from turtleact.goals.ids import new_goal_id
 from turtleact.goals.observers import FeedbackLost, Observers
 from turtleact.goals.state import (
     CURRENT_GOAL,
+    FeedbackLog,
     Goal,
     GoalEvent,
     GoalRequest,

@@ -22,17 +22,16 @@ import logging
 from collections.abc import Awaitable, Callable, Mapping
 from contextvars import Context, copy_context
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, cast, runtime_checkable
 
 import anyio
 
 from turtleact.errors import GoalRejected, InvalidTransition
-from turtleact.goals.feedback import FeedbackLog
-from turtleact.goals.goal_server import LocalPauses
 from turtleact.goals.ids import new_goal_id
 from turtleact.goals.observers import Observers
 from turtleact.goals.state import (
     CURRENT_GOAL,
+    FeedbackLog,
     Goal,
     GoalEvent,
     GoalRequest,
@@ -51,7 +50,109 @@ if TYPE_CHECKING:
     from turtleact.goals.policies import Slot
     from turtleact.goals.records import Resumed
 
-__all__ = ["SHUTDOWN", "FeedbackPublisher", "LocalActionServer", "ServerSpec"]
+__all__ = [
+    "SHUTDOWN",
+    "FeedbackPublisher",
+    "GoalPauses",
+    "GoalServer",
+    "LocalActionServer",
+    "LocalPauses",
+    "OffersGoals",
+    "ServerSpec",
+]
+
+
+class GoalPauses(Protocol):
+    """Pauses and resumes the goals of a server."""
+
+    def is_paused(self, goal: Goal) -> bool:
+        """Whether a goal is paused."""
+
+    def hold(self, goal: Goal) -> None:
+        """Pause a goal that was sent just now, so that its body starts only after `resume`.
+
+        A goal in another process cannot be held.
+        """
+
+    async def pause(self, goal: Goal, timeout: float) -> None:
+        """Pause a goal, and return once the goal's body has paused.
+
+        Raises:
+            PauseRefused: if the goal cannot be paused, or not within ``timeout`` (s, event loop
+                time).
+            ServerUnavailable: if the server has gone.
+        """
+
+    async def resume(self, goal: Goal) -> None:
+        """Resume a paused goal. This raises the same errors as `pause`."""
+
+
+class LocalPauses(GoalPauses, Protocol):
+    """What a server in this process also knows of its pauses."""
+
+    @property
+    def paused(self) -> list[Goal]:
+        """The paused goals, in the order in which they were paused."""
+
+    def paused_time(self, goal: Goal) -> float:
+        """How long a goal has been paused in total (s, by the graph's clock)."""
+
+
+class GoalServer(Protocol):
+    """An action's server, as its clients see it."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the server accepts goals."""
+
+    @property
+    def pauses(self) -> GoalPauses:
+        """Pauses and resumes the server's goals."""
+
+    @property
+    def resumed(self) -> Mapping[bytes, object]:
+        """The ids of the goals in this process that began in an earlier process."""
+
+    async def send(self, request: GoalRequest) -> Goal:
+        """Send a goal. In the same process, the goal is accepted when this returns.
+
+        Raises:
+            InvalidGoal: if the request does not fit the action. In that case, the goal is not sent.
+            GoalRejected: if the server rejects the goal.
+            ServerUnavailable: if nobody serves the action, or its server goes away.
+        """
+
+    async def wait_for_acceptance(self, goal: Goal) -> None:
+        """Wait until a goal that was sent is accepted, and raise the errors of `send`."""
+
+    async def attach(self, goal_id: bytes) -> Goal | None:
+        """Return the goal with that id, or None if there is none.
+
+        From now on, the goal's feedback is kept.
+        """
+
+    def cancel(self, goal_id: bytes | None, stamp: int) -> Awaitable[CancelGoal.Response]:
+        """Cancel the goals that an id and a stamp (ns) select, and return the server's answer.
+
+        The caller must await the answer. A server in this process may cancel the goals before.
+        """
+
+    async def abandon(self, goal: Goal, timeout: float) -> None:
+        """Cancel a goal and wait at most ``timeout`` s for its end, shielded from cancellation.
+
+        The caller no longer needs the goal, so errors of the server are not raised.
+        """
+
+    def client_lost(self, sender: object) -> None:
+        """Tell the server that a client has gone."""
+
+
+@runtime_checkable
+class OffersGoals(Protocol):
+    """Handles ``send_goal`` requests, and gives clients in its process access to the server."""
+
+    goal_server: GoalServer
+
 
 logger = logging.getLogger("turtleact.server")
 
@@ -101,7 +202,7 @@ class FeedbackPublisher(Protocol):
 
 
 class LocalActionServer:
-    """Implements `turtleact.goals.goal_server.GoalServer` for one action.
+    """Implements `turtleact.goals.server.GoalServer` for one action.
 
     Args:
         spec: The action, its name and its body.

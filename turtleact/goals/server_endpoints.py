@@ -264,7 +264,7 @@ class _SendGoal(_ActionService):
 
     Attributes:
         goal_server: The server that clients in the same process call directly; see
-            `turtleact.goals.goal_server`. If introspection is on, `goal_server` is missing. Clients
+            `turtleact.goals.server`. If introspection is on, `goal_server` is missing. Clients
             in the same process then send requests, as clients in other processes do.
         expect_readers: Called when the first goal from another process arrives. A client that sends
             a goal also reads feedback.

@@ -30,9 +30,9 @@ from turtleact.goals.durable import Restoring
 from turtleact.goals.observers import Hook
 from turtleact.goals.opening import open_server
 from turtleact.goals.policies import Slots
+from turtleact.goals.running import GoalHandle
 from turtleact.goals.server import LocalActionServer, ServerSpec
 from turtleact.goals.server_endpoints import ActionEndpoints
-from turtleact.goals.server_handle import GoalHandle
 from turtleact.goals.service_server import LocalServiceServer, closed_on_error, service_events
 from turtleact.goals.slots import PlaceRequest
 from turtleact.goals.state import Goal, GoalStatus
