@@ -63,13 +63,6 @@ async def test_a_built_in_action_stays_away_while_its_world_ends(caplog):
     assert caplog.messages[-1].endswith("the built-in action withdraws")
 
 
-async def test_other_built_in_actions_stay():
-    async with open_world(speed="max") as node, open_node("lab", transport=node.transport) as lab:
-        lab.action_server(Fibonacci, "/fibonacci", mine)
-        await settle()
-        assert {"/patrol", "/go_to", "/command_turtle"} <= node.graph().actions.keys()
-
-
 @pytest.mark.loops("asyncio")
 async def test_a_built_in_action_makes_way_across_the_graph_and_comes_back(tmp_path, caplog):
     """Two sessions, as of two processes, that know each other by discovery only."""

@@ -7,23 +7,14 @@ from contextlib import aclosing
 
 import pytest
 
-from turtleact.actions.driving import PATIENCE
-from turtleact.actions.steering import Limits, time_limit
+from turtleact.actions.steering import Limits
 from turtleact.errors import Abort
 from turtleact.interfaces.standard import Point, TurtlePose, Twist
 from turtleact.tasks import Background
 
-from ..lab import settle
-from .arena import tasks_alive
 from .yard import FAR, obeying, telling, yard
 
 # Poses
-
-
-async def test_the_block_begins_where_the_turtle_is_seen_first():
-    async with yard() as place, telling(place), place.drive() as drive:
-        assert drive.travelled == 0.0
-        assert drive.pose.x >= 5.0
 
 
 async def test_of_several_poses_the_newest_counts():
@@ -33,14 +24,6 @@ async def test_of_several_poses_the_newest_counts():
         await drive.wait_for_pose()
         assert drive.pose.x > seen + 5
         assert drive.travelled == drive.pose.x - seen
-
-
-async def test_a_target_has_a_deadline_that_leaves_patience():
-    async with yard() as place, telling(place), place.drive() as drive:
-        here = (drive.pose.x, drive.pose.y, drive.pose.theta)
-        limit = time_limit(here, [(5.0, 5.0)], Limits(dt=8 * 0.016))
-        deadline = drive.deadline(Point(x=5.0, y=5.0))
-        assert deadline - place.clock.time() == pytest.approx(PATIENCE * limit)
 
 
 async def test_a_command_is_held_for_eight_poses():
@@ -121,15 +104,6 @@ async def test_a_turtle_that_says_little_is_not_given_up():
         assert place.clock.time() == pytest.approx(19 * 1.9)
 
 
-async def test_a_turtle_that_is_killed_is_given_up_by_name():
-    async with yard() as place:
-        reason = "^turtle 'robot' is gone: nobody publishes robot/pose any more$"
-        with pytest.raises(Abort, match=reason):
-            await place.drive_until_it_is_killed()
-        assert place.clock.time() <= 1.0
-        assert place.twists.latest == Twist()
-
-
 async def test_a_pose_that_is_none_waits_for_who_drives():
     async with yard() as place, telling(place), place.drive() as drive:
         for _ in range(60):
@@ -156,27 +130,12 @@ async def test_a_turtle_that_is_heard_of_again_is_driven_on():
         assert place.told() == 2.0
 
 
-async def test_what_is_late_is_told_with_who_else_drives():
-    async with yard() as place, telling(place), place.drive() as drive:
-        assert str(drive.too_late("it")) == "it was not reached in time"
-        place.node.publisher(Twist, "robot/cmd_vel")
-        text = "it was not reached in time: somebody else publishes robot/cmd_vel too"
-        assert str(drive.too_late("it")) == text
-
-
 # The end
 
 
 async def test_at_the_end_the_turtle_is_told_to_stand_still():
     async with yard() as place, telling(place):
         await place.drive_on(until=lambda: True)
-        assert [twist.linear.x for twist in place.twists.drain()] == [2.0, 0.0]
-
-
-async def test_an_error_in_the_block_stops_the_turtle_and_goes_on():
-    async with yard() as place, telling(place):
-        with pytest.raises(ZeroDivisionError):
-            await place.drive_on(until=lambda: 1 / 0)
         assert [twist.linear.x for twist in place.twists.drain()] == [2.0, 0.0]
 
 
@@ -196,12 +155,3 @@ async def test_a_turtle_that_was_given_up_is_stopped_and_free():
         assert place.twists.latest == Twist()
         assert place.endpoints() == []
         place.turtles.check_turtle("robot")
-
-
-async def test_nobody_watches_a_turtle_that_is_driven_no_more():
-    async with yard() as place, telling(place):
-        before = tasks_alive()
-        async with place.drive():
-            assert tasks_alive() == before + 1
-        await settle()
-        assert tasks_alive() == before

@@ -124,13 +124,6 @@ async def test_what_cannot_be_done_is_rejected_by_name(options, reason):
     assert caught.value.reason == reason
 
 
-async def test_a_turtle_that_is_going_somewhere_is_rejected():
-    async with arena() as stage, client_of(stage).send_goal(FAR):
-        await stage.node.clock.sleep(1.0)
-        with pytest.raises(GoalRejected, match="turtle 'turtle1' is being driven by another goal"):
-            await client_of(stage).send_goal(GoTo.Goal(x=1.0, y=1.0))
-
-
 @pytest.mark.parametrize("seconds", [0.0, 0.5, 2.0])
 async def test_a_canceled_goal_stops_the_turtle(seconds):
     async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
@@ -170,14 +163,6 @@ async def test_a_heading_that_cannot_be_met_is_named_in_the_reason():
     assert caught.value.reason == f"theta: 3.2, heading_tolerance: 1e-12 {late}"
 
 
-async def test_a_teleported_turtle_goes_on_from_where_it_is():
-    async with arena() as stage, client_of(stage).send_goal(GoTo.Goal(x=9.0, y=7.0)) as goal:
-        await stage.node.clock.sleep(1.0)
-        stage.world.teleport_absolute("turtle1", 6.0, 9.0, 3.0)
-        await goal.result()
-        assert away(stage, 9.0, 7.0) <= 0.1
-
-
 async def test_closing_the_server_stops_the_turtle():
     async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
         await stage.node.clock.sleep(1.0)
@@ -186,16 +171,6 @@ async def test_closing_the_server_stops_the_turtle():
         assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "shutdown")
         assert outcome.result.distance == pytest.approx(1.0, abs=0.04)
         assert await stage.stands_still()
-
-
-async def test_a_turtle_that_is_heard_of_no_more_is_given_up():
-    async with arena() as stage, client_of(stage).send_goal(FAR) as goal:
-        await stage.node.clock.sleep(1.0)
-        await stage.sim.aclose()
-        outcome = await goal.outcome()
-        assert stage.commands()[-1] == (0.0, 0.0)
-    assert outcome.status is GoalStatus.ABORTED
-    assert outcome.reason == "nothing was heard of turtle1/pose for 2 s"
 
 
 async def test_a_goal_whose_turtle_is_killed_ends_with_a_reason_within_a_second():

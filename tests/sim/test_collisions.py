@@ -39,29 +39,8 @@ def test_who_is_stopped_is_who_stands_in_the_way_of_another(moves):
     assert stopped(before, after) == kept_apart(before, after)
 
 
-@given(st.lists(st.tuples(places, steps), min_size=2, max_size=12), st.randoms())
-def test_nothing_depends_on_the_order_of_the_turtles(moves, chance):
-    shuffled = list(moves)
-    chance.shuffle(shuffled)
-    held = [
-        {some[index] for index in stopped([p for p, _ in some], [p + s for p, s in some])}
-        for some in (moves, shuffled)
-    ]
-    assert held[0] == held[1]
-
-
 def test_who_overlaps_already_can_part():
     assert stopped([1 + 1j, 1.1 + 1j], [0.9 + 1j, 1.2 + 1j]) == []
-
-
-def test_who_overlaps_already_comes_no_nearer():
-    assert stopped([1 + 1j, 1.1 + 1j], [1.05 + 1j, 1.1 + 1j]) == [0]
-
-
-def test_a_row_stops_behind_its_first():
-    before = [complex(1 + index * 2 * BODY, 1.0) for index in range(5)]
-    after = [place + 0.01 for place in before[:-1]] + before[-1:]
-    assert stopped(before, after) == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("others", [0, 30])

@@ -81,12 +81,6 @@ def test_straight_ways_that_are_drawn_as_one_line_have_the_same_pixels(points):
     assert draw(Drawing(), points).pixels() == expected
 
 
-def test_a_turn_that_is_too_small_for_a_float_is_none():
-    points = [0j, 1 + 0j, complex(2.0, 5e-324)]
-    expected = pixels_of([(RED, start, end) for start, end in pairwise(points)])
-    assert draw(Drawing(), points).pixels() == expected
-
-
 def test_a_colour_is_that_of_the_pixel_nearest_to_the_place():
     ours = draw(Drawing(), [1 + 1j, 2 + 1j])
     assert ours.colour_at(1.5 + 1j) == RED.colour
@@ -145,43 +139,6 @@ def test_the_pixels_of_a_fleet_are_those_of_every_line_in_its_order(pens, turns)
     assert fleet.pixels() == draw_one_by_one(Drawing(), ways, pens).pixels()
 
 
-@pytest.mark.parametrize("turns", [0.0, 0.1])
-def test_no_place_of_a_fleet_lies_far_from_its_polylines(turns):
-    ways = ways_of(turns, ticks=30, seed=4)
-    fleet = draw_fleet(Drawing(), ways, [RED])
-    drawn = {place * METER for tick in ways for place in tick.tolist()}
-    strokes = fleet.polylines()
-    for pen, points in strokes:
-        assert pen == RED
-        assert set(points) <= drawn
-    pairs = [pair for stroke in strokes for pair in pairwise(stroke.points)]
-    for point in drawn:
-        assert any(away(point, *pair) <= TOLERANCE + 1e-6 for pair in pairs)
-
-
-def test_straight_ways_of_a_fleet_are_one_line_each():
-    fleet = draw_fleet(Drawing(), ways_of(0.0, ticks=500, seed=5), [RED])
-    assert len(fleet.polylines()) == len(NUMBERS)
-
-
-def test_a_fleet_keeps_the_order_of_what_others_draw_between():
-    ways = ways_of(0.0, ticks=40, seed=6)
-    places = ways[20].tolist()
-    drawings = []
-    for draw_some in (draw_fleet, draw_one_by_one):
-        ours = draw_some(Drawing(), ways[:20], [RED])
-        for number, place in enumerate(places):
-            ours.line(100 + number, BLUE, place, place + 0.5)
-        drawings.append(draw_some(ours, ways[20:], [RED]).pixels())
-    assert drawings[0] == drawings[1]
-
-
-def test_a_fleet_that_was_cleared_draws_nothing_more():
-    fleet = draw_fleet(Drawing(), ways_of(0.0, ticks=5, seed=7), [RED])
-    fleet.clear()
-    assert (fleet.polylines(), any(fleet.pixels())) == ([], False)
-
-
 # As polylines
 
 
@@ -228,14 +185,6 @@ def test_a_new_polyline_begins_with(more):
     ours = draw(Drawing(), [5 + 5j, 6 + 5j])
     more(ours)
     assert len(ours.polylines()) == 2
-
-
-def test_polylines_of_turtles_that_draw_by_turns_are_whole():
-    ours = Drawing()
-    for start, end in pairwise(CIRCLE):
-        ours.line(1, RED, start, end)
-        ours.line(2, BLUE, start + 1, end + 1)
-    assert [stroke.pen for stroke in ours.polylines()] == [RED, BLUE]
 
 
 def test_a_long_polyline_is_cut_and_goes_on(monkeypatch):

@@ -25,14 +25,8 @@ from turtleact.sim.kinematics import (
 MIDDLE = Place(SIDE / 2, SIDE / 2, 0.0)
 PI = 3.14159265  # as turtle.hpp defines it
 
-speeds = st.one_of(st.just(0.0), st.floats(-5.0, 5.0))
-straight = st.builds(Command, speeds, speeds, st.just(0.0))
-on_the_spot = st.builds(Command, st.just(0.0), st.just(0.0), st.floats(-500.0, 500.0))
 sides = st.floats(0.0, SIDE)
 places = st.builds(Place, sides, sides, st.floats(-PI, PI, exclude_max=True))
-runs = st.lists(
-    st.tuples(st.integers(0, 80), st.one_of(straight, on_the_spot)), min_size=1, max_size=5
-)
 
 
 class RealTurtles:
@@ -113,19 +107,6 @@ def test_20000_ticks_of_random_driving_round_to_turtlesims_float32(count):
     assert others <= 1e-6 * 2 * count * 20_000
 
 
-@given(places, runs)
-def test_without_curves_a_run_has_the_bits_of_the_real_turtle(place, run):
-    real, ours, tick = RealTurtles([place]), Fleet([place]), 0
-    for pause, command in run:
-        ours.drive({0: command}, tick)
-        real.command(0, command, tick * DT)
-        for _ in range(pause):
-            ours.step(tick)
-            real.update(tick * DT)
-            tick += 1
-            assert ours.state(0)[:3] == (real.x[0], real.y[0], real.orient[0])
-
-
 def test_half_a_turn_wraps_to_its_negative():
     assert wrap(HALF_TURN) == -HALF_TURN == -PI
 
@@ -142,15 +123,6 @@ def test_no_speed_leads_out_of_the_walls(place, command):
     assert 0.0 <= x <= SIDE
     assert 0.0 <= depth <= SIDE
     assert -PI <= theta < PI
-
-
-def test_a_command_lasts_for_63_steps():
-    turtles, moving = Fleet([MIDDLE]), []
-    turtles.drive({0: Command(1.0, 0.0, 0.0)}, 0)
-    for tick in range(100):
-        turtles.step(tick)
-        moving.append(turtles.state(0).vx)
-    assert moving == [1.0] * COMMAND_TICKS + [0.0] * (100 - COMMAND_TICKS)
 
 
 def test_commands_end_one_by_one():
@@ -182,35 +154,12 @@ def test_a_negative_zero_hits_nothing():
     assert list(turtles.step(0)) == []
 
 
-def test_a_turtle_slides_along_a_wall():
-    x, depth, *_ = drive(Place(SIDE, 5.0, -0.5), Command(2.0, 0.0, 0.0), 10).state(0)
-    assert x == SIDE
-    assert depth == pytest.approx(5.0 + 0.32 * math.sin(0.5))
-
-
-def test_a_turtle_put_outside_is_brought_back_by_the_next_step():
-    turtles = Fleet([MIDDLE])
-    turtles.step(0)
-    turtles.place(0, Place(-3.0, 20.0, 10.0))
-    hits = list(turtles.step(1))
-    x, depth, theta, *_ = turtles.state(0)
-    assert (hits, x, depth) == ([Hit(0, -3.0, 20.0)], 0.0, SIDE)
-    assert theta == 10.0 - 4 * PI
-
-
 @pytest.mark.usefixtures("_blocks")
 def test_hits_come_in_the_order_of_the_indices_and_once_for_a_corner():
     start = [MIDDLE] * 5 + [Place(20.0, -1.0, 0.0), MIDDLE, Place(-2.0, 3.0, 0.0)]
     hits = Fleet(start).step(0)
     assert list(hits) == [Hit(5, 20.0, -1.0), Hit(7, -2.0, 3.0)]
     assert len(hits) == 2
-
-
-def test_hits_outlive_the_next_step():
-    turtles = Fleet([Place(20.0, 1.0, 0.0)])
-    hits = turtles.step(0)
-    turtles.step(1)
-    assert list(hits) == [Hit(0, 20.0, 1.0)]
 
 
 # Many
@@ -225,28 +174,6 @@ def test_a_turtle_does_the_same_alone_and_among_others():
         together.step(tick)
     alone = [drive(place, commands[index], 70).state(0) for index, place in enumerate(start)]
     assert np.array(states(together)) == pytest.approx(np.array(alone), abs=1e-13)
-
-
-@pytest.mark.usefixtures("_blocks")
-def test_a_command_for_all_is_one_for_each():
-    ours, each = Fleet(scattered(10)), Fleet(scattered(10))
-    commands = random_commands(10)
-    ours.drive_all(np.array(list(commands.values())).T, 0)
-    each.drive(commands, 0)
-    for tick in range(80):
-        ours.step(tick)
-        each.step(tick)
-    assert states(ours) == states(each)
-
-
-@pytest.mark.parametrize("count", [2, 10])
-@pytest.mark.parametrize("omega", [-3.0, 3.0, 1000.0])
-def test_angles_stay_in_range(count, omega):
-    turtles = Fleet([MIDDLE._replace(theta=math.copysign(3.0, omega))] * count)
-    turtles.drive(dict.fromkeys(range(count), Command(1.0, 0.0, omega)), 0)
-    for tick in range(COMMAND_TICKS):
-        turtles.step(tick)
-        assert abs(turtles.columns()[2]).max() <= HALF_TURN
 
 
 def test_a_fleet_at_rest_is_left_alone():

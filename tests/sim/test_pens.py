@@ -129,16 +129,6 @@ def test_no_width_is_one_pixel_and_the_usual_one_is_three():
     assert [stroke.pen.width for stroke in pens.drawing.polylines()] == [3, 1]
 
 
-def test_each_turtle_has_its_own_pen():
-    world, pens = world_of(2)
-    pens.set("turtle2", RED)
-    for name in world.names:
-        world.set_velocity(name, 1.0)
-    run(world, pens, 5)
-    colours = [stroke.pen.colour for stroke in pens.drawing.polylines()]
-    assert colours == [Pen().colour, RED]
-
-
 def test_a_turtle_sees_the_lines_of_those_before_it_and_not_of_those_behind():
     world, pens = world_of(2)
     for name in world.names:
@@ -153,19 +143,6 @@ def test_a_turtle_sees_the_lines_of_those_before_it_and_not_of_those_behind():
     assert run(world, pens, sensed=world.names)["turtle1"] == GREEN
 
 
-def test_only_those_that_are_asked_for_are_looked_at():
-    world, pens = world_of(FEW)
-    assert run(world, pens, sensed=["turtle2"]) == {"turtle2": WHITE}
-
-
-def test_a_new_turtle_has_a_pen_and_draws_from_where_it_was_put():
-    world, pens = world_of()
-    spawn(world, pens, 1.0, 1.0, 0.0, "bob")
-    world.set_velocity("bob", 1.0)
-    run(world, pens)
-    assert strokes(pens)[0][0] == 1 + 10.089j
-
-
 def test_a_turtle_of_the_same_name_draws_a_line_of_its_own():
     world, pens = world_of()
     for _ in range(2):
@@ -177,15 +154,6 @@ def test_a_turtle_of_the_same_name_draws_a_line_of_its_own():
     assert [len(stroke) for stroke in strokes(pens)] == [2, 2]
     with pytest.raises(KeyError):
         pens.colour("bob")
-
-
-def test_a_turtle_that_comes_in_the_place_of_another_has_a_pen_of_its_own():
-    world, pens = world_of()
-    spawn(world, pens, 1.0, 1.0, 0.0, "bob")
-    pens.set("bob", RED, 9)
-    kill(world, pens, "bob")
-    spawn(world, pens, 1.0, 1.0, 0.0, "bob")
-    assert pens.colour("bob") == Pen().colour
 
 
 def test_a_jump_of_a_turtle_that_is_killed_before_the_tick_is_not_drawn():
@@ -213,14 +181,3 @@ def test_forgetting_all_erases_the_drawing_and_renews_the_pens():
     assert strokes(pens) == []
     run(world, pens)
     assert pens.drawing.polylines()[0].pen == Pen()
-
-
-def test_what_is_drawn_does_not_change_how_turtles_move():
-    worlds = World(FEW), World(FEW)
-    pens = Pens(worlds[0])
-    for world in worlds:
-        world.set_velocities(1.0, 0.0, 1.0)
-    run(worlds[0], pens, 50, sensed=worlds[0].names)
-    for _ in range(50):
-        worlds[1].step()
-    assert worlds[0].poses().tobytes() == worlds[1].poses().tobytes()

@@ -71,12 +71,6 @@ def test_an_empty_picture_is_turtlesims_blue():
     assert (pixels_of(picture()) == [69, 86, 255]).all()
 
 
-def test_the_background_shows_where_nothing_was_drawn():
-    pixels = pixels_of(picture(drawn(1 + 1j, 5 + 1j), background=Colour(1, 2, 3)))
-    assert pixels[45, 100].tolist() == [255, 0, 0]
-    assert pixels[60, 100].tolist() == [1, 2, 3]
-
-
 def test_the_drawing_is_shown_pixel_by_pixel():
     ours = drawn(1 + 1j, 5 + 3j, 2 + 9j)
     layers = np.frombuffer(ours.pixels(), np.uint8).reshape(SIZE, SIZE, 4)
@@ -105,11 +99,6 @@ def test_a_turtle_has_eyes_where_it_looks_and_legs_around_its_shell(theta):
     assert np.abs(np.concatenate([eyes, shell, skin])).max() < 23.0
 
 
-def test_the_edges_of_a_turtle_are_smooth():
-    pixels = pixels_of(picture(turtles=[Figure(MIDDLE, 0.3, "turtle1")])).reshape(-1, 3)
-    assert len(np.unique(pixels, axis=0)) > 20
-
-
 def test_each_turtle_has_its_own_colours_in_every_picture():
     names = [f"turtle{number}" for number in range(1, 9)]
     shells = [shades_of(name).shell for name in names]
@@ -121,13 +110,6 @@ def test_each_turtle_has_its_own_colours_in_every_picture():
     pixels = pixels_of(picture(turtles=turtles))
     for turtle, shell in zip(turtles, shells, strict=True):
         assert np.abs(found(shell, pixels) - turtle.place * 45).max() < 14.0
-
-
-def test_turtles_are_painted_over_the_drawing():
-    turtle = Figure(MIDDLE, 0.0, "turtle1")
-    pixels = pixels_of(picture(drawn(MIDDLE - 1, MIDDLE + 1), [turtle]))
-    assert tuple(pixels[250, 250]) == SHELL
-    assert tuple(pixels[250, 220]) == RED.colour
 
 
 @pytest.mark.parametrize(
@@ -170,10 +152,6 @@ def test_an_svg_has_a_shape_for_each_turtle():
         ("translate(250,250) rotate(0)", skins[0]),
         ("translate(45,90) rotate(-90)", skins[1]),
     ]
-
-
-def test_an_svg_without_turtles_has_no_shape():
-    assert "polygon" not in to_svg(picture())
 
 
 def test_an_svg_of_a_drawing_beyond_its_bound_has_the_rest_as_an_image(monkeypatch):

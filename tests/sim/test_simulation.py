@@ -75,11 +75,6 @@ async def test_it_says_what_it_can_do():
 # States
 
 
-async def test_a_world_plays_unless_it_is_told_otherwise():
-    async with stage() as here:
-        assert await state_of(here) == PLAYING
-
-
 @pytest.mark.parametrize("first", [STOPPED, PLAYING, PAUSED])
 @pytest.mark.parametrize("then", [STOPPED, PLAYING, PAUSED])
 async def test_every_state_leads_to_every_other(first, then):

@@ -75,17 +75,6 @@ async def test_ticks_begin_from_wherever_the_clock_has_run_to_by_then():
 
 @LEAPING
 @SPEEDS
-async def test_in_a_pause_there_are_no_ticks_and_the_clock_stands(speed):
-    async with ticks(make_clock(speed)) as here:
-        await here.pass_ticks(3.5)
-        here.ticking.pause()
-        before = here.clock.time()
-        await anyio.sleep(1000.0)
-        assert (len(here.log), here.clock.time()) == (3, before)
-
-
-@LEAPING
-@SPEEDS
 async def test_pauses_change_nothing_of_the_schedule(speed):
     async with ticks(make_clock(speed)) as here:
         for _ in range(4):
@@ -95,18 +84,6 @@ async def test_pauses_change_nothing_of_the_schedule(speed):
             here.ticking.resume()
         await here.pass_ticks(1.0)
     assert here.log == pytest.approx([TICK * n for n in range(1, 11)], abs=1e-6)
-
-
-@LEAPING
-@SPEEDS
-async def test_a_step_makes_as_many_ticks_as_are_asked_for(speed):
-    async with ticks(make_clock(speed), is_paused=True) as here:
-        for number in (1, 5, 100):
-            here.log.clear()
-            await here.ticking.step(number)
-            await anyio.sleep(1000.0)
-            assert len(here.log) == number
-            assert here.clock.time() == pytest.approx(here.log[-1], abs=1e-9)
 
 
 @LEAPING
@@ -137,20 +114,6 @@ async def test_no_step_is_a_step_of_no_ticks():
         await here.ticking.step(0)
         await wait_until_idle()
         assert here.log == []
-
-
-async def test_after_each_tick_of_a_step_somebody_is_told():
-    told = []
-    async with ticks(is_paused=True) as here:
-        await here.ticking.step(3, lambda: told.append(len(here.log)))
-        await here.ticking.step(2)
-    assert told == [1, 2, 3]
-
-
-async def test_what_does_not_stand_still_cannot_be_stepped():
-    async with ticks() as here:
-        with pytest.raises(SimError, match="the world is not paused: pause it first"):
-            await here.ticking.step()
 
 
 async def test_there_are_no_steps_below_none():

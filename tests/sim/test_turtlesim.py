@@ -21,7 +21,6 @@ from turtleact.interfaces.standard import (
 )
 from turtleact.sim.paint import Pen
 from turtleact.sim.pictures import to_png
-from turtleact.sim.turtle import Turtle
 from turtleact.sim.world_services import Poses
 from turtleact.tasks.clock import VirtualClock
 
@@ -124,16 +123,6 @@ def stamp_in_ns(stamp):
     return stamp.sec * 10**9 + stamp.nanosec
 
 
-async def test_a_tick_looks_only_at_the_turtles_that_were_told_something(monkeypatch):
-    taken: list[str] = []
-    async with stage(turtles=50) as here:
-        monkeypatch.setattr(Turtle, "take_up", lambda self, _twist: taken.append(self.name))
-        here.command(turtle="turtle7", x=1.0)
-        here.command(turtle="turtle50", x=1.0)
-        await here.pass_ticks(3)
-    assert taken == ["turtle7", "turtle50"]
-
-
 async def test_of_a_fleet_all_but_a_hundred_are_on_demand_to_others():
     async with stage(turtles=102) as here:
         on_demand = {each.name for each in here.node.transport.endpoints() if each.on_demand}
@@ -171,16 +160,6 @@ async def test_a_pose_is_published_after_each_tick():
         )
 
 
-async def test_one_command_ends_at_the_pose_of_the_real_one():
-    async with stage() as here:
-        poses = here.poses()
-        here.command(x=2.0, turn=1.8)
-        await here.pass_ticks(100)
-        end = poses.drain()[-1]
-    ended = (end.x, end.y, end.theta, end.linear_velocity, end.angular_velocity)
-    assert ended == tuple(POSES["cmd_vel_end"])
-
-
 async def test_of_several_commands_between_two_ticks_the_newest_counts():
     async with stage() as here:
         poses = here.poses()
@@ -188,14 +167,6 @@ async def test_of_several_commands_between_two_ticks_the_newest_counts():
             here.command(x=speed)
         await here.pass_ticks(1)
         assert poses.drain()[-1].linear_velocity == 2.0
-
-
-async def test_each_turtle_takes_its_own_commands():
-    async with stage(turtles=3) as here:
-        here.command(turtle="turtle2", x=1.0)
-        await here.pass_ticks(1)
-        speeds = [here.world.pose(name).linear_velocity for name in here.world.names]
-    assert speeds == [0.0, 1.0, 0.0]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
@@ -223,18 +194,6 @@ async def test_at_the_wall_it_warns_in_the_words_of_the_real_one(caplog):
     assert len(texts) == 40 - 34
     assert texts[1] == "Oh no! I hit the wall! (Clamping from [x=11.120889, y=6.088889])"
     assert {record.levelno for record in caplog.records} == {logging.WARNING}
-
-
-async def test_a_pose_and_a_colour_whose_readers_have_just_gone_are_not_made(monkeypatch):
-    asked: list[str] = []
-    async with stage() as here:
-        poses, colours = here.poses(), here.colours()
-        await here.pass_ticks(2)
-        monkeypatch.setattr(here.world, "pose", asked.append)
-        await poses.aclose()
-        await colours.aclose()
-        here.sim.tick()
-    assert asked == []
 
 
 async def test_a_tick_after_the_node_was_closed_publishes_nothing(caplog):
@@ -326,16 +285,6 @@ async def test_a_taken_name_is_answered_with_an_empty_one(caplog):
     assert caplog.records[0].levelno == logging.ERROR
 
 
-async def test_a_turtle_may_be_spawned_outside_as_in_the_real_one(caplog):
-    async with stage() as here:
-        assert await here.spawn(100.0, 100.0, 0.0, "far") == "far"
-        await here.pass_ticks(1)
-        assert here.world.pose("far")[:2] == tuple(POSES["wall_end"][:1] * 2)
-    assert caplog.records[-1].getMessage() == (
-        "Oh no! I hit the wall! (Clamping from [x=100.000000, y=-88.911110])"
-    )
-
-
 @pytest.mark.parametrize(
     ("name", "why"),
     [
@@ -387,21 +336,6 @@ async def test_a_turtle_is_told_where_it_is_whoever_comes_and_goes():
             await here.pass_ticks(2)
             assert {pose.x for pose in poses.drain()} == {5.0}
             assert colours.drain()
-
-
-async def test_a_turtle_of_an_earlier_name_is_told_to_the_readers_that_have_stayed():
-    async with stage() as here:
-        await here.spawn(4.0, 2.0, 0.0, "guest")
-        poses = here.poses("guest")
-        await here.pass_ticks(1)
-        await here.kill("guest")
-        poses.drain()
-        await here.pass_ticks(2)
-        assert poses.drain() == []
-        await here.spawn(6.0, 2.0, 0.0, "guest")
-        poses.drain()
-        await here.pass_ticks(2)
-        assert {pose.x for pose in poses.drain()} == {6.0}
 
 
 async def test_a_turtle_that_is_not_there_cannot_be_killed(caplog):
