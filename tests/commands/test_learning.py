@@ -158,6 +158,13 @@ def test_the_interfaces_of_a_node_are_fetched_as_packages(at_robot, start, cache
     assert "class Dig(Action" in (tmp_path / "made" / "robot_msgs" / "action.py").read_text()
 
 
+def test_the_definition_of_a_type_is_asked_for(at_robot):
+    shown = at_robot("interface", "show", "robot_msgs/msg/Battery")
+    assert shown.out == "# What is left (%)\nfloat32 charge\n"
+    assert "turtleact: robot_msgs/msg/Battery was learned from node /digger (RIHS01_" in shown.err
+    assert "no node on the graph uses it" in at_robot("interface", "show", "no_such/msg/Type").err
+
+
 def test_what_was_learned_is_listed_and_shown_with_its_node(at_robot, start):
     at_robot("send-goal", "/dig", "{}")
     listed = start("interface", "list", "--learned", module=True).end().out

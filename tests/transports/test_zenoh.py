@@ -33,8 +33,11 @@ from turtleact.errors import (
 from turtleact.interfaces import (
     Action,
     Message,
+    Service,
     WireFormat,
+    float64,
     implied,
+    int32,
     type_hash,
 )
 from turtleact.interfaces.standard import (
@@ -62,6 +65,7 @@ from turtleact.transports.rmw_zenoh.wire import (
 
 from .. import warm
 from ..lab import Count, Gate, count, feedback, goal, result, running, settle
+from ..robots import Robot, write_package
 from .conformance import (
     ASKING,
     LATCHED,
@@ -1497,9 +1501,10 @@ async def test_a_discovery_without_a_length_is_refused(discovery):
 async def test_actions_whose_definitions_differ_are_named_before_the_discovery_ends(address):
     with REGISTRY.isolated():
 
-        class Shorter(Action, type_name=Count.type_name):
+        class Longer(Action, type_name=Count.type_name):
             class Goal(Message):
-                """A goal without fields."""
+                upto: int32 = 0
+                step: int32 = 1
 
             Result, Feedback = Count.Result, Count.Feedback
 
@@ -1511,14 +1516,40 @@ async def test_actions_whose_definitions_differ_are_named_before_the_discovery_e
     ):
         lab.action_server(Count, "count", count)
         with pytest.raises(ServerUnavailable) as caught:
-            await user.action_client(Shorter, "count").send_goal(Shorter.Goal())
-        theirs, ours = (implied(each).send_goal for each in (Count, Shorter))
+            await user.action_client(Longer, "count").send_goal(Longer.Goal())
+        theirs, ours = (implied(each).send_goal for each in (Count, Longer))
         assert str(caught.value) == (
             f"action '/count': the definitions of {Count.type_name} differ: its type hash is "
             f"{type_hash(theirs)} at the server, {type_hash(ours)} here; both sides need the same "
-            "one"
+            f"one; {Count.type_name}_Goal has 'int32 step' here, no further field there"
         )
         assert anyio.current_time() < here.discovery_ends
+
+
+async def test_a_description_of_more_than_4_mb_is_refused_before_it_is_decoded(address, tmp_path):
+    async with two_nodes(address) as (peers, _, user):
+        robot = Robot(cast("Any", peers.there), write_package(tmp_path))
+        robot.answer = lambda _, truth: type(truth)(failure_reason="x" * 4_000_000)
+        robot.open("publisher", "/battery", "robot_msgs/msg/Battery")
+        told = r"node /robot: .*the answer has 4,000,\d+ bytes, over 4,000,000"
+        with pytest.raises(turtleact.NotLearned, match=told):
+            await turtleact.learn_interface(user, "/battery", timeout=5)
+
+
+async def test_the_first_field_in_which_services_differ_is_named(address):
+    with REGISTRY.isolated():
+
+        class Wider(Service, type_name=Sum.type_name):
+            class Request(Message):
+                numbers: list[float64] = []
+
+            Response = Sum.Response
+
+    async with two_nodes(address) as (_, lab, user):
+        lab.service(Sum, "add", lambda request: Sum.Response(sum(request.numbers)))
+        told = r"has 'float64\[\] numbers' here, .* there$"
+        with pytest.raises(ServerUnavailable, match=told):
+            await user.service_client(Wider, "add").call(Wider.Request())
 
 
 async def test_an_action_of_a_node_is_used_from_another_process(address):

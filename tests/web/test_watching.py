@@ -556,8 +556,12 @@ async def test_a_turtle_of_the_world_is_followed():
     [
         ("watch", {"since": "now"}, "args.since: expected a whole number"),
         ("watch", [1], "args: expected an object"),
-        ("form", {}, "args.type: expected text"),
-        ("form", {"type": "nobody/Knows"}, "unknown interface 'nobody/action/Knows'"),
+        ("form", {}, "args: expected an action and its type, as text"),
+        (
+            "form",
+            {"action": "/x", "type": "nobody/Knows"},
+            "unknown interface 'nobody/action/Knows'",
+        ),
     ],
 )
 async def test_a_mistake_is_answered(service, args, problem):
@@ -568,7 +572,9 @@ async def test_a_mistake_is_answered(service, args, problem):
 
 async def test_a_form_is_answered():
     async with bridged() as (_, bridge), line(bridge) as client:
-        values = (await client.call("/turtleact/web/form", args={"type": TYPE}))["values"]
+        values = (
+            await client.call("/turtleact/web/form", args={"action": "/count", "type": TYPE})
+        )["values"]
         assert [field["name"] for field in values["goal"]] == ["upto"]
 
 

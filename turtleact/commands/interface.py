@@ -1,8 +1,8 @@
 """The verbs of ``interface``, which list and show interfaces and print prototypes.
 
-Only ``fetch``, and ``show`` for the name of an action, need a graph. The others know the interfaces
-that ship with turtleact, and those in the folder of ``--interfaces``, in the sourced ROS workspace,
-and near the working directory.
+Only ``fetch``, and ``show`` for the name of an action or with ``--connect``, need a graph. The
+others know the interfaces that ship with turtleact, and those in the folder of ``--interfaces``, in
+the sourced ROS workspace, and near the working directory.
 
 Source: ros2cli ``ros2interface/verb/*.py`` (Jazzy), for the printed text.
 """
@@ -196,7 +196,23 @@ def show(
         from turtleact.commands import graph
 
         return graph.run(reach, print_action)
-    print_lines(name)
+
+    async def learn_and_print(node: Node) -> int:
+        from turtleact.commands.interface_fetch import find_shown
+
+        await node.learner.learn_type(name)
+        find_shown(name)
+        print_lines(name)
+        return 0
+
+    try:
+        print_lines(name)
+    except UnknownInterface:
+        if not (reach.connect and reach.learns):
+            raise
+        from turtleact.commands import graph
+
+        return graph.run(reach, learn_and_print)
     return 0
 
 

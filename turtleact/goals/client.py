@@ -95,7 +95,11 @@ class ActionClient(Generic[G, R, F]):
         is_open: Whether the client can send goals.
         observers: The observers of this client's goals, which get each change of state and each
             feedback message.
+        find_difference: Names the first field that the servers define differently; empty if they do
+            not.
     """
+
+    find_difference: Callable[[], Awaitable[str]]
 
     def __init__(
         self,
@@ -273,7 +277,7 @@ class ActionClient(Generic[G, R, F]):
             raise TurtleactError(f"the client of action '{self.name}' is closed: open another")
         if server is None:
             problem = self._misfit()
-            hint = "" if problem else self._hint()
+            hint = await self.find_difference() if problem else self._hint()
             raise ServerUnavailable(self.name, problem or NO_SERVER, hint=hint)
         self._use(server)
         return server

@@ -12,6 +12,7 @@ the numbers of ``type_description_interfaces/msg/FieldType.msg``.
 from __future__ import annotations
 
 import functools
+from itertools import zip_longest
 from typing import TYPE_CHECKING, NamedTuple
 
 from turtleact.interfaces.classes import event_message, implied
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     )
     from turtleact.interfaces.types import Interface
 
-__all__ = ["structure_hash", "type_hash"]
+__all__ = ["first_difference", "structure_hash", "type_hash"]
 
 #: The number of each type; a ``char`` is a uint8 in ROS 2.
 TYPE_IDS = {
@@ -69,6 +70,9 @@ class Member(NamedTuple):
     type: FieldType
     nested: Interface | None = None
 
+    def __str__(self) -> str:
+        return f"{self.type} {self.name}"
+
 
 #: C has no empty structs, so rosidl puts this field into them.
 PLACEHOLDER = Member("structure_needs_at_least_one_member", FieldType("uint8"))
@@ -104,6 +108,19 @@ def structure_hash(described: TypeDescription) -> str:
     """Return the hash of a description that a node has sent."""
     others = described.referenced_type_descriptions
     return digest(plain(described.type_description), [plain(each) for each in others])
+
+
+def first_difference(ours: Interface, theirs: Interface) -> str:
+    """Name the first field that differs between two definitions of a type; empty if none does."""
+    for own, other in zip_longest(members(ours), members(theirs)):
+        if own is None or other is None or own[:2] != other[:2]:
+            here, there = (f"'{each}'" if each else "no further field" for each in (own, other))
+            return f"{ours.type_name} has {here} here, {there} there"
+        if own.nested is not None and other.nested is not None:
+            inner = first_difference(own.nested, other.nested)
+            if inner:
+                return inner
+    return ""
 
 
 def digest(whole: dict[str, object], others: list[dict[str, object]]) -> str:

@@ -32,7 +32,7 @@ from turtleact.errors import (
 )
 from turtleact.interfaces import Action, Message, WireFormat, get_interface, implied, type_hash
 from turtleact.interfaces.loading import installed_class
-from turtleact.interfaces.type_hash import structure_hash
+from turtleact.interfaces.type_hash import first_difference, structure_hash
 from turtleact.interfaces.types import REGISTRY
 from turtleact.names import resolve_name
 from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION, SERVICE, TYPE_HASH
@@ -239,9 +239,16 @@ class Learner:
         """Return the class of a name that is on the graph; see `learn_interface`."""
         return await self.learn(*_only(name, self.uses(name, kind)), deadline)
 
-    def known(self, name: str, kind: Kind) -> Interface | None:
-        """Return the class of a name if its type is known or was learned; otherwise None."""
-        found = (known_class(use, nodes) for use, nodes in self.uses(name, kind).items())
+    def known(self, name: str, kind: Kind, type_name: str = "") -> Interface | None:
+        """Return the class of a name if its type is known or was learned; otherwise None.
+
+        If the name has several types, ``type_name`` selects one.
+        """
+        found = (
+            known_class(use, nodes)
+            for use, nodes in self.uses(name, kind).items()
+            if type_name in ("", use.type_name)
+        )
         return next((each for each in found if each is not None), None)
 
     async def learn_type(self, type_name: str) -> Interface:
@@ -324,6 +331,20 @@ class Learner:
             return held.interface
         keep(known)
         return remember(known)
+
+    async def difference(self, name: str, kind: Kind, ours: Interface) -> str:
+        """Name the first field that nodes which use a name define differently from a class.
+
+        The result is empty if no node defines the type differently, or none describes it in time.
+        """
+        with anyio.move_on_after(QUESTION), suppress(NotLearned):
+            for use, nodes in self.uses(name, kind).items() if self.is_on else ():
+                if use.type_name == ours.type_name and not use.is_of(ours):
+                    theirs = known_class(use, nodes)
+                    if theirs is None:
+                        theirs = (await self._ask_all(use, nodes, None)).interface
+                    return first_difference(ours, theirs)
+        return ""
 
     async def learn_all(self, wants: Callable[[Kind, str], bool]) -> None:
         """Learn the unknown types of all names on the graph that are wanted.

@@ -40,7 +40,6 @@ from turtleact.interfaces import Action, Message, Service, WireFormat
 from turtleact.interfaces.types import expect_interface
 from turtleact.names import (
     PARAMETER_SERVICES,
-    ActionNames,
     action_names,
     resolve_name,
     validate_node_name,
@@ -213,7 +212,7 @@ class Node:
         expect_interface(Action, action_type)
         check_option_names(options)
         check_on_conflict(on_conflict)
-        names = self._action_names(name)
+        names = action_names(resolve_name(name, self.namespace, self.name))
         rivals = Rivals(self.transport, names.send_goal, self.fully_qualified_name)
         own_types = self._types_served(names.name)
         if on_conflict == "refuse" or action_type.type_name in own_types:
@@ -297,10 +296,12 @@ class Node:
             return self._untyped(action_type, "action", partial(self.action_client, **options))
         expect_interface(Action, action_type)
         patience = math.inf if cancel_timeout is None else cancel_timeout
-        names = self._action_names(name)
+        names = action_names(resolve_name(name, self.namespace, self.name))
         shown = introspection or self.introspection
         endpoints = ClientEndpoints(self.transport, self._endpoint, names, action_type, shown)
-        return ActionClient(endpoints, self._tasks, self._home, self._resources, patience)
+        client: Any = ActionClient(endpoints, self._tasks, self._home, self._resources, patience)
+        client.find_difference = lambda: self.learner.difference(names.name, "action", action_type)
+        return client
 
     def publisher(
         self,
@@ -415,9 +416,11 @@ class Node:
         with self._events(endpoint, service_type, introspection) as observer:
             caller = self.transport.join(endpoint, format)
         caller.observer = observer
-        return ServiceClient(
+        client = ServiceClient(
             service_type, full_name, self.transport, caller, self._resources, self._tasks
         )
+        client.find_difference = lambda: self.learner.difference(full_name, "service", service_type)
+        return client
 
     def every(self, seconds: float) -> Timer:
         """Make a `Timer`. Use it like this: ``async for tick in node.every(0.5)``.
@@ -530,9 +533,6 @@ class Node:
         self._check_open()
         full_name = resolve_name(name, self.namespace, self.name)
         return untyped(kind, full_name, self.learner, self._resources, open)
-
-    def _action_names(self, name: str) -> ActionNames:
-        return action_names(resolve_name(name, self.namespace, self.name))
 
     def _events(
         self, service: Endpoint, service_type: object, introspection: Introspection | None

@@ -8,9 +8,10 @@ Source: rclpy ``service.py`` and ``client.py`` for names and behaviour.
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from typing import Generic, TypeVar, cast
 
-from turtleact.errors import ServiceTimeout
+from turtleact.errors import ServerUnavailable, ServiceTimeout
 from turtleact.goals.service_server import LocalService, LocalServiceServer, ServiceType, checker
 from turtleact.interfaces import Message
 from turtleact.tasks import Tasks
@@ -76,7 +77,11 @@ class ServiceClient(Generic[Req, Res]):
     Attributes:
         name: The fully qualified name of the service.
         service_type: The service type.
+        find_difference: Names the first field that the servers define differently; empty if they do
+            not.
     """
+
+    find_difference: Callable[[], Awaitable[str]]
 
     def __init__(
         self,
@@ -176,6 +181,9 @@ class ServiceClient(Generic[Req, Res]):
         self._calls += 1
         try:
             return (await self._caller.call(self._check_request(request))).message
+        except ServerUnavailable as error:
+            error.hint = await self.find_difference()
+            raise
         finally:
             self._calls -= 1
             self._close_observer()

@@ -12,7 +12,7 @@ leaves out, or that differ from those on the graph.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 from turtleact.errors import InvalidName, InvalidOption, ServerUnavailable, UnknownInterface
 from turtleact.interfaces import Action, Message, Service
@@ -21,6 +21,9 @@ from turtleact.names import resolve_name
 from turtleact.transports import Transport
 from turtleact.transports.base import Endpoint, EndpointKind
 
+if TYPE_CHECKING:
+    from turtleact.node import Node
+
 __all__ = [
     "ALWAYS",
     "SERVICE_KINDS",
@@ -28,6 +31,7 @@ __all__ = [
     "Kind",
     "absolute",
     "action_class",
+    "class_of_action",
     "message_class",
     "service_class",
     "type_name",
@@ -93,6 +97,15 @@ def service_class(spelled: str) -> type[Service]:
 def action_class(spelled: str) -> type[Action]:
     """Return the action class with this type name. The errors are those of `message_class`."""
     return cast("type[Action]", _class(spelled, "action", Action))
+
+
+def class_of_action(node: Node, action: str, spelled: str) -> type[Action]:
+    """Return the class of an action as its servers define it; without any, as `action_class` does.
+
+    The errors are those of `message_class`.
+    """
+    found = node.learner.known(action, "action", type_name(spelled, "action"))
+    return action_class(spelled) if found is None else cast("type[Action]", found)
 
 
 class Directory:

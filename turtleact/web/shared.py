@@ -37,7 +37,7 @@ from turtleact.tasks.failures import summary
 from turtleact.transports import QoS
 from turtleact.transports.base import REQUEST_NOTE
 from turtleact.web.message_conversion import Rendering, json_values, read_message, reply
-from turtleact.web.name_lookup import Directory, absolute, action_class
+from turtleact.web.name_lookup import Directory, absolute, class_of_action
 from turtleact.web.operations import CallService, CancelActionGoal, Id, SendActionGoal
 from turtleact.web.rosapi import Parameters, Rosapi
 from turtleact.web.watching import Watch
@@ -377,7 +377,8 @@ class Goals:
             state = said.tracestate if isinstance(said.tracestate, str) else ""
             note = GoalMetadata(traceparent=said.traceparent[:TRACE], tracestate=state[:TRACE])
             REQUEST_NOTE.set(note.write())
-        name, action_type = absolute(said.action), action_class(said.action_type)
+        name = absolute(said.action)
+        action_type = class_of_action(self._node, name, said.action_type)
         goal = await read_message(action_type.Goal, said.args, root="goal")
         key = (name, cast("ActionType[Message, Message, Message]", action_type))
         try:

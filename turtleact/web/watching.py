@@ -53,7 +53,7 @@ from turtleact.tasks import Background, current_tasks
 from turtleact.transports import QoS
 from turtleact.transports.base import STATUS_QOS
 from turtleact.web.goal_history import REJECTED, GoalHistory, GoalRecord
-from turtleact.web.name_lookup import action_class, message_class
+from turtleact.web.name_lookup import absolute, class_of_action, message_class
 from turtleact.web.page_values import Plain, excerpt, form, hues
 from turtleact.web.pen_trails import Pen, PenTrails
 
@@ -143,7 +143,7 @@ class Watch:
         self._requests: dict[str, Plain] = {}
         self._services: dict[str, Callable[[Values], Awaitable[Values]]] = {
             "watch": self._watch,
-            "form": _form,
+            "form": self._form,
             "clear_trails": self._clear_trails,
             "set_paused": self._set_paused,
         }
@@ -275,6 +275,12 @@ class Watch:
             "trails": self.trails.since(since),
         }
         return news if self._graph_revision <= since else {**news, "graph": self._graph}
+
+    async def _form(self, args: Values) -> Values:
+        action, wanted = args.get("action"), args.get("type")
+        if not isinstance(action, str) or not isinstance(wanted, str):
+            raise InvalidMessage("args", "expected an action and its type, as text")
+        return form(class_of_action(self._node, absolute(action), wanted))
 
     async def _clear_trails(self, _args: Values) -> Values:
         self.trails.clear()
@@ -464,7 +470,7 @@ class Watch:
         """
         known = record.type
         try:
-            action_type = action_class(type)
+            action_type = class_of_action(self._node, record.action, type)
         except UnknownInterface as error:
             return error
         client = self._open_client(record.action, action_type)
@@ -600,13 +606,6 @@ class _Action:
         async for message in self._statuses:
             self.known = self._take(self._key, message, self.known)
             self._take_paused(self.known, self._told_paused)
-
-
-async def _form(args: Values) -> Values:
-    wanted = args.get("type")
-    if not isinstance(wanted, str):
-        raise InvalidMessage("args.type", "expected text")
-    return form(action_class(wanted))
 
 
 def _turtle(topic: str) -> str:

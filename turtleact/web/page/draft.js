@@ -33,13 +33,14 @@ export class Draft extends EventTarget {
   }
 
   // The description of an action's type, asked for once.
-  describe(type) {
-    if (!this.#forms.has(type)) {
-      const form = this.connection.call("/turtleact/web/form", {type});
-      this.#forms.set(type, form);
-      form.catch(() => this.#forms.delete(type));
+  describe(action, type) {
+    const key = `${action} ${type}`;
+    if (!this.#forms.has(key)) {
+      const form = this.connection.call("/turtleact/web/form", {action, type});
+      this.#forms.set(key, form);
+      form.catch(() => this.#forms.delete(key));
     }
-    return this.#forms.get(type);
+    return this.#forms.get(key);
   }
 
   get control() {
@@ -126,7 +127,7 @@ export class Draft extends EventTarget {
     setText($("action-type"), type);
     if (type && !this.#controls.has(action)) {
       try {
-        const form = await this.describe(type);
+        const form = await this.describe(action, type);
         if (!this.#controls.has(action)) this.#make(action, form);
       } catch (error) {
         setText($("form-error"), error.message);
@@ -209,7 +210,7 @@ export class Draft extends EventTarget {
   async #copy() {
     const values = this.#read();
     if (values === null) return;
-    const form = await this.describe(this.watch.graph.actions[this.action]);
+    const form = await this.describe(this.action, this.watch.graph.actions[this.action]);
     const changed = form.goal.filter(({name, default: usual}) => toJson(values[name]) !== toJson(usual));
     const said = Object.fromEntries(changed.map(({name}) => [name, values[name]]));
     const quoted = `'${toJson(said).replaceAll("'", String.raw`'\''`)}'`;

@@ -15,7 +15,7 @@ const MOST_STEPS = 30;
 export class Goals {
   #cards = new Map();
 
-  // `names()` gives the turtles that there are, `describe(type)` a promise of an action's form.
+  // `names()` gives the turtles that there are, `describe(action, type)` a promise of an action's form.
   constructor(watch, {names, describe}) {
     this.watch = watch;
     this.names = names;
@@ -35,7 +35,7 @@ export class Goals {
       card = goal.has_ended ? new Line(this, goal) : new Card(this, goal);
       this.#cards.set(goal.id, card);
       $(goal.has_ended ? "ended" : "active").prepend(card.element);
-      this.describe(goal.type).then(
+      this.describe(goal.action, goal.type).then(
         form => { const lists = form.goal.filter(({array}) => array).map(({name}) => name);
           card.notations = {feedback: notationsOf(form.feedback, lists), result: notationsOf(form.result, lists), request: notationsOf(form.goal)};
           card.show(this.watch.goals.get(goal.id) ?? goal); }, () => {});

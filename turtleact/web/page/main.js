@@ -29,7 +29,7 @@ function choose(name) {
 const world = new World(connection, watch, draft, {chosen, choose});
 const driving = new Driving(connection, world, chosen);
 const turtles = new Turtles(connection, watch, world, {chosen, choose});
-new Goals(watch, {names: () => world.names, describe: type => draft.describe(type)});
+new Goals(watch, {names: () => world.names, describe: (action, type) => draft.describe(action, type)});
 new Topics(connection, watch);
 new Timeline(watch);
 
