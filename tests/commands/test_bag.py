@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 
 import anyio
 import pytest
+from mcap.reader import make_reader
 
 from turtleact import open_node, recording
 from turtleact.interfaces import encode, get_message
@@ -199,6 +200,19 @@ async def asking(transport):
         await running.aclose()
 
 
+@pytest.mark.parametrize(
+    ("preset", "compression"), [("fastwrite", ""), ("zstd_fast", "zstd"), ("zstd_small", "zstd")]
+)
+def test_a_recording_is_compressed_as_the_preset_says(on_graph, tmp_path, preset, compression):
+    path = tmp_path / "run"
+    line = ["bag", "record", "/said", "--storage-preset-profile", preset, "-o", str(path)]
+    assert on_graph(interrupted(talking), *line).status == 0
+    with next(path.glob("*.mcap")).open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert {each.compression for each in summary.chunk_indexes} == {compression}
+
+
 def test_a_recording_without_goals_says_so_and_counts_as_info_does(on_graph, tmp_path):
     path = tmp_path / "run"
     ran = on_graph(interrupted(asking), "bag", "record", "-a", "-o", str(path))
@@ -354,6 +368,21 @@ def test_what_cannot_be_played_is_said(on_graph, tmp_path):
     ran = on_graph(talking, "bag", "play", str(tmp_path / "odd"))
     assert ran.status == 1
     assert "'/odd' was not played: its type lab_msgs/msg/Odd is not known; give" in ran.err
+
+
+def test_a_bag_that_was_cut_before_its_first_message_says_so(on_graph, bag, caplog):
+    file = next(bag.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[:60])
+    ran = on_graph(talking, "bag", "play", str(bag))
+    assert (ran.status, ran.err.splitlines()[-1]) == (1, "turtleact: played 0 messages")
+    assert "it was not closed, so messages may be missing at its end" in caplog.text
+
+
+@pytest.mark.parametrize("verb", ["info", "goals"])
+def test_a_signal_ends_the_reading_of_a_bag(turtleact, bag, monkeypatch, verb):
+    monkeypatch.setattr(Bag, "__init__", lambda *_: signal.raise_signal(signal.SIGINT))
+    ran = turtleact("bag", verb, str(bag))
+    assert (ran.status, "Traceback" in ran.err) == (130, False)
 
 
 @pytest.mark.parametrize(

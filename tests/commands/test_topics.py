@@ -429,6 +429,29 @@ def test_messages_without_a_header_have_no_delay(on_graph, graphs):
     )
 
 
+@asynccontextmanager
+async def bursting(transport):
+    """A node that publishes 30 messages at once, after a second."""
+    async with open_node("talker", transport=transport) as node:
+        publisher = node.publisher(interface("std_msgs/msg/String"), "/it")
+
+        async def burst():
+            await node.clock.sleep(1)
+            for number in range(30):
+                publisher.publish(text(str(number)))
+
+        async with anyio.create_task_group() as beside:
+            beside.start_soon(burst)
+            yield
+            beside.cancel_scope.cancel()
+
+
+def test_lost_messages_are_counted(on_graph):
+    ran = on_graph(bursting, "topic", "echo", "/it", "--qos-depth", "10", "--timeout", "2")
+    assert ran.err == "turtleact: 20 messages were lost: they came too fast\n"
+    assert ran.out.count("---\n") == 10
+
+
 # --- pub ------------------------------------------------------------------------------------
 
 
@@ -510,6 +533,23 @@ def test_a_message_may_come_from_stdin(on_graph, graphs, monkeypatch, stdin_of):
     assert "linear=geometry_msgs.msg.Vector3(x=1.0, y=0.0, z=0.0)" in out
 
 
+def test_a_message_reaches_a_subscription_that_comes_late(on_graph, graphs):
+    heard: list[Any] = []
+    nodes = graphs.later(3, listening("/it", "std_msgs/msg/String", heard))
+    ran = on_graph(nodes, "topic", "pub", "--once", "/it", "std_msgs/msg/String", "data: x")
+    assert ran.out.startswith("Waiting for at least 1 matching subscription(s)...\n")
+    assert [message.data for _, message in heard] == ["x"]
+
+
+def test_a_message_goes_from_one_process_to_another(start, free_tcp_port):
+    at = f"tcp/127.0.0.1:{free_tcp_port}"
+    start("serve", "--no-sim", "--listen", at, module=True).wait_for("ready")
+    where = ("/it", "std_msgs/msg/String", "--connect", at)
+    reader = start("topic", "echo", *where, "--once", module=True)
+    writer = start("topic", "pub", "-1", *where[:2], "data: x", *where[2:], module=True)
+    assert (reader.end().out, writer.end().status) == ("data: x\n---\n", 0)
+
+
 # --- call -----------------------------------------------------------------------------------
 
 
@@ -528,6 +568,21 @@ def test_a_service_is_called_at_a_rate(on_graph, graphs):
     nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(2.25))
     ran = on_graph(nodes, "service", "call", "-r", "2", "/clear")
     assert (ran.status, ran.out.count("response:\n")) == (130, 5)
+
+
+def test_a_handler_that_fails_is_told(on_graph):
+    def fail(_):
+        raise ValueError("out of ink")
+
+    @asynccontextmanager
+    async def nodes(transport):
+        async with open_node("painter", transport=transport) as node:
+            node.service(interface("std_srvs/srv/Empty"), "paint", fail)
+            yield
+
+    ran = on_graph(nodes, "service", "call", "/paint")
+    assert ran.status == 1
+    assert "service '/paint': the handler failed: ValueError: out of ink\n" in ran.err
 
 
 def test_a_service_that_is_not_there_is_waited_for(on_graph, graphs):
