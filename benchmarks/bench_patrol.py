@@ -31,8 +31,7 @@ from turtleact.geometry import bearing, distance, shortest_turn
 from turtleact.goals.client import ActionClient
 from turtleact.interfaces.standard import Point
 from turtleact.node import Node, open_node
-from turtleact.sim.fleet import Hits
-from turtleact.sim.kinematics import DT, SIDE
+from turtleact.sim.kinematics import DT, SIDE, Hit
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
 from turtleact.tasks import Background
@@ -67,7 +66,7 @@ class WatchedWorld(World):
 
     hits = 0
 
-    def step(self) -> Hits:
+    def step(self) -> list[Hit]:
         hits = super().step()
         self.hits += len(hits)
         return hits

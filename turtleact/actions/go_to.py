@@ -116,12 +116,6 @@ class _GoTo:
         self._steering(goal)
         if not math.isfinite(goal.theta):
             raise Reject(f"theta is {goal.theta}: it is an angle in rad")
-        # Neighbouring floats of this size are further apart than the heading may be off, so the
-        # angle means nothing.
-        apart = math.ulp(goal.theta)
-        if abs(goal.theta) > math.pi and 0.0 < goal.heading_tolerance < apart:
-            problem = f"is {goal.theta}: angles so large are {apart:.2g} rad apart"
-            raise Reject(f"theta {problem}, more than heading_tolerance")
         self._turtles.check_turtle(goal.turtle)
         self._turtles.check_target(Point(x=goal.x, y=goal.y))
         return GoalResponse.ACCEPT

@@ -25,8 +25,7 @@ molecular dynamics (Allen and Tildesley, Computer Simulation of Liquids, section
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
 
     from turtleact.sim.kinematics import Command, Place
 
-__all__ = ["BLOCK", "BODY", "Fleet", "Hits", "stopped"]
+__all__ = ["BLOCK", "BODY", "Fleet", "stopped"]
 
 _Floats: TypeAlias = npt.NDArray[np.float64]
 _Complexes: TypeAlias = npt.NDArray[np.complex128]
@@ -57,18 +56,12 @@ turtles in the block, and an array with the places of these turtles.
 BLOCK = 8192
 """How many turtles are stepped together, so that a step's data fits the second-level cache."""
 
-_FEW = 6
-"""At most this many angles are wrapped one by one, because arrays are slower for so few."""
-
 # Arrays, because numpy handles them faster than plain numbers.
 _ZERO = np.array(0.0)
 _ONE = np.array(1)
 _SIDE = np.array(SIDE)
 _SIDE_BITS = _SIDE.view(np.uint64)
 _HALF = np.array(HALF_TURN)
-
-_SLIP: Final = 2.0 * (math.pi - HALF_TURN)
-"""The error in an angle (rad) after a whole turn of turtlesim's length was taken off it."""
 
 BODY: Final = 0.3
 """The radius of a turtle (m), measured on its picture without head and tail."""
@@ -101,7 +94,7 @@ class Fleet:
         self._spin = np.ones(count, np.complex128)
         self._expires = np.full(count, NEVER, np.int64)
         self._next_expiry = NEVER
-        self._is_awake = self._is_disturbed = True
+        self._is_awake = True
         self._divide()
 
     def __len__(self) -> int:
@@ -130,7 +123,7 @@ class Fleet:
         self._theta[index] = place.theta
         at = np.array([index])
         self._aim(at, self._theta[at] + self._turn[at])
-        self._is_awake = self._is_disturbed = True
+        self._is_awake = True
 
     def insert(self, index: int, place: Place) -> None:
         """Insert a turtle at rest at this index.
@@ -158,17 +151,16 @@ class Fleet:
         """A copy of all turtles' positions, ``x + 1j * depth`` (m)."""
         return self._place.copy()
 
-    def step(self, tick: int) -> Hits:
+    def step(self, tick: int) -> list[Hit]:
         """Move all turtles by one step, which completes tick number ``tick``.
 
         Returns:
-            The turtles that hit a wall, in the order of their indices. They are looked up only if
-            somebody iterates over them.
+            The turtles that hit a wall, in the order of their indices.
         """
         if tick >= self._next_expiry:
             self._halt(tick)
         if not self._is_awake:
-            return Hits([])
+            return []
         # All turtles turn before any moves: wrapping angles costs about the same for one turtle and
         # for many.
         over: list[_Indices] = []
@@ -176,14 +168,13 @@ class Fleet:
             if block.turn():
                 over.append(block.over())
         if over:
-            self._bring_into_range(over[0] if len(over) == 1 else np.concatenate(over))
+            self._wrap(np.concatenate(over))
         caught: list[_Caught] = []
         for block in self._blocks:
             if block.move():
                 caught.append(block.clamp())
         self._is_awake = self._next_expiry != NEVER
-        self._is_disturbed = False
-        return Hits(caught)
+        return _hits(caught) if caught else []
 
     def _take_up(self, at: slice | _Indices, speeds: _Floats, tick: int) -> None:
         turn = speeds[2] * DT
@@ -218,30 +209,13 @@ class Fleet:
         self._step = np.zeros_like(self._spin)
         (driven,) = (self._expires != NEVER).nonzero()
         self._aim(driven, self._theta[driven] + self._turn[driven])
-        self._is_awake = self._is_disturbed = True
+        self._is_awake = True
         self._divide()
 
     def _divide(self) -> None:
         self._blocks = [
             _Block(self, slice(start, start + BLOCK)) for start in range(0, len(self), BLOCK)
         ]
-
-    def _bring_into_range(self, at: _Indices) -> None:
-        if self._is_disturbed or len(at) > _FEW:
-            self._wrap(at)
-        else:
-            for index in at.tolist():
-                self._unwind(index)
-
-    def _unwind(self, index: int) -> None:
-        """Do the same as `_wrap` for one turtle, in a tenth of the time."""
-        theta = float(self._theta[index])
-        unwound = theta - math.copysign(2.0 * HALF_TURN, theta)
-        if abs(unwound) >= HALF_TURN:
-            self._wrap(np.array([index]))
-            return
-        self._theta[index] = unwound
-        self._step[index] *= complex(1.0, -math.copysign(_SLIP, theta))
 
     def _wrap(self, at: _Indices) -> None:
         """Wrap the angles of these turtles as `kinematics.wrap` does, and recompute their steps."""
@@ -337,27 +311,14 @@ class _Block:
         return self.where.start, at, before
 
 
-class Hits:
-    """The turtles that hit a wall in a step; usually none."""
-
-    def __init__(self, caught: list[_Caught]) -> None:
-        self._caught = caught
-
-    def __bool__(self) -> bool:
-        return bool(self._caught)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-    def __iter__(self) -> Iterator[Hit]:
-        if not self._caught:
-            return iter(())
-        at = np.concatenate([start + at for start, at, _ in self._caught])
-        before = np.concatenate([before for _, _, before in self._caught])
-        at, first = np.unique(at, return_index=True)  # in a corner both parts are flagged
-        x, depth = before[first].real, before[first].imag
-        real = (x < 0.0) | (x > SIDE) | (depth < 0.0) | (depth > SIDE)  # unlike -0.0
-        return map(Hit, *(column[real].tolist() for column in (at, x, depth)))
+def _hits(caught: list[_Caught]) -> list[Hit]:
+    """Return the turtles that were outside the walls, in the order of their indices."""
+    at = np.concatenate([start + at for start, at, _ in caught])
+    before = np.concatenate([before for _, _, before in caught])
+    at, first = np.unique(at, return_index=True)  # in a corner both parts are flagged
+    x, depth = before[first].real, before[first].imag
+    real = (x < 0.0) | (x > SIDE) | (depth < 0.0) | (depth > SIDE)  # unlike -0.0
+    return list(map(Hit, *(column[real].tolist() for column in (at, x, depth))))
 
 
 def _complex(real: _Floats, imag: _Floats) -> _Complexes:

@@ -69,15 +69,15 @@ class Habitat(NamedTuple):
         world: The world of the turtles.
         pens: The turtles' pens.
         on_work: Called with a turtle that has received a command or goal for the next tick.
-        on_read: Called with a turtle when its pose or colour topic gets its first reader or loses
-            its last one.
+        on_read: Called when the pose or colour topic of a turtle gets its first reader or loses its
+            last one.
     """
 
     node: Node
     world: World
     pens: Pens
     on_work: Callable[[Turtle], object]
-    on_read: Callable[[Turtle], object]
+    on_read: Callable[[], object]
 
 
 class Turtle:
@@ -105,14 +105,14 @@ class Turtle:
         self.name = name
         self.turn: _Turn | None = None
         self._gone = ""
-        node, self._world, self._pens, self._on_work, self._on_read = habitat
+        node, self._world, self._pens, self._on_work, on_read = habitat
         subscription = partial(node.subscription, qos=TOPIC_QOS, on_demand=on_demand)
         publisher = partial(node.publisher, qos=TOPIC_QOS, on_demand=on_demand)
         service = partial(node.service, on_demand=on_demand)
         self.commands = subscription(Twist, f"{name}/cmd_vel")
         self.commands.notify = lambda: self._on_work(self)
-        self.poses = publisher(TurtlePose, f"{name}/pose", on_matched=self._note_readers)
-        self.colours = publisher(Color, f"{name}/color_sensor", on_matched=self._note_readers)
+        self.poses = publisher(TurtlePose, f"{name}/pose", on_matched=on_read)
+        self.colours = publisher(Color, f"{name}/color_sensor", on_matched=on_read)
         self._opened = (
             self.commands,
             self.poses,
@@ -148,10 +148,6 @@ class Turtle:
             await each.aclose()
 
     # the ticks
-
-    def _note_readers(self) -> None:
-        if not self._gone:
-            self._on_read(self)
 
     def take_up(self, twist: Twist) -> None:
         """Give the turtle a command. If a rotation is running, abort it."""

@@ -15,7 +15,6 @@ Source: turtlesim 1.8.2, ``turtle_frame.cpp``.
 from __future__ import annotations
 
 import logging
-from bisect import bisect_left
 from itertools import islice
 from typing import TYPE_CHECKING, Final
 
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
     from turtleact.node import Node
     from turtleact.node.parameters import Parameter
     from turtleact.node.topics import Publisher
-    from turtleact.sim.fleet import Hits
     from turtleact.sim.world import Pose, World
 
 __all__ = ["Turtlesim"]
@@ -51,10 +49,6 @@ MOST_SHOWN: Final = 100
 The limit applies to the turtles that exist at the start. A second limit of the same size applies to
 spawned turtles.
 """
-
-
-FEW: Final = 4
-"""Up to this many poses are read one by one, which takes less time than all at once."""
 
 
 class Turtlesim:
@@ -79,7 +73,7 @@ class Turtlesim:
         self._node = node
         self._world = world
         self._pens = Pens(world)
-        self._habitat = Habitat(node, world, self._pens, self._call_on, self._note_reading)
+        self._habitat = Habitat(node, world, self._pens, self._call_on, self._note_readers)
         self._roster = anyio.Lock()  # turtlesim, too, handles one request at a time
         self._background = [_declare_colour(node, *each) for each in BACKGROUND._asdict().items()]
         node.parameter(
@@ -88,11 +82,9 @@ class Turtlesim:
         self._turtles: dict[str, Turtle] = {}
         self._spawned: set[str] = set()  # and are not on demand
         self._busy: dict[Turtle, None] = {}  # that have something to take up
-        self._read: dict[Turtle, None] = {}  # whose readers have come or gone since the last tick
-        self._heard: dict[str, Publisher[TurtlePose]] = {}
-        self._told: list[tuple[int, Publisher[TurtlePose]]] = []  # the same, by index
-        self._sensed: dict[str, None] = {}
-        self._is_roster_new = True
+        self._told: list[tuple[int, Publisher[TurtlePose]]] = []  # by index; somebody reads them
+        self._sensed: set[str] = set()
+        self._have_readers_changed = True
         self._poses = None if beside is None else beside.publisher(Poses, "~/poses", TOPIC_QOS)
         self._welcome_all()
         node.service(Spawn, "spawn", self._spawn)
@@ -184,9 +176,9 @@ class Turtlesim:
             if turtle.turn is not None:
                 self._busy[turtle] = None
         hits = world.step()
-        if hits:
-            _warn(hits)
-        if self._read or self._is_roster_new:
+        for hit in hits:
+            logger.warning("Oh no! I hit the wall! (Clamping from [x=%f, y=%f])", hit.x, hit.depth)
+        if self._have_readers_changed:
             self._look_around()
         self._tell_poses()
         if self._poses is not None and self._poses.has_subscriptions:
@@ -195,32 +187,15 @@ class Turtlesim:
             self._turtles[name].tell_colour(colour)
 
     def _look_around(self) -> None:
-        """Update the lists of turtles whose pose or colour topic has readers.
-
-        Only turtles whose readers have come or gone since the last tick are checked.
-        """
-        index, told = self._world.index, self._told
-        if self._is_roster_new:
-            self._is_roster_new = False
-            told[:] = sorted((index(name), poses) for name, poses in self._heard.items())
-        for turtle in self._read:
-            at = bisect_left(told, (index(turtle.name),))
-            if self._heard.pop(turtle.name, None) is not None:
-                del told[at]
-            # `told` is kept sorted by index, so that the poses of a fleet can be read as columns.
-            if turtle.poses.has_subscriptions:
-                self._heard[turtle.name] = turtle.poses
-                told.insert(at, (index(turtle.name), turtle.poses))
-            self._sensed.pop(turtle.name, None)
-            if turtle.colours.has_subscriptions:
-                self._sensed[turtle.name] = None
-        self._read.clear()
+        """Update the lists of turtles whose pose or colour topic has readers."""
+        self._have_readers_changed = False
+        there = sorted((self._world.index(name), turtle) for name, turtle in self._turtles.items())
+        self._told = [(at, turtle.poses) for at, turtle in there if turtle.poses.has_subscriptions]
+        self._sensed = {turtle.name for _, turtle in there if turtle.colours.has_subscriptions}
 
     def _tell_poses(self) -> None:
         """After a tick, publish the poses of the turtles whose pose topic has readers."""
-        if len(self._told) <= FEW:
-            for index, publisher in self._told:
-                publish_unchecked(publisher, TurtlePose(*self._world.pose(index)))
+        if not self._told:
             return
         # Column by column: a list for each turtle would call the garbage collector.
         x, y, theta, linear, angular = self._world.poses().T.tolist()
@@ -238,14 +213,14 @@ class Turtlesim:
 
     def _welcome(self, name: str, x: float, y: float, theta: float, *, is_shown: bool) -> None:
         self._turtles[name] = Turtle(name, self._habitat, on_demand=not is_shown)
-        self._is_roster_new = True
+        self._have_readers_changed = True
         logger.info("Spawning turtle [%s] at x=[%f], y=[%f], theta=[%f]", *(name, x, y, theta))
 
     def _call_on(self, turtle: Turtle) -> None:
         self._busy[turtle] = None
 
-    def _note_reading(self, turtle: Turtle) -> None:
-        self._read[turtle] = None
+    def _note_readers(self) -> None:
+        self._have_readers_changed = True
 
     async def _spawn(self, request: Spawn.Request) -> Spawn.Response:
         async with self._roster:
@@ -310,12 +285,9 @@ class Turtlesim:
 
     async def _part_with(self, turtles: list[Turtle]) -> None:
         """Close turtles at the same time, because each may wait for the clean-up of a goal."""
-        self._is_roster_new = True
+        self._have_readers_changed = True
         for turtle in turtles:
             self._busy.pop(turtle, None)
-            self._read.pop(turtle, None)
-            self._heard.pop(turtle.name, None)
-            self._sensed.pop(turtle.name, None)
             turtle.leave(f"turtle '{turtle.name}' was killed")
         # Shielded: a turtle that is gone from the world must not keep its topics because whoever
         # killed it went away.
@@ -326,11 +298,6 @@ class Turtlesim:
 
     def _holonomic_changed(self, holonomic: bool) -> None:
         self._world.holonomic = holonomic
-
-
-def _warn(hits: Hits) -> None:
-    for hit in hits:
-        logger.warning("Oh no! I hit the wall! (Clamping from [x=%f, y=%f])", hit.x, hit.depth)
 
 
 def _declare_colour(node: Node, colour: str, value: int) -> Parameter[int]:

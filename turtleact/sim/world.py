@@ -22,8 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from turtleact.errors import SimError
-from turtleact.sim.fleet import Fleet, Hits, stopped
-from turtleact.sim.kinematics import DT, SIDE, Command, Place
+from turtleact.sim.fleet import Fleet, stopped
+from turtleact.sim.kinematics import DT, SIDE, Command, Hit, Place
 from turtleact.sim.start_poses import MIDDLE, Absolute, Relative, Spawn, check_finite, starts
 
 if TYPE_CHECKING:
@@ -269,19 +269,13 @@ class World:
         if self._is_asked:
             self._take_up()
 
-    def step(self) -> Hits:
-        """Make one tick, and return the turtles that a wall stopped in this tick.
-
-        Returns:
-            The turtles, each as a `turtleact.sim.kinematics.Hit`.
-        """
+    def step(self) -> list[Hit]:
+        """Make one tick, and return the turtles that a wall stopped in this tick."""
         if self._is_asked:
             self._take_up()
-        if not self._collide:
-            hits = self._turtles.step(self._tick)
-        else:
-            before = self._turtles.places()
-            hits = self._turtles.step(self._tick)
+        before = self._turtles.places() if self._collide else None
+        hits = self._turtles.step(self._tick)
+        if before is not None:
             self._keep_apart(before)
         self._tick += 1
         return hits
