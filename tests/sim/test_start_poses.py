@@ -12,18 +12,14 @@ from hypothesis import strategies as st
 
 from turtleact.errors import SimError
 from turtleact.sim.kinematics import SIDE, Place
-from turtleact.sim.start_poses import MIDDLE, PLACINGS, Relative, Spawn, starts
+from turtleact.sim.start_poses import MIDDLE, PLACINGS, place_at, starts
 
 floats = st.floats(-20.0, 20.0, width=32)
 
 
 @given(floats, floats, floats)
 def test_a_spawns_depth_is_worked_out_in_float32(x, y, theta):
-    assert Spawn.of(x, y, theta).place == (x, float(np.float32(SIDE) - np.float32(y)), theta)
-
-
-def test_requests_are_rounded_to_float32():
-    assert Relative.of(0.1, 0.2) == (float(np.float32(0.1)), float(np.float32(0.2)))
+    assert place_at(x, y, theta) == (x, float(np.float32(SIDE) - np.float32(y)), theta)
 
 
 @pytest.mark.parametrize("placing", PLACINGS)

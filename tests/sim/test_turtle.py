@@ -292,7 +292,7 @@ async def test_a_request_that_is_late_for_its_turtle_does_nothing():
     world = World()
     pens = Pens(world)
     async with open_node("sim", transport=MemoryTransport()) as node:
-        turtle = Turtle("turtle1", Habitat(node, world, pens, print, print))
+        turtle = Turtle("turtle1", Habitat(node, world, pens, print, lambda: None))
         here = Stage(node, world, cast("Turtlesim", None), node)
         turtle.leave("it is gone")
         await here.set_pen(1, 2, 3, 9)

@@ -148,9 +148,9 @@ class _Tour:
         """Return the index of the target at a stop."""
         return stop % len(self._targets)
 
-    def target(self, stop: int) -> Point | None:
-        """Return the target at a stop, or None after the last stop."""
-        return self._targets[self.index(stop)] if stop < self.stops else None
+    def target(self, stop: int) -> Point:
+        """Return the target at a stop."""
+        return self._targets[self.index(stop)]
 
     def length_from(self, stop: int) -> float:
         """Return the distance from a stop through all later stops (m)."""
@@ -276,9 +276,7 @@ class _Leg:
         result: Patrol.Result,
         tell: Callable[[Patrol.Feedback], None],
     ) -> None:
-        target = tour.target(stop)
-        assert target is not None  # noqa: S101  # stops are counted below tour.stops
-        self._target = target
+        self._target = tour.target(stop)
         self._tour = tour
         self._stop = stop
         self._drive = drive
@@ -288,7 +286,8 @@ class _Leg:
     async def run(self) -> bool:
         """Drive to the leg's target. Return False if the turtle does not arrive in time."""
         drive, target = self._drive, self._target
-        after = self._tour.target(self._stop + 1)
+        following = self._stop + 1
+        after = self._tour.target(following) if following < self._tour.stops else None
         deadline = drive.deadline(target)
         due = drive.time() + PERIOD
         # A turtle that stands on all of its targets reaches one with each pose, so that endless

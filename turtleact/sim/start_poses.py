@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final
 
 from turtleact.errors import SimError
 from turtleact.sim.kinematics import SIDE, Place
@@ -27,16 +27,7 @@ from turtleact.sim.kinematics import SIDE, Place
 if TYPE_CHECKING:
     from turtleact.sim.kinematics import State
 
-__all__ = [
-    "MIDDLE",
-    "PLACINGS",
-    "Absolute",
-    "Relative",
-    "Spawn",
-    "Teleport",
-    "check_finite",
-    "starts",
-]
+__all__ = ["MIDDLE", "PLACINGS", "check_finite", "place_ahead", "place_at", "starts", "to_float32"]
 
 MIDDLE = Place(SIDE / 2.0, SIDE / 2.0, 0.0)
 """Where turtlesim puts its first turtle."""
@@ -48,67 +39,18 @@ _MARGIN = 1.0
 """The minimum distance between the walls and the places from `starts` (m)."""
 
 
-class Teleport(Protocol):
-    """A request to put a turtle somewhere else."""
-
-    def place_after(self, state: State) -> Place:
-        """Where the turtle is after the teleport."""
-
-    def _asdict(self) -> dict[str, float]: ...
+def place_at(x: float, y: float, theta: float) -> Place:
+    """Return the place of a spawned turtle, with all numbers rounded to float32."""
+    x, y, theta = array("f", (x, y, theta))
+    (depth,) = array("f", (SIDE - y,))
+    return Place(x, depth, theta)
 
 
-class Absolute(NamedTuple):
-    """A teleport to a place: x, y (m) and theta (rad)."""
-
-    x: float
-    y: float
-    theta: float
-
-    @classmethod
-    def of(cls, x: float, y: float, theta: float) -> Absolute:
-        """Make a teleport from the values of a request, rounded to float32."""
-        return cls(*array("f", (x, y, theta)))
-
-    def place_after(self, state: State) -> Place:  # noqa: ARG002  # wherever it was
-        """Where the turtle is after the teleport."""
-        return Place(self.x, max(0.0, SIDE - self.y), self.theta)
-
-
-class Relative(NamedTuple):
-    """A teleport that turns a turtle by an angle (rad), then moves it along the new heading (m)."""
-
-    linear: float
-    angular: float
-
-    @classmethod
-    def of(cls, linear: float, angular: float) -> Relative:
-        """Make a teleport from the values of a request, rounded to float32."""
-        return cls(*array("f", (linear, angular)))
-
-    def place_after(self, state: State) -> Place:
-        """Where the turtle is after the teleport."""
-        theta = state.theta + self.angular
-        x = state.x + math.cos(theta) * self.linear
-        return Place(x, state.depth - math.sin(theta) * self.linear, theta)
-
-
-class Spawn(NamedTuple):
-    """A place for a new turtle: x, y (m) and theta (rad)."""
-
-    x: float
-    y: float
-    theta: float
-
-    @classmethod
-    def of(cls, x: float, y: float, theta: float) -> Spawn:
-        """Make a `Spawn` from the values of a request, rounded to float32."""
-        return cls(*array("f", (x, y, theta)))
-
-    @property
-    def place(self) -> Place:
-        """The turtle's place. Its depth below the upper edge is rounded to float32."""
-        (depth,) = array("f", (SIDE - self.y,))
-        return Place(self.x, depth, self.theta)
+def place_ahead(state: State, linear: float, angular: float) -> Place:
+    """Return where a turtle is after turning by an angle (rad), then moving straight on (m)."""
+    theta = state.theta + angular
+    x = state.x + math.cos(theta) * linear
+    return Place(x, state.depth - math.sin(theta) * linear, theta)
 
 
 def starts(count: int, placing: str = "random", seed: int = 0) -> list[Place]:
@@ -134,14 +76,14 @@ def _in_grid(index: int, count: int) -> Place:
     rows = math.isqrt(count - 1) + 1
     up, right = divmod(index, rows)
     cell = (SIDE - 2.0 * _MARGIN) / rows
-    return Spawn.of(_MARGIN + (right + 0.5) * cell, _MARGIN + (up + 0.5) * cell, 0.0).place
+    return place_at(_MARGIN + (right + 0.5) * cell, _MARGIN + (up + 0.5) * cell, 0.0)
 
 
 def _on_ring(index: int, count: int) -> Place:
     middle, angle = SIDE / 2.0, math.tau * index / count
     radius = middle - _MARGIN
     x, y = middle + radius * math.cos(angle), middle + radius * math.sin(angle)
-    return Spawn.of(x, y, math.remainder(angle + math.pi / 2.0, math.tau)).place
+    return place_at(x, y, math.remainder(angle + math.pi / 2.0, math.tau))
 
 
 def _spread(number: int, seed: int) -> Place:
@@ -156,7 +98,7 @@ def _spread(number: int, seed: int) -> Place:
         for step, shift in zip(_SPREAD, _SHIFT, strict=True)
     )
     width = SIDE - 2.0 * _MARGIN
-    return Spawn.of(_MARGIN + u * width, _MARGIN + v * width, (2.0 * w - 1.0) * math.pi).place
+    return place_at(_MARGIN + u * width, _MARGIN + v * width, (2.0 * w - 1.0) * math.pi)
 
 
 # Fractions are whole numbers of 2**-64, so that any seed is exact. The steps of the sequence are
@@ -164,6 +106,17 @@ def _spread(number: int, seed: int) -> Place:
 _WHOLE = 2**64
 _SPREAD = tuple(int(1.2207440846057596**-power * _WHOLE) for power in (1, 2, 3))
 _SHIFT = (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+
+
+def to_float32(turtle: str, **numbers: float) -> array[float]:
+    """Round numbers for a turtle to float32. The keywords are the names of the numbers.
+
+    Raises:
+        SimError: if a number is not finite in float32. The error names the first such number.
+    """
+    rounded = array("f", numbers.values())
+    check_finite(turtle, **dict(zip(numbers, rounded, strict=True)))
+    return rounded
 
 
 def check_finite(turtle: str, **numbers: float) -> None:

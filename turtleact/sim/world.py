@@ -24,12 +24,19 @@ import numpy.typing as npt
 from turtleact.errors import SimError
 from turtleact.sim.fleet import Fleet, stopped
 from turtleact.sim.kinematics import DT, SIDE, Command, Hit, Place
-from turtleact.sim.start_poses import MIDDLE, Absolute, Relative, Spawn, check_finite, starts
+from turtleact.sim.start_poses import (
+    MIDDLE,
+    check_finite,
+    place_ahead,
+    place_at,
+    starts,
+    to_float32,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from turtleact.sim.start_poses import Teleport
+    from turtleact.sim.kinematics import State
 
 __all__ = ["Names", "Pose", "World"]
 
@@ -104,7 +111,7 @@ class World:
         self._is_asked = False
         self._commands: dict[int, Command] = {}
         self._fleet_command: npt.NDArray[np.float64] | None = None
-        self._teleports: list[tuple[int, Teleport]] = []
+        self._teleports: list[tuple[int, Callable[[State], Place]]] = []
         self._turtles: Fleet
         self._begin(self._first)
 
@@ -190,7 +197,10 @@ class World:
         Raises:
             SimError: if there is no such turtle, or a number is not finite in float32.
         """
-        self._teleport(turtle, Absolute.of(x, y, theta))
+        index = self._names.index(turtle)
+        x, y, theta = to_float32(self.names[index], x=x, y=y, theta=theta)
+        place = Place(x, max(0.0, SIDE - y), theta)
+        self._teleport(index, lambda _: place)
 
     def teleport_relative(self, turtle: str | int, linear: float, angular: float) -> None:
         """In the next step, turn a turtle on the spot, and then move it along its new heading.
@@ -205,7 +215,9 @@ class World:
         Raises:
             SimError: if there is no such turtle, or a number is not finite in float32.
         """
-        self._teleport(turtle, Relative.of(linear, angular))
+        index = self._names.index(turtle)
+        linear, angular = to_float32(self.names[index], linear=linear, angular=angular)
+        self._teleport(index, lambda state: place_ahead(state, linear, angular))
 
     def spawn(self, x: float, y: float, theta: float, name: str = "") -> str:
         """Put a new turtle into the world.
@@ -227,13 +239,12 @@ class World:
             SimError: if there is already a turtle with this name, or a number is not finite in
                 float32.
         """
-        where = Spawn.of(x, y, theta)
-        check_finite(name or "a new turtle", **where._asdict())
+        x, y, theta = to_float32(name or "a new turtle", x=x, y=y, theta=theta)
         name = self._names.free_name(name)
         # Commands and teleports are kept by index, and a new turtle moves the indices behind it.
         # So they are taken up first, as the next step would.
         self.take_up()
-        self._turtles.insert(self._names.add(name), where.place)
+        self._turtles.insert(self._names.add(name), place_at(x, y, theta))
         return name
 
     def kill(self, turtle: str) -> None:
@@ -344,9 +355,7 @@ class World:
             x, depth = before[index].real, before[index].imag
             self._turtles.place(index, Place(float(x), float(depth), theta))
 
-    def _teleport(self, turtle: str | int, teleport: Teleport) -> None:
-        index = self._names.index(turtle)
-        check_finite(self.names[index], **teleport._asdict())
+    def _teleport(self, index: int, teleport: Callable[[State], Place]) -> None:
         self._teleports.append((index, teleport))
         self._is_asked = True
 
@@ -364,7 +373,7 @@ class World:
         # starts from where the one before has put the turtle.
         for index, teleport in self._teleports:
             before = self._turtles.state(index)
-            after = teleport.place_after(before)
+            after = teleport(before)
             self._turtles.place(index, after)
             if self.on_jump is not None:
                 here, there = complex(before.x, before.depth), complex(after.x, after.depth)
