@@ -911,3 +911,23 @@ async def test_to_a_server_of_ros_cancels_are_sent_eight_at_a_time():
             assert len(server.canceled) == 8
             for _ in range(30):
                 server.answered.release()
+
+
+async def test_a_server_that_is_known_to_run_turtleact_is_sent_all_goals_at_once():
+    asked: list[Any] = []
+    answer = anyio.Event()
+
+    async def take(request):
+        asked.append(request)
+        if len(asked) > 1:
+            await answer.wait()
+        return GoalResponse.ACCEPT
+
+    async with apart(count, goal_callback=take) as served:
+        await served.client.send_goal(goal())
+        async with anyio.create_task_group() as tasks:
+            for _ in range(30):
+                tasks.start_soon(awaitable(served.client.send_goal(goal())))
+            await settle()
+            assert len(asked) == 31
+            answer.set()

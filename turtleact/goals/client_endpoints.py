@@ -1,7 +1,8 @@
 """Opens the endpoints of an action client: three service clients and two subscriptions.
 
 A ROS 2 service queues at most ten requests that its node has not taken yet. If more arrive, the
-service silently drops the oldest. The client therefore sends only a few requests at a time.
+service silently drops the oldest. The client therefore sends only a few requests at a time, until
+an answer shows that the server runs turtleact.
 
 Source: rcl_action ``action_client.c``; rmw_zenoh_cpp ``rmw_service_data.cpp``, ``add_new_query``;
 rmw ``qos_profiles.h``.
@@ -10,6 +11,7 @@ rmw ``qos_profiles.h``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar, cast
 
@@ -159,7 +161,7 @@ class ClientEndpoints:
 
     async def ask_for_goal(self, request: object, note: str) -> Reply:
         """Send a goal when its turn comes, and return the server's answer. Cancelling: safe."""
-        async with self._goals:
+        async with nullcontext() if self.is_ours else self._goals:
             reply = await self.send_goal.call(request, note)
         self.is_ours = bool(reply.note)
         return reply
@@ -173,7 +175,7 @@ class ClientEndpoints:
         await find_server(self.transport, lambda: self._cancel_goal.is_served or None)
         self._canceling += 1
         try:
-            async with self._cancels:
+            async with nullcontext() if self.is_ours else self._cancels:
                 return await self._cancel_goal.call(request)
         finally:
             self._canceling -= 1
