@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import aclosing
 
 import pytest
 
 from turtleact.actions.steering import Limits
 from turtleact.errors import Abort
-from turtleact.interfaces.standard import Point, TurtlePose, Twist
+from turtleact.interfaces.standard import Point, Twist
 from turtleact.tasks import Background
 
 from .yard import FAR, obeying, telling, yard
@@ -82,19 +81,6 @@ async def test_a_turtle_that_falls_silent_is_given_up_within_two_and_a_half_seco
         assert 2.0 <= place.clock.time() - 1.6 <= 2.5
 
 
-async def test_a_turtle_whose_pose_is_gone_is_given_up_within_a_second():
-    async with yard() as place:
-        telling = Background(place.tell_every(0.016, 10), "the robot")
-        async with aclosing(telling), place.drive() as drive:
-            await place.clock.sleep(0.2)
-            await drive.wait_for_pose()
-            await place.poses.aclose()
-            with pytest.raises(Abort) as caught:
-                await drive.wait_for_pose()
-        assert place.clock.time() <= 1.2
-    assert str(caught.value) == "turtle 'robot' is gone: nobody publishes robot/pose any more"
-
-
 async def test_a_turtle_that_says_little_is_not_given_up():
     async with yard() as place:
         telling = Background(place.tell_every(1.9, 20), "the robot")
@@ -102,16 +88,6 @@ async def test_a_turtle_that_says_little_is_not_given_up():
             while drive.pose.x < 24.0:
                 await drive.towards(FAR)
         assert place.clock.time() == pytest.approx(19 * 1.9)
-
-
-async def test_a_pose_that_is_none_waits_for_who_drives():
-    async with yard() as place, telling(place), place.drive() as drive:
-        for _ in range(60):
-            place.poses.publish(TurtlePose(x=math.nan))
-            await place.clock.sleep(0.016)
-        place.poses.publish(TurtlePose(x=math.nan))
-        with pytest.raises(Abort, match=r"^robot/pose: x: is nan, which is not a place$"):
-            await drive.towards(FAR)
 
 
 async def test_a_turtle_that_falls_silent_is_stopped_within_a_second():
@@ -122,21 +98,7 @@ async def test_a_turtle_that_falls_silent_is_stopped_within_a_second():
         assert place.twists.latest == Twist()
 
 
-async def test_a_turtle_that_is_heard_of_again_is_driven_on():
-    async with yard() as place, place.drive_beside():
-        await place.tell_every(0.016, 10)
-        await place.clock.sleep(1.2)
-        await place.tell_every(0.016, 2)
-        assert place.told() == 2.0
-
-
 # The end
-
-
-async def test_at_the_end_the_turtle_is_told_to_stand_still():
-    async with yard() as place, telling(place):
-        await place.drive_on(until=lambda: True)
-        assert [twist.linear.x for twist in place.twists.drain()] == [2.0, 0.0]
 
 
 async def test_at_the_end_the_topics_are_closed_and_the_turtle_is_free():

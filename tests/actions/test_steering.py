@@ -267,11 +267,6 @@ def test_two_legs_in_one_line_are_driven_straight():
     assert Steering().command((1.0, 5.0, 0.0), (5.0, 5.0), (9.0, 5.0)) == (2.0, 0.0)
 
 
-def test_a_target_far_from_the_heading_is_faced_before_the_approach_is_shaped():
-    steering, pose, target = Steering(), (1.0, 5.0, 1.2), (5.0, 5.0)
-    assert steering.command(pose, target, (5.0, 9.0)) == steering.command(pose, target)
-
-
 # Headings
 
 

@@ -62,13 +62,6 @@ class Yard(NamedTuple):
                 if until():
                     return
 
-    async def drive_until_it_is_killed(self):
-        telling = Background(self.keep_telling(), "the robot")
-        async with aclosing(telling), self.drive() as drive:
-            await telling.aclose()
-            await self.poses.aclose()
-            await drive.towards(FAR)
-
     @asynccontextmanager
     async def drive_beside(self):
         """Drive the robot far away, in a task of its own."""

@@ -87,15 +87,6 @@ def test_a_colour_is_that_of_the_pixel_nearest_to_the_place():
     assert ours.colour_at(1.5 + 1.2j) == (255, 255, 255)
 
 
-def test_the_corners_of_the_world_have_a_colour():
-    side = 11.088889122009277
-    corners = [complex(x, y) for x in (0.0, side) for y in (0.0, side)]
-    ours = Drawing()
-    for corner in corners:
-        ours.line(1, RED, corner, corner)
-    assert [ours.colour_at(corner) for corner in corners] == [RED.colour] * 4
-
-
 # Of a fleet
 
 NUMBERS = np.arange(1, 61)

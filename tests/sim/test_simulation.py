@@ -262,11 +262,3 @@ async def test_a_stop_is_a_pause_at_the_start():
         tick = here.world.tick
         await wait_until_idle()
         assert (here.world.poses().tolist(), here.world.tick) == (start, tick)
-
-
-async def test_a_reset_ends_what_its_turtles_do():
-    async with stage() as here, here.rotations().send_goal(RotateAbsolute.Goal(1.57)) as handle:
-        await here.pass_ticks(1)
-        await reset(here)
-        outcome = await handle.outcome()
-    assert (outcome.status, outcome.reason) == (GoalStatus.ABORTED, "turtle 'turtle1' was killed")

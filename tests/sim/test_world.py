@@ -164,15 +164,6 @@ def test_teleports_are_made_in_order():
     assert run(world, 1).pose("turtle1")[:3] == (4.0, 4.0, 0.0)
 
 
-def test_a_teleport_leaves_the_command_alone():
-    world = World()
-    world.set_velocity("turtle1", 1.0)
-    world.step()
-    world.teleport_absolute("turtle1", 1.0, 1.0, math.pi / 2)
-    world.step()
-    assert world.pose("turtle1").y == pytest.approx(1.0 + DT)
-
-
 # --- many turtles ---------------------------------------------------------------------------
 
 
@@ -322,24 +313,6 @@ def test_a_reset_leaves_turtle1_at_the_start():
     assert world.names == ("turtle1",)
     assert run(world, 1).pose("turtle1") == POSES["start"]
     assert world.spawn(1.0, 1.0, 0.0) == "turtle2"
-
-
-def test_what_is_taken_up_early_is_taken_up_once():
-    world = World()
-    world.teleport_relative("turtle1", 1.0, 0.0)
-    world.take_up()
-    world.take_up()
-    assert run(world, 1).pose("turtle1").x == pytest.approx(SIDE / 2 + 1.0)
-
-
-def test_a_jump_is_told_with_both_its_ends():
-    world, told = World(), []
-    world.on_jump = lambda *jump: told.append(jump)
-    world.teleport_absolute("turtle1", 3.0, 4.0, 0.0)
-    world.teleport_relative("turtle1", 1.0, 0.0)
-    world.step()
-    middle, there = complex(SIDE / 2, SIDE / 2), complex(3.0, SIDE - 4.0)
-    assert told == [("turtle1", middle, there), ("turtle1", there, there + 1.0)]
 
 
 @pytest.mark.parametrize("turtles", [FEW, MANY])
