@@ -386,8 +386,8 @@ class ActionClient(Generic[G, R, F]):
 
     async def _enter(self, request: GoalRequest) -> ClientGoalHandle[R, F]:
         """Send a goal and wait until it is accepted."""
-        request.is_streamed = True
         server, goal = await self._send_to_server(request)
+        goal.log.is_kept = True
         await self._wait(server, goal, partial(server.wait_for_acceptance, goal))
         return ClientGoalHandle(server, goal, self._services, is_sender=True)
 

@@ -117,7 +117,7 @@ class DurableGoals(GoalObserver):
         while (held := self._server.find(goal_id)) is None and goal_id in self._accepting:
             await self._accepting[goal_id].wait()
         if held is not None:
-            return self._join(held, self._server.check_goal(request.message), request)
+            return self._join(held, self._server.check_goal(request.message))
         decided = self._accepting[goal_id] = anyio.Event()
         try:
             return await self._write_and_take(msgspec.structs.replace(request, goal_id=goal_id))
@@ -132,7 +132,7 @@ class DurableGoals(GoalObserver):
         goal = self._server.new_goal(request)
         known = await self._accept(goal)
         if known is not None:
-            return self._join(self._find_known(known), goal.request, request)
+            return self._join(self._find_known(known), goal.request)
         try:
             self._server.check_open()  # it may have been closed while the disk was waited for
             return self._server.take(goal)
@@ -174,12 +174,11 @@ class DurableGoals(GoalObserver):
             raise GoalRejected(f"the journal cannot take it: {error}") from error
         return known
 
-    def _join(self, goal: Goal, message: object, request: GoalRequest) -> Goal:
+    def _join(self, goal: Goal, message: object) -> Goal:
         """Return a known goal if its goal message is the same; otherwise raise GoalRejected."""
         known = goal.request
         if known is None or self._goals.encode(known) != self._goals.encode(message):
             raise GoalRejected(f"the id {goal.hex} belongs to another goal")
-        goal.log.is_kept = goal.log.is_kept or request.is_streamed
         return goal
 
     def _find_known(self, record: GoalRecord) -> Goal:

@@ -168,8 +168,6 @@ class RemoteActionServer:
         if on_feedback is not None:  # runs in the sender's context, not the topic's
             on_feedback = partial(copy_context().run, on_feedback)  # type: ignore[call-arg]
         self._open()
-        if request.is_streamed:
-            self._endpoints.watch_status(self._take_states)
         goal = self._new_goal(goal_id, message, on_feedback)
         goal.parent, goal.sender = CURRENT_GOAL.get(), request.sender
         self._follow_in_task(RemoteGoal(goal, reattach=request.reattach))
@@ -188,6 +186,7 @@ class RemoteActionServer:
             GoalRejected: if the server rejects the goal.
             ServerUnavailable: if nobody serves the action, or the server goes away.
         """
+        self._endpoints.watch_status(self._take_states)
         remote = self._by_id.get(goal.id)
         while remote is not None and not (remote.is_accepted or goal.ended):
             await goal.changed.wait()

@@ -353,7 +353,7 @@ class LocalActionServer:
             self.check_goal(request.message),
             self.tasks.signal(),
             self.now(),
-            log=FeedbackLog(on_feedback, is_kept=request.is_streamed),
+            log=FeedbackLog(on_feedback),
             parent=CURRENT_GOAL.get(),
             sender=request.sender,
         )

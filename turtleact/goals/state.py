@@ -303,7 +303,6 @@ class GoalRequest(msgspec.Struct, eq=False):
         on_feedback: The user's callback for feedback.
         reattach: How long to wait for a server, both at first and after the server has gone away
             (s, event loop time).
-        is_streamed: Whether to keep the goal's feedback, because the client may read it later.
     """
 
     message: object
@@ -311,7 +310,6 @@ class GoalRequest(msgspec.Struct, eq=False):
     goal_id: bytes | None = None
     on_feedback: OnFeedback | None = None
     reattach: float = 0.0
-    is_streamed: bool = False
 
 
 class Goal(msgspec.Struct, eq=False):
