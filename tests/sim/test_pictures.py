@@ -152,6 +152,9 @@ def test_an_svg_has_a_shape_for_each_turtle():
         ("translate(250,250) rotate(0)", skins[0]),
         ("translate(45,90) rotate(-90)", skins[1]),
     ]
+    (shape,) = (each for each in root.iter(f"{SVG}g") if each.get("id") == "turtle")
+    assert {use.get("href") for use in root.iter(f"{SVG}use")} == {"#turtle"}
+    assert len(shape.findall(f"{SVG}polygon")) > 10
 
 
 def test_an_svg_of_a_drawing_beyond_its_bound_has_the_rest_as_an_image(monkeypatch):
