@@ -342,9 +342,9 @@ def _look(where: Reach) -> Graph:
     Raises:
         TurtleactError: if no graph can be reached.
     """
-    from turtleact.commands.locks import mode_of
+    from turtleact.commands.access_config import mode_of
     from turtleact.transports.rmw_zenoh.session import census
 
-    locks = where.locks()
-    mode = mode_of(where.connect, locks)
-    return census(where.connect or None, where.domain, locks.settings(), mode)
+    access = where.access()
+    mode = mode_of(where.connect, access)
+    return census(where.connect or None, where.domain, access.settings(), mode)

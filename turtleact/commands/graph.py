@@ -24,8 +24,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterat
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
+from turtleact.commands.access_config import mode_of
 from turtleact.commands.interrupts import Interrupts
-from turtleact.commands.locks import mode_of
 from turtleact.commands.output import ELSEWHERE, note, say_names
 from turtleact.errors import (
     InvalidInterface,
@@ -114,8 +114,8 @@ async def open_transport(reach: Reach, mode: Mode | None = None) -> AsyncIterato
     """
     from turtleact.transports import open_zenoh
 
-    locks = reach.locks()
-    mode, config = mode or mode_of(reach.connect, locks), locks.settings()
+    access = reach.access()
+    mode, config = mode or mode_of(reach.connect, access), access.settings()
     opened = open_zenoh(reach.connect or None, mode=mode, domain=reach.domain, config=config)
     async with AsyncExitStack() as stack:
         transport = await stack.enter_async_context(opened)

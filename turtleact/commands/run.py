@@ -119,7 +119,7 @@ def run(
 
     make_found(None if interfaces is None else str(interfaces))
     os.environ["ROS_DOMAIN_ID"] = str(reach.domain)  # the program reads it, as in ROS
-    place = Place(reach.connect, reach.locks().settings(), is_embedded=embedded)
+    place = Place(reach.connect, reach.access().settings(), is_embedded=embedded)
     return run_program(program, rest, Options(face, place))
 
 
@@ -179,7 +179,7 @@ def _run_built_in(package: str, executable: str, arguments: Sequence[str], reach
         reach,
         None if targets else Fleet(),
         None,
-        reach.locks().settings(),
+        reach.access().settings(),
         True,
         turtlesim_only=True,
         node_name=executable if targets else "turtleact",

@@ -330,10 +330,10 @@ def _access(where: Reach, listen: tuple[str, ...], *, insecure: bool) -> dict[st
         UsageError: if the ``--config`` file has an error, or if anybody on the network could
             connect although ``insecure`` is False.
     """
-    locks = where.locks()
-    if not (insecure or locks.keeps_strangers_out):
+    access = where.access()
+    if not (insecure or access.keeps_strangers_out):
         _check_loopback(listen)
-    return locks.settings()
+    return access.settings()
 
 
 def _keeping(
@@ -384,7 +384,7 @@ def _check_use(
 
 
 def _check_loopback(listen: tuple[str, ...]) -> None:
-    from turtleact.commands.locks import is_loopback
+    from turtleact.commands.access_config import is_loopback
 
     open_ones = [each for each in listen if not is_loopback(each)]
     if open_ones:

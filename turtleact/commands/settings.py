@@ -13,7 +13,7 @@ from turtleact.commands.output import printable
 from turtleact.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtleact.commands.locks import Locks
+    from turtleact.commands.access_config import AccessConfig
     from turtleact.goals.introspection import Introspection
     from turtleact.goals.records import OnRestart
     from turtleact.transports import QoS
@@ -79,15 +79,15 @@ class Reach(NamedTuple):
         """
         return cls(endpoints("--connect", connect), domain, config)
 
-    def locks(self) -> Locks:
+    def access(self) -> AccessConfig:
         """Return the contents of the ``--config`` file. Without a file, the contents are empty.
 
         Raises:
             UsageError: if the file cannot be read, or has an invalid value.
         """
-        from turtleact.commands.locks import Locks, read_locks
+        from turtleact.commands.access_config import AccessConfig, read_access_config
 
-        return Locks() if self.config is None else read_locks(self.config)
+        return AccessConfig() if self.config is None else read_access_config(self.config)
 
 
 class Owner(NamedTuple):

@@ -8,7 +8,15 @@ from pathlib import Path
 import pytest
 
 import turtleact
-from turtleact.commands.locks import Access, Locks, Login, Tls, is_loopback, mode_of, read_locks
+from turtleact.commands.access_config import (
+    Access,
+    AccessConfig,
+    Login,
+    Tls,
+    is_loopback,
+    mode_of,
+    read_access_config,
+)
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.transports import open_zenoh
 
@@ -45,7 +53,7 @@ def test_a_file_says_all_there_is(tmp_path: Path):
         actions = ["patrol"]
         """
     )
-    found = read_locks(str(file)).settings()
+    found = read_access_config(str(file)).settings()
     access = found.pop("access_control")
     assert isinstance(access, dict)
     assert found == {
@@ -77,22 +85,22 @@ def test_a_file_that_is_wrong_is_refused(tmp_path: Path, text, problem):
     file = tmp_path / "serve.toml"
     file.write_text(text)
     with pytest.raises(UsageError) as caught:
-        read_locks(str(file))
+        read_access_config(str(file))
     assert str(caught.value).startswith(f"--config {file}: ")
     assert problem in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("locks", "keeps_out"),
+    ("access", "keeps_out"),
     [
-        (Locks(), False),
-        (Locks(tls=Tls(mutual=True)), True),
-        (Locks(login=Login(users="users.txt")), True),
-        (Locks(access=Access(actions=("patrol",))), True),
+        (AccessConfig(), False),
+        (AccessConfig(tls=Tls(mutual=True)), True),
+        (AccessConfig(login=Login(users="users.txt")), True),
+        (AccessConfig(access=Access(actions=("patrol",))), True),
     ],
 )
-def test_who_is_kept_out(locks, keeps_out):
-    assert locks.keeps_strangers_out is keeps_out
+def test_who_is_kept_out(access, keeps_out):
+    assert access.keeps_strangers_out is keeps_out
 
 
 @pytest.mark.parametrize(
@@ -110,16 +118,16 @@ def test_what_is_on_loopback(endpoint, answer):
 
 
 @pytest.mark.parametrize(
-    ("connect", "locks", "mode"),
+    ("connect", "access", "mode"),
     [
-        (("tcp/localhost:7447",), Locks(), "peer"),
-        (("tcp/localhost:7447", "tcp/robot:7447"), Locks(), "client"),
-        ((), Locks(tls=Tls(ca="ca.pem"), access=Access()), "peer"),
-        ((), Locks(login=Login("robot", "secret")), "client"),
+        (("tcp/localhost:7447",), AccessConfig(), "peer"),
+        (("tcp/localhost:7447", "tcp/robot:7447"), AccessConfig(), "client"),
+        ((), AccessConfig(tls=Tls(ca="ca.pem"), access=Access()), "peer"),
+        ((), AccessConfig(login=Login("robot", "secret")), "client"),
     ],
 )
-def test_a_command_is_a_peer_unless_peers_would_not_reach_each_other(connect, locks, mode):
-    assert mode_of(connect, locks) == mode
+def test_a_command_is_a_peer_unless_peers_would_not_reach_each_other(connect, access, mode):
+    assert mode_of(connect, access) == mode
 
 
 # --- what becomes of it -------------------------------------------------------------------------
@@ -128,9 +136,9 @@ def test_a_command_is_a_peer_unless_peers_would_not_reach_each_other(connect, lo
 async def test_only_who_knows_the_password_comes_in(tmp_path: Path, address):
     users = tmp_path / "users.txt"
     users.write_text("robot:secret\n")
-    robot = Locks(login=Login("robot", "secret", str(users))).settings()
-    right = Locks(login=Login("robot", "secret")).settings()
-    wrong = Locks(login=Login("robot", "guessed")).settings()
+    robot = AccessConfig(login=Login("robot", "secret", str(users))).settings()
+    right = AccessConfig(login=Login("robot", "secret")).settings()
+    wrong = AccessConfig(login=Login("robot", "guessed")).settings()
     async with open_zenoh(mode="router", listen=[address], config=robot):
         async with open_zenoh([address], mode="client", config=right):
             pass
@@ -141,9 +149,9 @@ async def test_only_who_knows_the_password_comes_in(tmp_path: Path, address):
 
 
 async def test_only_what_is_named_can_be_used(address):
-    locks = Locks(access=Access(actions=("open",), topics=("/status",)))
+    access = AccessConfig(access=Access(actions=("open",), topics=("/status",)))
     async with (
-        open_zenoh(mode="router", listen=[address], config=locks.settings()) as far,
+        open_zenoh(mode="router", listen=[address], config=access.settings()) as far,
         open_zenoh([address], mode="client", config={}) as near,
         turtleact.open_node("robot", transport=far) as robot,
         turtleact.open_node("guest", transport=near) as guest,
@@ -163,4 +171,4 @@ async def test_only_what_is_named_can_be_used(address):
 
 def test_an_endless_file_is_an_error():
     with pytest.raises(UsageError, match="--config /dev/zero: is longer than"):
-        read_locks("/dev/zero")
+        read_access_config("/dev/zero")

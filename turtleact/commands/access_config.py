@@ -40,7 +40,7 @@ from turtleact.names import resolve_name
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["Locks", "is_loopback", "mode_of", "read_locks"]
+__all__ = ["AccessConfig", "is_loopback", "mode_of", "read_access_config"]
 
 
 class Tls(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -69,7 +69,7 @@ class Access(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     commands: tuple[str, ...] = ()
 
 
-class Locks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class AccessConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The contents of a ``--config`` file.
 
     Attributes:
@@ -116,7 +116,7 @@ class Locks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return found
 
 
-def read_locks(path: str) -> Locks:
+def read_access_config(path: str) -> AccessConfig:
     """Read a ``--config`` file, and make its paths absolute.
 
     Raises:
@@ -127,10 +127,10 @@ def read_locks(path: str) -> Locks:
     file = Path(path)
     text = read_text_file(path, f"--config {path}")
     try:
-        locks = msgspec.convert(tomllib.loads(text), Locks)
+        access = msgspec.convert(tomllib.loads(text), AccessConfig)
     except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
         raise UsageError(f"--config {path}: {error}") from None
-    return _with_paths(locks, file)
+    return _with_paths(access, file)
 
 
 def is_loopback(endpoint: str) -> bool:
@@ -145,10 +145,10 @@ def is_loopback(endpoint: str) -> bool:
     return _LOOPBACK.match(address) is not None
 
 
-def mode_of(connect: Sequence[str], locks: Locks) -> Literal["peer", "client"]:
+def mode_of(connect: Sequence[str], access: AccessConfig) -> Literal["peer", "client"]:
     """Return whether a command joins a graph as a peer or as a client.
 
-    A command joins as a peer if the router is on this machine and ``locks`` has no section
+    A command joins as a peer if the router is on this machine and ``access`` has no section
     ``[login]``. Otherwise the command joins as a client. The tools of ROS 2 also join as peers.
 
     A peer talks to each node directly, so it also sees nodes for which the router has no liveliness
@@ -158,17 +158,17 @@ def mode_of(connect: Sequence[str], locks: Locks) -> Literal["peer", "client"]:
 
     Args:
         connect: The endpoints to connect to. An empty list means the router of this machine.
-        locks: The contents of the ``--config`` file.
+        access: The contents of the ``--config`` file.
     """
     is_near = all(is_loopback(each) for each in connect)
-    return "peer" if is_near and locks.login is None else "client"
+    return "peer" if is_near and access.login is None else "client"
 
 
 _LOOPBACK: Final = re.compile(r"(localhost|127(\.\d+){3}|\[::1\])(:|$)")
 
 
-def _with_paths(locks: Locks, file: Path) -> Locks:
-    """Return ``locks`` with absolute paths.
+def _with_paths(access: AccessConfig, file: Path) -> AccessConfig:
+    """Return ``access`` with absolute paths.
 
     Raise an error if a file does not exist, or if only one of user and password is given.
     """
@@ -181,7 +181,7 @@ def _with_paths(locks: Locks, file: Path) -> Locks:
             raise UsageError(f"--config {file}: {name}: there is no file {found}")
         return str(found)
 
-    tls, login = locks.tls, locks.login
+    tls, login = access.tls, access.login
     if tls is not None:
         tls = Tls(
             resolve("tls.ca", tls.ca),
@@ -194,7 +194,7 @@ def _with_paths(locks: Locks, file: Path) -> Locks:
             given, left = ("user", "password") if login.user else ("password", "user")
             raise UsageError(f"--config {file}: login.{left}: is not given, but login.{given} is")
         login = Login(login.user, login.password, resolve("login.users", login.users))
-    return Locks(tls, login, locks.access)
+    return AccessConfig(tls, login, access.access)
 
 
 _DECLARED: Final = [
