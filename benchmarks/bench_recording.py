@@ -46,8 +46,8 @@ from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import schema_of
-from turtleact.recording.spool import Spool
 from turtleact.recording.storage import Channel
+from turtleact.recording.writer_thread import WriterThread
 
 ROUNDS = 3
 MESSAGES = 50_000
@@ -83,13 +83,13 @@ def by_turtleact(path: Path, data: bytes) -> None:
         offers=(Offer(),),
         type_hash=type_hash(FEEDBACK),
     )
-    spool = Spool(BagWriter(path, Split()), lambda: None, is_patient=True)
-    spool.start()
-    number = spool.add(channel, None, is_there=True)
+    writer = WriterThread(BagWriter(path, Split()), lambda: None, is_patient=True)
+    writer.start()
+    number = writer.add(channel, None, is_there=True)
     for stamp in range(MESSAGES):
-        spool.put(number, stamp, data)
-    spool.close()
-    assert spool.count == MESSAGES
+        writer.put(number, stamp, data)
+    writer.close()
+    assert writer.count == MESSAGES
 
 
 def by_rosbags(path: Path, data: bytes) -> None:

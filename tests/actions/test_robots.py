@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from turtleact.actions import Area
 from turtleact.actions.go_to import GoTo
 from turtleact.actions.patrol import Patrol
-from turtleact.actions.robots import POSE_TYPES, TWIST_TYPES, Robot, Sighting
+from turtleact.actions.robots import POSE_TYPES, TWIST_TYPES, PoseSample, Robot
 from turtleact.errors import GoalAborted, GoalRejected, InvalidMessage, InvalidName, InvalidOption
 from turtleact.interfaces import from_dict
 from turtleact.interfaces.standard import Point, TurtlePose
@@ -248,7 +248,7 @@ def test_odometry_tells_speeds_and_its_time():
             "twist": {"twist": {"linear": {"x": 3.0, "y": -4.0}, "angular": {"z": -0.5}}},
         },
     )
-    assert ODOMETRY.read(message) == Sighting((0.0, 0.0, 0.0), (5.0, -0.5), 3_000_000_005)
+    assert ODOMETRY.read(message) == PoseSample((0.0, 0.0, 0.0), (5.0, -0.5), 3_000_000_005)
 
 
 @pytest.mark.parametrize("name", ["x", "y", "theta"])

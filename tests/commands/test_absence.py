@@ -12,10 +12,10 @@ import pytest
 from turtleact import open_node, open_zenoh
 from turtleact.commands import graph, send_goal
 from turtleact.commands.graph import none_in_domain, not_served
-from turtleact.commands.settings import Reach
+from turtleact.commands.settings import ConnectOptions
 from turtleact.errors import TurtleactError
 
-HERE = Reach((), 0)
+HERE = ConnectOptions((), 0)
 
 
 @pytest.fixture

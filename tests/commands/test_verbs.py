@@ -14,7 +14,7 @@ from turtleact.commands import GROUPS, VERBS, app, send_goal, serving
 from turtleact.commands.app import without_daemon
 from turtleact.commands.goals import moment
 from turtleact.commands.message_text import GoalText
-from turtleact.commands.settings import Fleet, Reach
+from turtleact.commands.settings import ConnectOptions, Fleet
 from turtleact.errors import UsageError
 
 from ..tables import together
@@ -218,7 +218,7 @@ def order(monkeypatch):
 
 def test_what_is_left_out_has_its_default(order):
     assert order("patrol") == send_goal.GoalRequest(
-        "patrol", None, GoalText("{}", "goal"), Reach((), 231)
+        "patrol", None, GoalText("{}", "goal"), ConnectOptions((), 231)
     )
 
 
@@ -261,7 +261,7 @@ def test_nobody_is_let_in_from_beyond_unasked(endpoint):
 
 def test_where_to_look_reaches_the_order(order):
     made = order("x", "--connect", "tcp/robot:7447,tcp/arm:7447", "--domain", "7", "--config=a b")
-    assert made.reach == Reach(("tcp/robot:7447", "tcp/arm:7447"), 7, "a b")
+    assert made.reach == ConnectOptions(("tcp/robot:7447", "tcp/arm:7447"), 7, "a b")
     assert made.options == (" --connect tcp/robot:7447,tcp/arm:7447 --config 'a b' --domain 7")
 
 
@@ -388,12 +388,12 @@ def test_a_moment_is_seconds_or_a_date(text, nanoseconds):
 @pytest.mark.parametrize(
     ("options", "environment", "expected"),
     [
-        ([], "", Reach((), 0)),
-        ([], "7", Reach((), 7)),
+        ([], "", ConnectOptions((), 0)),
+        ([], "7", ConnectOptions((), 7)),
         (
             ["--connect", "tcp/a:1,udp/[fe80::1%eth0]:7447"],
             "",
-            Reach(("tcp/a:1", "udp/[fe80::1%eth0]:7447"), 0),
+            ConnectOptions(("tcp/a:1", "udp/[fe80::1%eth0]:7447"), 0),
         ),
     ],
 )
@@ -435,7 +435,11 @@ def test_programs_of_ros2_are_services_here(turtleact, monkeypatch, program, tar
     assert turtleact("run", *program, "--domain", "3").status == 0
     [service] = ran
     fleet = Fleet() if has_world else None
-    assert (service.targets, service.fleet, service.reach) == (targets, fleet, Reach((), 3))
+    assert (service.targets, service.fleet, service.reach) == (
+        targets,
+        fleet,
+        ConnectOptions((), 3),
+    )
     assert service.node_name == ("turtleact" if has_world else program[1])
 
 

@@ -7,12 +7,12 @@ import pytest
 from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.executors import SingleThreadedExecutor
-from turtleact.rclpy.face import SETTINGS, Place
+from turtleact.rclpy.face import SETTINGS, JoinOptions
 
 
 @pytest.fixture(autouse=True)
 def _alone(monkeypatch):
-    monkeypatch.setattr(SETTINGS, "place", Place(is_alone=True))
+    monkeypatch.setattr(SETTINGS, "place", JoinOptions(is_alone=True))
 
 
 @pytest.fixture

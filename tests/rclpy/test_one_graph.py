@@ -12,7 +12,7 @@ from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.action import ActionClient, ActionServer
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.executors import SingleThreadedExecutor
-from turtleact.rclpy.face import SETTINGS, Place
+from turtleact.rclpy.face import SETTINGS, JoinOptions
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.transports import ZenohTransport
 
@@ -27,7 +27,7 @@ def address(monkeypatch):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    monkeypatch.setattr(SETTINGS, "place", Place((address,)))
+    monkeypatch.setattr(SETTINGS, "place", JoinOptions((address,)))
     return address
 
 

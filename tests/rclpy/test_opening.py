@@ -9,7 +9,7 @@ import anyio
 import pytest
 
 from turtleact.errors import TurtleactError
-from turtleact.rclpy.face import SETTINGS, Place
+from turtleact.rclpy.face import SETTINGS, JoinOptions
 from turtleact.rclpy.impl import process as opening
 from turtleact.transports import MemoryTransport
 
@@ -34,7 +34,7 @@ def attempts(monkeypatch):
 
     monkeypatch.setattr(opening, "open_zenoh", open_zenoh)
     monkeypatch.setattr(anyio, "sleep", sleep)
-    monkeypatch.setattr(SETTINGS, "place", Place())
+    monkeypatch.setattr(SETTINGS, "place", JoinOptions())
     return made, failures
 
 
@@ -62,7 +62,7 @@ async def test_a_program_gives_up_in_the_end(attempts):
 
 
 async def test_a_given_endpoint_is_tried_once(attempts, monkeypatch):
-    monkeypatch.setattr(SETTINGS, "place", Place(("tcp/127.0.0.1:1",)))
+    monkeypatch.setattr(SETTINGS, "place", JoinOptions(("tcp/127.0.0.1:1",)))
     attempts[1][0] = 1
     with pytest.raises(TurtleactError, match="nobody there"):
         async with opening.open_chosen(0):

@@ -22,7 +22,7 @@ from turtleact.rclpy.callback_groups import ReentrantCallbackGroup
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
 from turtleact.rclpy.executors import MultiThreadedExecutor
-from turtleact.rclpy.face import SETTINGS, Place
+from turtleact.rclpy.face import SETTINGS, JoinOptions
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
 
@@ -183,7 +183,7 @@ def main():
     """Go on with new seeds for some seconds."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 30.0
     seed = int(sys.argv[2]) if len(sys.argv) > 2 else random.randrange(10**6)
-    SETTINGS.place = Place(is_alone=True)
+    SETTINGS.place = JoinOptions(is_alone=True)
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         print("seed", seed, flush=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.web.access import TELL_EVERY, Access, Refusals
+from turtleact.web.access import TELL_EVERY, Access, RefusalCounter
 
 OPEN = Access()
 NAMED = Access(frozenset({"robot.example"}), frozenset({"https://console.example", "null"}))
@@ -81,7 +81,7 @@ def test_the_right_token_comes_in():
 
 
 def test_the_first_refusal_is_logged_at_once_and_later_ones_as_a_count(caplog):
-    refusals = Refusals()
+    refusals = RefusalCounter()
     for second in range(5):
         refusals.note("the token is wrong", float(second))
     refusals.note("rosbridge is at the path /", TELL_EVERY)
@@ -92,7 +92,7 @@ def test_the_first_refusal_is_logged_at_once_and_later_ones_as_a_count(caplog):
 
 
 def test_refusals_that_were_only_counted_are_told_at_the_end(caplog):
-    refusals = Refusals()
+    refusals = RefusalCounter()
     for _ in range(2):
         refusals.note("the token is wrong", 0.0)
     refusals.tell()

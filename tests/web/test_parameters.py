@@ -12,7 +12,7 @@ from turtleact.errors import InvalidMessage, ServerUnavailable
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import GetParameters, ParameterValue, SetParameters
 from turtleact.web.rosapi import LONGEST_PARAMETER, MOST_PARAMETERS
-from turtleact.web.shared import Limits, Shared
+from turtleact.web.shared import BridgeState, Limits
 
 SetBool: Any = get_interface("std_srvs/srv/SetBool")
 
@@ -25,7 +25,7 @@ async def node():
 
 @pytest.fixture
 async def rosapi(node):
-    shared = Shared(node, Limits(), cancel_on_disconnect=False)
+    shared = BridgeState(node, Limits(), cancel_on_disconnect=False)
     yield shared.rosapi
     await shared.aclose()
 

@@ -11,7 +11,7 @@ from turtleact.errors import InvalidMessage, ServerUnavailable, UnknownInterface
 from turtleact.interfaces import get_interface
 from turtleact.interfaces.standard import Point, Twist
 from turtleact.transports import MemoryTransport
-from turtleact.web.shared import Limits, Shared
+from turtleact.web.shared import BridgeState, Limits
 
 from ..lab import Count, HandClock, count
 
@@ -31,7 +31,7 @@ async def rosapi():
         robot.subscription(Twist, "/go")
         robot.service(SetBool, "/pen", lambda request: SetBool.Response())
         robot.action_server(Count, "/count", count)
-        shared = Shared(web, Limits(), cancel_on_disconnect=False)
+        shared = BridgeState(web, Limits(), cancel_on_disconnect=False)
         yield shared.rosapi
         await shared.aclose()
 
@@ -147,7 +147,7 @@ async def test_rosout_is_told_of_once():
     log: Any = get_interface("rcl_interfaces/msg/Log")
     async with turtleact.open_node("web") as web:
         web.publisher(log, "/rosout")
-        shared = Shared(web, Limits(), cancel_on_disconnect=False)
+        shared = BridgeState(web, Limits(), cancel_on_disconnect=False)
         values = await shared.rosapi.call("/rosapi/topics_and_raw_types", {})
         await shared.aclose()
     assert values is not None

@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import anyio
 from msgspec.structs import replace
 
-from turtleact.actions.robots import Robot, Sighting
+from turtleact.actions.robots import PoseSample, Robot
 from turtleact.actions.steering import STILL, Area, Limits, Steering, time_limit
 from turtleact.errors import Abort, InvalidMessage, InvalidName, Reject
 from turtleact.geometry import distance
@@ -93,7 +93,7 @@ class Drive:
         self._turtle = turtle
         self._steering = steering
         self._speeds: Speeds = STILL
-        self._seen = Sighting((0.0, 0.0, 0.0))
+        self._seen = PoseSample((0.0, 0.0, 0.0))
         self._unread: TurtlePose | None = None  # newer than `_seen`
         self._pace = robot.dt
         self._steered: float | None = None
@@ -113,7 +113,7 @@ class Drive:
         self._watch = Background(self._keep_watch(), f"the watch over {self._pose_topic}")
 
     @property
-    def seen(self) -> Sighting:
+    def seen(self) -> PoseSample:
         """The turtle's place and speed according to its newest pose."""
         if self._unread is not None:
             self._seen, self._unread = self._robot.read(self._unread), None
@@ -308,7 +308,7 @@ class Drive:
         if abs(dt - limits.dt) > limits.dt / 4.0:
             self._steering = replace(self._steering, limits=replace(limits, dt=dt))
 
-    def _read(self, message: Message) -> Sighting:
+    def _read(self, message: Message) -> PoseSample:
         try:
             return self._robot.read(message)
         except InvalidMessage as error:
@@ -362,7 +362,7 @@ class Drive:
         self._why = objection or self._nothing_heard
         return not objection
 
-    def _objection(self, seen: Sighting) -> str:
+    def _objection(self, seen: PoseSample) -> str:
         """Return why a pose must not be used, or an empty string for a usable pose."""
         if seen.stamp is None:
             return ""

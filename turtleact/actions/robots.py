@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from turtleact.interfaces import Message
     from turtleact.interfaces.standard import Time
 
-__all__ = ["POSE_TYPES", "TWIST_TYPES", "Robot", "Sighting"]
+__all__ = ["POSE_TYPES", "TWIST_TYPES", "PoseSample", "Robot"]
 
 
-class Sighting(NamedTuple):
+class PoseSample(NamedTuple):
     """A robot's place and speed, as reported in a pose message.
 
     Attributes:
@@ -148,7 +148,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         )
         return pose, twist
 
-    def read(self, message: Message) -> Sighting:
+    def read(self, message: Message) -> PoseSample:
         """Return the robot's pose and speeds from a pose message.
 
         Raises:
@@ -183,12 +183,12 @@ _speeds = attrgetter("linear.x", "linear.y", "angular.z")
 _stamp = attrgetter("header.stamp")
 
 
-def _read_turtle(message: Message) -> Sighting:
+def _read_turtle(message: Message) -> PoseSample:
     x, y, theta, linear, angular = _turtle(message)
-    return Sighting((x, y, theta), (linear, angular))
+    return PoseSample((x, y, theta), (linear, angular))
 
 
-def _read_stamped(message: Message, fields: _Fields) -> Sighting:
+def _read_stamped(message: Message, fields: _Fields) -> PoseSample:
     pose = attrgetter(fields.pose)(message)
     x, y = _place(pose)
     theta = _heading(*_quaternion(pose), path=f"{fields.pose}.orientation")
@@ -197,7 +197,7 @@ def _read_stamped(message: Message, fields: _Fields) -> Sighting:
         ahead, aside, angular = _speeds(attrgetter(fields.twist)(message))
         speeds = math.hypot(ahead, aside), angular
     stamp: Time = _stamp(message)
-    return Sighting((x, y, theta), speeds, stamp.sec * 10**9 + stamp.nanosec or None)
+    return PoseSample((x, y, theta), speeds, stamp.sec * 10**9 + stamp.nanosec or None)
 
 
 def _heading(x: float, y: float, z: float, w: float, *, path: str) -> float:

@@ -50,7 +50,7 @@ SETTINGS: Final[dict[str, Any]] = {
 }
 """The options of Typer for all groups of verbs."""
 
-UNSEEN: Final = ("Node", "Reach", "Style", "Policies")
+UNSEEN: Final = ("Node", "ConnectOptions", "Style", "Policies")
 """The types of what `BUNDLES` makes, which modules of verbs import for the type checker alone."""
 
 _KIND: Final = Parameter.KEYWORD_ONLY

@@ -30,7 +30,7 @@ from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.interrupts import Interrupts
-    from turtleact.commands.settings import Reach
+    from turtleact.commands.settings import ConnectOptions
     from turtleact.node import Node
     from turtleact.recording import Played, Recording, Selection
     from turtleact.recording.bag_writer import Compression
@@ -169,7 +169,7 @@ app = new_group("bag")
 
 @verb(app, cls=BagVerb, knows=True)
 def record(
-    reach: Reach,
+    reach: ConnectOptions,
     positional: Annotated[
         list[str] | None,
         argument("TOPIC", "Topics to record.", completion.topics, show_default=False),
@@ -216,7 +216,7 @@ def record(
             "nothing to record: name topics, or give --all, --actions, --services, --regex or "
             "another option of --help"
         )
-    from turtleact.recording.spool import CAPACITY
+    from turtleact.recording.writer_thread import CAPACITY
 
     chosen |= {"hidden": hidden, "exclude_types": frozenset(exclude_types or ())}
     return _record(
@@ -252,7 +252,7 @@ def info(
 
 @verb(app, cls=BagVerb, knows=True)
 def play(
-    reach: Reach,
+    reach: ConnectOptions,
     bag: BagPath,
     *,
     taken: dict[str, Any],
@@ -462,7 +462,7 @@ def _renamed(rule: str) -> tuple[str, str]:
 # recording
 
 
-def _record(reach: Reach, path: Path, overrides: Path | None, **options: Any) -> int:  # noqa: ANN401  # of `record`
+def _record(reach: ConnectOptions, path: Path, overrides: Path | None, **options: Any) -> int:  # noqa: ANN401  # of `record`
     """Record until a signal comes, and return the exit status.
 
     The exit status is 0 if a signal ends the recording, as for ``ros2 bag record``. The exit status
@@ -556,7 +556,7 @@ def _sum_up_recording(recording: Recording) -> None:
 
 
 def _play(
-    reach: Reach, path: Path, delay: float, overrides: Path | None, options: dict[str, Any]
+    reach: ConnectOptions, path: Path, delay: float, overrides: Path | None, options: dict[str, Any]
 ) -> int:
     """Play a bag, and return the exit status."""
     from turtleact import recording

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import typer
 
-from turtleact.commands.settings import Reach
+from turtleact.commands.settings import ConnectOptions
 from turtleact.errors import TurtleactError, UnknownInterface
 
 if TYPE_CHECKING:
@@ -327,16 +327,16 @@ def _folder(ctx: typer.Context) -> str | None:
     return None if folder is None else str(folder)
 
 
-def _reach(ctx: typer.Context) -> Reach:
+def _reach(ctx: typer.Context) -> ConnectOptions:
     """Return the graph that the options on the command line select."""
     given = ctx.params
     config = given.get("config")
-    return Reach.of(
+    return ConnectOptions.of(
         given.get("connect"), given.get("domain") or 0, None if config is None else str(config)
     )
 
 
-def _look(where: Reach) -> Graph:
+def _look(where: ConnectOptions) -> Graph:
     """Return the nodes and endpoints on the graph.
 
     Raises:

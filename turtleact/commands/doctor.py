@@ -15,7 +15,7 @@ from turtleact.commands.output import say_names
 from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
-    from turtleact.commands.settings import Reach
+    from turtleact.commands.settings import ConnectOptions
     from turtleact.doctor.checks import Fault
     from turtleact.doctor.snapshot import Snapshot
     from turtleact.node import Node
@@ -27,7 +27,7 @@ app = typer.Typer(**SETTINGS)
 
 @verb(app, knows=True, help=VERBS["doctor"])
 def doctor(
-    reach: Reach,
+    reach: ConnectOptions,
     *,
     as_json: Annotated[bool, flag("--json", text="Print a line of JSON for each fault.")] = False,
     verbose: Annotated[
@@ -46,7 +46,7 @@ HEALTHY, FAULTY = 0, 1
 """The exit statuses without and with faults."""
 
 
-def _run(reach: Reach, *, as_json: bool, verbose: bool) -> int:
+def _run(reach: ConnectOptions, *, as_json: bool, verbose: bool) -> int:
     """Print the faults of a graph, and return the exit status: 1 if there is a fault.
 
     The node connects only to the router. The router also shows nodes that hang, until their lease

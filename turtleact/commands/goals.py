@@ -35,7 +35,7 @@ from turtleact.commands.options import (
     value,
     whole,
 )
-from turtleact.commands.settings import Reach, WrongOptions, quoted
+from turtleact.commands.settings import ConnectOptions, WrongOptions, quoted
 from turtleact.errors import InvalidName
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ app = typer.Typer(**SETTINGS)
 action = new_group("action")
 
 
-def _written(reach: Reach, interfaces: Path | None) -> str:
+def _written(reach: ConnectOptions, interfaces: Path | None) -> str:
     """Return the options that select the graph and the interfaces, as text for a command line."""
     options: dict[str, object] = {
         "connect": ",".join(reach.connect) or None,
@@ -150,7 +150,7 @@ Reattach: TypeAlias = Annotated[
 
 
 def send_goal(
-    reach: Reach,
+    reach: ConnectOptions,
     name: Name,
     type_name: Type = None,
     goal: Annotated[str | None, message_of("goal", "GOAL")] = None,
@@ -218,7 +218,7 @@ verb(action, "send_goal", cls=MessageVerb, help=VERBS["send-goal"], epilog=EXAMP
 
 @verb(app, help=VERBS["goals"])
 def goals(
-    reach: Reach,
+    reach: ConnectOptions,
     name: Annotated[
         str | None, argument("NAME", "The action. If left out, all actions.", completion.actions)
     ] = None,
@@ -249,7 +249,7 @@ def goals(
 
 @verb(app, help=VERBS["cancel"], epilog=_CANCELING)
 def cancel(
-    reach: Reach,
+    reach: ConnectOptions,
     what: Ids = None,
     *,
     all_: Annotated[
@@ -272,7 +272,7 @@ def cancel(
 
 @verb(app, help=VERBS["pause"], epilog=_PAUSING)
 def pause(
-    reach: Reach,
+    reach: ConnectOptions,
     what: Ids = None,
     *,
     all_: AllPaused = False,
@@ -288,13 +288,13 @@ def pause(
 
 
 @verb(app, help=VERBS["resume"])
-def resume(reach: Reach, what: Ids = None, *, all_: AllPaused = False) -> int:
+def resume(reach: ConnectOptions, what: Ids = None, *, all_: AllPaused = False) -> int:
     """``resume``."""
     return _change(reach, what, "resume", is_many=all_)
 
 
 def _change(
-    reach: Reach,
+    reach: ConnectOptions,
     what: list[str] | None,
     change: Change,
     *,
@@ -316,7 +316,7 @@ def _change(
 
 @verb(app, help=VERBS["watch"])
 def watch(
-    reach: Reach,
+    reach: ConnectOptions,
     what: Annotated[
         str | None,
         argument(
@@ -339,7 +339,7 @@ def watch(
 
 @verb(app, help=VERBS["result"])
 def result(
-    reach: Reach,
+    reach: ConnectOptions,
     goal_id: Annotated[
         str | None,
         argument("ID", "The goal's id, or its first four digits or more.", completion.goal_ids),
@@ -401,7 +401,7 @@ async def find(
 
 @verb(action)
 def echo(
-    reach: Reach,
+    reach: ConnectOptions,
     name: Name,
     type_name: Type = None,
     *,
@@ -519,7 +519,7 @@ def _view(*, plain: bool) -> View:
     return "plain" if plain else "auto"
 
 
-def _follow(reach: Reach, interfaces: Path | None, wanted: str, view: View | None) -> int:
+def _follow(reach: ConnectOptions, interfaces: Path | None, wanted: str, view: View | None) -> int:
     """Follow a goal. Without a view, only wait for the result."""
     from turtleact.commands import held_goals
     from turtleact.commands.interface_search import make_known

@@ -43,7 +43,7 @@ from turtleact.transports.graph import Kind, is_hidden_node, types_by_name
 if TYPE_CHECKING:
     from contextlib import AbstractAsyncContextManager
 
-    from turtleact.commands.settings import Reach
+    from turtleact.commands.settings import ConnectOptions
     from turtleact.interfaces import Action, Message, Service
     from turtleact.interfaces.types import Interface
     from turtleact.transports import Transport
@@ -100,7 +100,9 @@ MOST_SHOWN = 10
 
 
 @asynccontextmanager
-async def open_transport(reach: Reach, mode: Mode | None = None) -> AsyncIterator[Transport]:
+async def open_transport(
+    reach: ConnectOptions, mode: Mode | None = None
+) -> AsyncIterator[Transport]:
     """Open a transport to the graph of other processes.
 
     When the block begins, the transport knows the nodes and endpoints on the graph.
@@ -124,7 +126,7 @@ async def open_transport(reach: Reach, mode: Mode | None = None) -> AsyncIterato
 
 
 @asynccontextmanager
-async def open_graph(reach: Reach, mode: Mode | None = None) -> AsyncIterator[Node]:
+async def open_graph(reach: ConnectOptions, mode: Mode | None = None) -> AsyncIterator[Node]:
     """Open a hidden node on a graph. The errors are those of `open_transport`."""
     async with (
         open_transport(reach, mode) as transport,
@@ -136,7 +138,7 @@ async def open_graph(reach: Reach, mode: Mode | None = None) -> AsyncIterator[No
 
 
 async def enter_if_there(
-    stack: AsyncExitStack, reach: Reach, opened: AbstractAsyncContextManager[T]
+    stack: AsyncExitStack, reach: ConnectOptions, opened: AbstractAsyncContextManager[T]
 ) -> T | None:
     """Open a graph. Return None if no graph is in reach and ``--connect`` was not given.
 
@@ -159,7 +161,7 @@ async def enter_if_there(
         return None
 
 
-def run(reach: Reach, look: Look, interrupts: Interrupts | None = None) -> int:
+def run(reach: ConnectOptions, look: Look, interrupts: Interrupts | None = None) -> int:
     """Run a verb on a graph until it ends or a signal cancels it, and return the exit status.
 
     Most verbs print nothing if the domain has no nodes, so a note is printed first in that case.
@@ -297,13 +299,13 @@ def suggest(node: Node, kind: EndpointKind, name: str, type_name: str) -> None:
         note(f"did you mean '{near}'?")
 
 
-def no_router(reach: Reach) -> str:
+def no_router(reach: ConnectOptions) -> str:
     """Return the error message for the case that no router answers at `ROUTER`."""
     rest = "answers" if reach.config is None else "answers, or lets in this --config,"
     return f"no router {rest} at {ROUTER} ('turtleact serve' starts one)"
 
 
-async def note_empty(transport: Transport, reach: Reach) -> None:
+async def note_empty(transport: Transport, reach: ConnectOptions) -> None:
     """Print a note if a domain has no nodes, because most verbs then print nothing."""
     from turtleact.transports import ZenohTransport  # an embedded world does without Zenoh
 
@@ -311,7 +313,7 @@ async def note_empty(transport: Transport, reach: Reach) -> None:
         note(await none_in_domain(transport, reach))
 
 
-async def none_in_domain(transport: Transport, reach: Reach, what: str = "nodes") -> str:
+async def none_in_domain(transport: Transport, reach: ConnectOptions, what: str = "nodes") -> str:
     """Return a message such as "domain 5 has no nodes" that also names other domains with nodes.
 
     Args:

@@ -46,7 +46,7 @@ from turtleact.transports.graph import types_by_name
 
 if TYPE_CHECKING:
     from turtleact.commands.goal_printer import GoalPrinter, View
-    from turtleact.commands.settings import Reach
+    from turtleact.commands.settings import ConnectOptions
     from turtleact.node import Node
 
 __all__ = ["Change", "HeldGoal", "Selection", "change", "held_goals", "print_goals", "run"]
@@ -236,7 +236,7 @@ async def change(node: Node, selected: Selection, what: Change, timeout: float =
     return 1 if any(problems) or (selected.is_many and silent) else 0
 
 
-def run(reach: Reach, wanted: str, view: View | None, options: str) -> int:
+def run(reach: ConnectOptions, wanted: str, view: View | None, options: str) -> int:
     """Follow a goal to its end, print its result, and return the exit status.
 
     Args:

@@ -31,7 +31,7 @@ from turtleact.interfaces.parse import Line, parse_member, without_comment
 from turtleact.interfaces.text import flow
 
 if TYPE_CHECKING:
-    from turtleact.commands.settings import Reach
+    from turtleact.commands.settings import ConnectOptions
     from turtleact.interfaces.types import Interface
     from turtleact.node import Node
 
@@ -156,7 +156,7 @@ def python_(
 
 @verb(app, knows=True)
 def show(
-    reach: Reach,
+    reach: ConnectOptions,
     type_name: Annotated[
         str,
         argument(

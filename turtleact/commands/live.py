@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import anyio
 
 from turtleact.commands.goal_printer import GoalPrinter
-from turtleact.commands.panels import Board, GoalRow, GoalView, Picture, board, frame, inline
+from turtleact.commands.panels import GoalRow, GoalView, PanelData, Picture, board, frame, inline
 from turtleact.commands.screen import Screen, can_read_keys, typed_keys
 from turtleact.commands.world_map import (
     POSE,
     POSES_A_FRAME,
     Braille,
-    Course,
+    GoalPath,
     MapView,
     Motion,
     PoseTrails,
@@ -72,7 +72,7 @@ class LivePrinter(GoalPrinter):
         super().__init__(wants_feedback=wants_feedback, most_lines=MOST_LINES)
         self._screen = Screen(self._compose)
         self._is_served = True
-        self._course: Course | None = None
+        self._course: GoalPath | None = None
         self._trails: PoseTrails | None = None
         self._feedback: Message | None = None
         self._heard = 0.0
@@ -84,7 +84,7 @@ class LivePrinter(GoalPrinter):
         self._began = goal.node.clock.time() - goal.age
         request = goal.handle.request
         if request is not None:
-            self._course = Course(request)
+            self._course = GoalPath(request)
         request = request or goal.action_type.Goal()
         drives, leader = sends_a_turtle(goal.name, request)
         if (drives or hasattr(request, "targets")) and leader in pose_topics(goal.node):
@@ -251,7 +251,7 @@ class Dashboard:
         more = len(self._goals) - len(goals)
         paused = ["the world is paused"] if sim is not None and sim.is_paused else []
         heading = self._heading or [NOT_READY]
-        shown = Board([*heading, *paused], world, rows, more)
+        shown = PanelData([*heading, *paused], world, rows, more)
         return board(shown, width=width, height=height)
 
     def _in_order(self) -> list[_Served]:
@@ -278,7 +278,7 @@ class _Served:
         self._goal_id = goal.goal_id.hex()
         self._clock = goal.node.clock
         self._began = self._clock.time()
-        self._course = Course(goal.request)
+        self._course = GoalPath(goal.request)
         self._motion = Motion()
         self._poses: Subscription[TurtlePose] | None = None
         self._status: GoalStatus = goal.status

@@ -20,7 +20,7 @@ from turtleact.commands.settings import WrongOptions
 from turtleact.errors import InvalidOption, TurtleactError, UsageError
 
 if TYPE_CHECKING:
-    from turtleact.commands.settings import Reach
+    from turtleact.commands.settings import ConnectOptions
     from turtleact.mcp import McpServer
     from turtleact.node import Node
 
@@ -63,7 +63,7 @@ Token: TypeAlias = Annotated[
 
 @verb(app, knows=True, help=VERBS["mcp"], epilog=_EXAMPLES)
 def mcp(
-    reach: Reach,
+    reach: ConnectOptions,
     *,
     actions: Actions = None,
     all: Annotated[
@@ -102,7 +102,7 @@ def mcp(
         raise WrongOptions("--token and --allow-host need --http")
     address = None if http is None else host_and_port("--http", http)
     everything = all or (read_only and actions is None)
-    order = Order(
+    order = OfferOptions(
         None if embedded else reach,
         None if everything else _names(actions),
         _names(services),
@@ -120,7 +120,7 @@ def _names(text: str | None) -> tuple[str, ...]:
     return () if text is None else tuple(each.strip() for each in text.split(",") if each.strip())
 
 
-class Order(NamedTuple):
+class OfferOptions(NamedTuple):
     """What to offer to language models, and to whom.
 
     Attributes:
@@ -135,7 +135,7 @@ class Order(NamedTuple):
         confirm: Whether to ask the user before each goal.
     """
 
-    reach: Reach | None
+    reach: ConnectOptions | None
     actions: tuple[str, ...] | None
     services: tuple[str, ...]
     topics: tuple[str, ...] | None
@@ -152,7 +152,7 @@ class Order(NamedTuple):
         return not self.read_only and all(each is not None and not each for each in names)
 
 
-def _run(order: Order) -> int:
+def _run(order: OfferOptions) -> int:
     """Serve until the client leaves or a signal comes, and return the exit status.
 
     Raises:
@@ -177,7 +177,7 @@ def _run(order: Order) -> int:
     return Interrupts().run(graph.use(_open_node(order.reach), serve))
 
 
-async def _serve(order: Order, node: Node) -> int:
+async def _serve(order: OfferOptions, node: Node) -> int:
     from turtleact.mcp import open_mcp
     from turtleact.tasks import Background
 
@@ -243,7 +243,7 @@ async def _warn_of_missing(node: Node, actions: tuple[str, ...]) -> None:
 
 
 @asynccontextmanager
-async def _open_node(reach: Reach | None) -> AsyncIterator[Node]:
+async def _open_node(reach: ConnectOptions | None) -> AsyncIterator[Node]:
     """Open a node on the user's graph or, if there is no graph, in an embedded world."""
     from turtleact.commands import graph
     from turtleact.commands.send_goal import embedded_world

@@ -29,7 +29,7 @@ from turtleact.errors import ServerUnavailable
 
 if TYPE_CHECKING:
     from turtleact.commands.message_text import GoalText, Style
-    from turtleact.commands.settings import Reach
+    from turtleact.commands.settings import ConnectOptions
     from turtleact.interfaces import Message
     from turtleact.node import Node
     from turtleact.node.services import ServiceType
@@ -104,7 +104,7 @@ async def info(
 
 @verb(param, "list")
 def list_parameters(
-    reach: Reach,
+    reach: ConnectOptions,
     node_name: Annotated[
         str | None, argument("NODE", "The node. If left out, all nodes.", completion.nodes)
     ] = None,
@@ -143,7 +143,7 @@ async def get(
 
 @verb(param, "set")
 def set_(
-    reach: Reach,
+    reach: ConnectOptions,
     owner: Owner,
     name: Name,
     text: Annotated[str, argument("VALUE", "A bool, a number, text or a list, as YAML.")],
@@ -186,7 +186,7 @@ async def dump(node: Node, owner: Owner) -> int:
 
 @verb(param, "load")
 def load_(
-    reach: Reach,
+    reach: ConnectOptions,
     owner: Owner,
     path: Annotated[Path, argument("FILE", "A file in the format of 'param dump'.")],
     *,
@@ -248,7 +248,7 @@ async def find(
 
 @verb(service, cls=MessageVerb, knows=True)
 def call(
-    reach: Reach,
+    reach: ConnectOptions,
     name: ServiceName,
     type_name: AskedType = None,
     values: Annotated[str | None, message_of("request")] = None,

@@ -17,10 +17,10 @@ import typer
 
 from turtleact.commands import completion
 from turtleact.commands.settings import (
+    ConnectOptions,
     Durability,
     Owner,
     Policies,
-    Reach,
     Reliability,
     WrongOptions,
     quoted,
@@ -228,9 +228,9 @@ def _reach(
     no_learn: Annotated[
         bool, flag("--no-learn", text="Ask no node to describe its types.", panel=GRAPH)
     ] = False,
-) -> Reach:
-    """Return the graph that these options select. Raises the errors of `Reach.of`."""
-    reach = Reach.of(connect, domain, None if config is None else str(config))
+) -> ConnectOptions:
+    """Return the graph that these options select. Raises the errors of `ConnectOptions.of`."""
+    reach = ConnectOptions.of(connect, domain, None if config is None else str(config))
     return reach._replace(learns=not no_learn)
 
 

@@ -24,7 +24,7 @@ from turtleact.interfaces import to_dict
 if TYPE_CHECKING:
     from turtleact.interfaces import Message
 
-__all__ = ["Board", "GoalRow", "GoalView", "Picture", "board", "frame", "inline", "lines"]
+__all__ = ["GoalRow", "GoalView", "PanelData", "Picture", "board", "frame", "inline", "lines"]
 
 Picture: TypeAlias = RenderableType
 """Anything that rich can draw."""
@@ -127,7 +127,7 @@ class GoalRow(NamedTuple):
     marks: Sequence[str] = ()
 
 
-class Board(NamedTuple):
+class PanelData(NamedTuple):
     """The data of a server or a robot to show on a display.
 
     Attributes:
@@ -203,7 +203,7 @@ def frame(goal: GoalView, world: MapView | None, *, width: int, height: int) -> 
     return Group(*head, *middle, *below)
 
 
-def board(view: Board, *, width: int, height: int) -> Picture:
+def board(view: PanelData, *, width: int, height: int) -> Picture:
     """Show a server or a robot: a heading, and a map with a table beside it.
 
     If no map is shown, the table is as wide as the window.
@@ -280,7 +280,7 @@ def _feedback(goal: GoalView, width: int, rows: int) -> Picture:
     return table
 
 
-def _table(view: Board, width: int, rows: int) -> Picture:
+def _table(view: PanelData, width: int, rows: int) -> Picture:
     """Show the legend of the keys, and below it the goals, in at most ``rows`` lines."""
     goals = view.goals or ()
     is_wide = width >= WIDE

@@ -28,7 +28,7 @@ from turtleact.commands.app import SETTINGS, ManyVerb, Verb, new_group, verb
 from turtleact.commands.options import Interfaces, argument, flag, ros_domain, value
 from turtleact.commands.output import printable, say, say_names
 from turtleact.commands.programs import Program, Programs, run_program, runnable_here
-from turtleact.commands.settings import Fleet, Reach, Service, WrongOptions, quoted
+from turtleact.commands.settings import ConnectOptions, Fleet, Service, WrongOptions, quoted
 from turtleact.errors import TurtleactError
 
 __all__ = ["app", "pkg"]
@@ -67,7 +67,7 @@ app = typer.Typer(**SETTINGS)
     context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
 )
 def run(
-    reach: Reach,
+    reach: ConnectOptions,
     package: Annotated[
         str,
         argument(
@@ -114,12 +114,12 @@ def run(
     if program is None:
         return _run_built_in(package, executable, rest, reach)
     from turtleact.commands.interface_search import make_found
-    from turtleact.rclpy.face import Place
+    from turtleact.rclpy.face import JoinOptions
     from turtleact.rclpy.program import Options
 
     make_found(None if interfaces is None else str(interfaces))
     os.environ["ROS_DOMAIN_ID"] = str(reach.domain)  # the program reads it, as in ROS
-    place = Place(reach.connect, reach.access().settings(), is_embedded=embedded)
+    place = JoinOptions(reach.connect, reach.access().settings(), is_embedded=embedded)
     return run_program(program, rest, Options(face, place))
 
 
@@ -152,7 +152,9 @@ def _file(name: str) -> Program:
     return Program(name, file=Path(name))
 
 
-def _run_built_in(package: str, executable: str, arguments: Sequence[str], reach: Reach) -> int:
+def _run_built_in(
+    package: str, executable: str, arguments: Sequence[str], reach: ConnectOptions
+) -> int:
     """Run a built-in program, and return its exit status."""
     rest = list(arguments)
     if "--domain" in rest[:-1]:

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
     from turtleact.commands.goal_printer import View
     from turtleact.commands.message_text import GoalText
-    from turtleact.commands.settings import Reach
+    from turtleact.commands.settings import ConnectOptions
     from turtleact.goals.body import ActionType
     from turtleact.interfaces import Message
     from turtleact.node import Node
@@ -99,7 +99,7 @@ class GoalRequest(NamedTuple):
     name: str
     type_name: str | None
     text: GoalText
-    reach: Reach | None
+    reach: ConnectOptions | None
     speed: float | str = 1.0
     seed: int = 0
     options: str = ""
@@ -244,7 +244,7 @@ class GoalSender:
             self._printer.note(graph.world_started(why))
             yield node
 
-    async def _enter_graph(self, stack: AsyncExitStack, reach: Reach) -> Node | None:
+    async def _enter_graph(self, stack: AsyncExitStack, reach: ConnectOptions) -> Node | None:
         """Join the user's graph, and return a node on it; None if there is no graph.
 
         With ``--reattach``, wait for the graph and then for the action. If the router is off, an

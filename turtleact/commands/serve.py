@@ -13,13 +13,13 @@ from turtleact.commands.app import SETTINGS, Verb, verb
 from turtleact.commands.options import Plain, argument, flag, host_and_port, value, whole
 from turtleact.commands.options import speed as speed_factor
 from turtleact.commands.settings import (
+    ConnectOptions,
     Fleet,
     Keeping,
     LogFormat,
     Override,
     Page,
     Placing,
-    Reach,
     Service,
     WrongOptions,
     endpoints,
@@ -240,7 +240,7 @@ Collide: TypeAlias = Annotated[
 
 @verb(app, cls=ServeVerb, knows=True, help=VERBS["serve"], epilog=_EXAMPLES)
 def serve(
-    reach: Reach,
+    reach: ConnectOptions,
     targets: Targets = None,
     *,
     plain: Plain = False,
@@ -323,7 +323,7 @@ def _node_name(targets: list[str] | None, *, no_sim: bool) -> str:
     return module if is_fit else "turtleact"
 
 
-def _access(where: Reach, listen: tuple[str, ...], *, insecure: bool) -> dict[str, object]:
+def _access(where: ConnectOptions, listen: tuple[str, ...], *, insecure: bool) -> dict[str, object]:
     """Return the settings of Zenoh that control who may connect.
 
     Raises:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from turtleact.transports import QoS
 
 __all__ = [
+    "ConnectOptions",
     "Durability",
     "Fleet",
     "Keeping",
@@ -28,7 +29,6 @@ __all__ = [
     "Page",
     "Placing",
     "Policies",
-    "Reach",
     "Reliability",
     "Service",
     "WrongOptions",
@@ -54,7 +54,7 @@ class WrongOptions(UsageError):
     """Options or arguments of a verb do not fit each other, or cannot be understood."""
 
 
-class Reach(NamedTuple):
+class ConnectOptions(NamedTuple):
     """The graph that a verb uses.
 
     Attributes:
@@ -71,7 +71,7 @@ class Reach(NamedTuple):
     learns: bool = True
 
     @classmethod
-    def of(cls, connect: str | None, domain: int, config: str | None) -> Reach:
+    def of(cls, connect: str | None, domain: int, config: str | None) -> ConnectOptions:
         """Return the graph that these command-line options select.
 
         Raises:
@@ -211,7 +211,7 @@ class Service(NamedTuple):
 
     targets: tuple[str, ...]
     listen: tuple[str, ...]
-    reach: Reach
+    reach: ConnectOptions
     fleet: Fleet | None
     page: Page | None
     config: dict[str, object]

@@ -31,11 +31,11 @@ from turtleact.transports import QoS
 
 if TYPE_CHECKING:
     from turtleact.commands.panels import Picture
-    from turtleact.commands.settings import Reach
+    from turtleact.commands.settings import ConnectOptions
     from turtleact.commands.world_map import Turtle
     from turtleact.goals.client import ClientGoalHandle
 
-__all__ = ["Order", "run"]
+__all__ = ["TeleopOptions", "run"]
 
 HELP: Final = """Reading from keyboard
 ---------------------------
@@ -85,7 +85,7 @@ ALONE: Final = "stop it, or cancel its goal with 'turtleact cancel ID'"
 """Advice for the user if another node drives the turtle."""
 
 
-class Order(NamedTuple):
+class TeleopOptions(NamedTuple):
     """The options of the command: which turtle to drive, and how.
 
     Attributes:
@@ -103,10 +103,10 @@ class Order(NamedTuple):
     linear: float
     angular: float
     is_plain: bool
-    reach: Reach | None
+    reach: ConnectOptions | None
 
 
-def run(order: Order) -> int:
+def run(order: TeleopOptions) -> int:
     """Drive a turtle until the user presses Q or a signal arrives, and return the exit status.
 
     Raises:
@@ -127,7 +127,7 @@ def run(order: Order) -> int:
 
 
 @asynccontextmanager
-async def _find_node(order: Order) -> AsyncIterator[tuple[Node, str]]:
+async def _find_node(order: TeleopOptions) -> AsyncIterator[tuple[Node, str]]:
     """Open a node on the graph, or in an embedded world if no turtle is in reach.
 
     The context manager yields the node and the name of the turtle to drive.
@@ -174,7 +174,7 @@ def _choose(wanted: str, turtles: list[str]) -> str:
     return turtles[0]
 
 
-def _wanted(order: Order) -> str:
+def _wanted(order: TeleopOptions) -> str:
     """The turtle that the user named; empty if the user named none."""
     remapped = order.remaps.get(f"turtle1/{COMMANDS}", "").removesuffix(f"/{COMMANDS}")
     return (order.turtle or remapped).strip("/")
@@ -206,7 +206,7 @@ class _Driving:
         is_live: Whether to show a map.
     """
 
-    def __init__(self, order: Order, node: Node, turtle: str, *, is_live: bool) -> None:
+    def __init__(self, order: TeleopOptions, node: Node, turtle: str, *, is_live: bool) -> None:
         self._order = order
         self._node = node
         self._turtle = turtle
@@ -310,7 +310,7 @@ class _Driving:
         self._rivals = set(drivers)
 
     async def _draw(self) -> None:
-        from turtleact.commands.panels import Board, board
+        from turtleact.commands.panels import PanelData, board
         from turtleact.commands.world_map import PoseTrails
 
         trails = PoseTrails(self._node, f"/{self._turtle}/pose")
@@ -320,7 +320,7 @@ class _Driving:
             heading = [f"driving {self._turtle}"]
             poses = [each for each in world.turtles if each.name == self._turtle]
             heading += [_place(pose) for pose in poses]
-            shown = Board(["   ".join(heading)], world if world.turtles else None, keys=SHOWN)
+            shown = PanelData(["   ".join(heading)], world if world.turtles else None, keys=SHOWN)
             return board(shown, width=width, height=height)
 
         await Screen(compose).run()

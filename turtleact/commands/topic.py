@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from types import CodeType
 
     from turtleact.commands.message_text import GoalText, Style
-    from turtleact.commands.settings import Durability, Policies, Reach
+    from turtleact.commands.settings import ConnectOptions, Durability, Policies
     from turtleact.interfaces import Message
     from turtleact.node import Node
     from turtleact.node.topics import Publisher, Subscription
@@ -165,7 +165,7 @@ async def find(
 
 @verb(app, knows=True)
 def echo(
-    reach: Reach,
+    reach: ConnectOptions,
     name: Name,
     type_name: AskedType = None,
     *,
@@ -281,7 +281,7 @@ async def delay(node: Node, name: Name, *, window: Window = 10000) -> int:
 
 @verb(app, cls=MessageVerb, knows=True)
 def pub(
-    reach: Reach,
+    reach: ConnectOptions,
     name: Name,
     type_name: AskedType = None,
     values: Annotated[str | None, message_of("message")] = None,

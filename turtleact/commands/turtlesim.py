@@ -13,7 +13,7 @@ from turtleact.commands import VERBS
 from turtleact.commands.app import SETTINGS, Verb, verb
 from turtleact.commands.options import Embedded, Plain, argument, only_one, value
 from turtleact.commands.output import say
-from turtleact.commands.settings import Reach, WrongOptions, quoted
+from turtleact.commands.settings import ConnectOptions, WrongOptions, quoted
 from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class TeleopVerb(Verb):
 
 @verb(app, cls=TeleopVerb, help=VERBS["teleop"])
 def teleop(
-    reach: Reach,
+    reach: ConnectOptions,
     *,
     turtle: Annotated[
         str | None,
@@ -74,7 +74,7 @@ def teleop(
     return _drive(turtle, {}, speeds, None if embedded else reach, is_plain=plain)
 
 
-def turtle_teleop_key(arguments: Sequence[str], where: Reach) -> int:
+def turtle_teleop_key(arguments: Sequence[str], where: ConnectOptions) -> int:
     """Run ``turtlesim turtle_teleop_key``, and return the exit status.
 
     Args:
@@ -96,7 +96,8 @@ def turtle_teleop_key(arguments: Sequence[str], where: Reach) -> int:
 
 @verb(app, help=VERBS["snapshot"], epilog=_SNAPSHOTS)
 def snapshot(
-    reach: Reach, file: Annotated[Path, argument("FILE", "The picture: NAME.png or NAME.svg.")]
+    reach: ConnectOptions,
+    file: Annotated[Path, argument("FILE", "The picture: NAME.png or NAME.svg.")],
 ) -> int:
     """``snapshot``."""
     if file.suffix.lower() not in (".png", ".svg"):
@@ -169,7 +170,7 @@ def _drive(
     turtle: str | None,
     remaps: dict[str, str],
     speeds: dict[str, float],
-    where: Reach | None,
+    where: ConnectOptions | None,
     *,
     is_plain: bool,
 ) -> int:
@@ -189,10 +190,12 @@ def _drive(
         if not math.isfinite(speed):
             raise WrongOptions(f"{name} is a number, not '{speed}'")
     linear, angular = speeds.values()
-    from turtleact.commands.teleop import Order, run
+    from turtleact.commands.teleop import TeleopOptions, run
 
     return run(
-        Order(turtle, remaps, linear=linear, angular=angular, is_plain=is_plain, reach=where)
+        TeleopOptions(
+            turtle, remaps, linear=linear, angular=angular, is_plain=is_plain, reach=where
+        )
     )
 
 

@@ -32,7 +32,7 @@ __all__ = [
     "POSES_A_FRAME",
     "TICK",
     "Braille",
-    "Course",
+    "GoalPath",
     "Ink",
     "MapView",
     "Motion",
@@ -347,7 +347,7 @@ class PoseTrails:
         self._looks = 0
         self._search()
 
-    def look(self, course: Course | None = None) -> MapView:
+    def look(self, course: GoalPath | None = None) -> MapView:
         """Read the new poses, and return the map.
 
         Args:
@@ -408,7 +408,7 @@ class Motion:
         self.is_reversing = -JUMP < along < -STILL
 
 
-class Course:
+class GoalPath:
     """The places to which a goal sends a turtle, and how many of them the turtle has passed.
 
     Attributes:

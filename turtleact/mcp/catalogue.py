@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from turtleact.node import Node
 
-__all__ = ["FIXED", "Catalogue", "Entry"]
+__all__ = ["FIXED", "Catalogue", "ToolEntry"]
 
 T = TypeVar("T", bound="Action | Service")
 
@@ -32,7 +32,7 @@ STOPS: Final = ToolAnnotations(read_only_hint=False, destructive_hint=False, ide
 ACTS: Final = ToolAnnotations(read_only_hint=False, destructive_hint=True, open_world_hint=True)
 
 
-class Entry(NamedTuple):
+class ToolEntry(NamedTuple):
     """A tool, and the action or service that it calls.
 
     Attributes:
@@ -145,8 +145,8 @@ class Catalogue:
         self._node = node
         self._offer = offer
         self._changes = -1, 0
-        self._entries: dict[str, Entry] = {}
-        self._made: dict[tuple[str, str], Entry] = {}
+        self._entries: dict[str, ToolEntry] = {}
+        self._made: dict[tuple[str, str], ToolEntry] = {}
 
     def actions(self) -> dict[str, type[Action]]:
         """Return the class of each offered action that has a server now, by the action's name."""
@@ -173,7 +173,7 @@ class Catalogue:
 
         await self._node.learner.learn_all(wants)
 
-    def entries(self) -> Mapping[str, Entry]:
+    def entries(self) -> Mapping[str, ToolEntry]:
         """Return the tools for the current state of the graph, by name."""
         changes = self._node.transport.changes, len(REGISTRY.learned)
         if changes != self._changes:
@@ -181,8 +181,8 @@ class Catalogue:
             self._entries = self._list()
         return self._entries
 
-    def _list(self) -> dict[str, Entry]:
-        found = {tool.name: Entry(tool) for tool in FIXED if self._has_use_for(tool)}
+    def _list(self) -> dict[str, ToolEntry]:
+        found = {tool.name: ToolEntry(tool) for tool in FIXED if self._has_use_for(tool)}
         if self._offer.is_read_only:
             return found
         for name, action_type in self.actions().items():
@@ -197,7 +197,7 @@ class Catalogue:
         return tool.annotations is READS or not self._offer.is_read_only
 
     @staticmethod
-    def _add(found: dict[str, Entry], entry: Entry, kind: str) -> None:
+    def _add(found: dict[str, ToolEntry], entry: ToolEntry, kind: str) -> None:
         """Add a tool. If another tool has the same name, append the kind to the new tool's name."""
         name = entry.tool.name
         if name in found:
@@ -205,7 +205,7 @@ class Catalogue:
             entry = entry._replace(tool=entry.tool.model_copy(update={"name": name}))
         found[name] = entry
 
-    def _entry(self, name: str, interface: type[Action] | type[Service]) -> Entry:
+    def _entry(self, name: str, interface: type[Action] | type[Service]) -> ToolEntry:
         """Return the tool of an action or service.
 
         A tool is made only once, because its schemas do not change.
@@ -216,7 +216,7 @@ class Catalogue:
                 tool = _action_tool(name, interface)
             else:
                 tool = _service_tool(name, interface)
-            self._made[key] = Entry(tool, name, interface)
+            self._made[key] = ToolEntry(tool, name, interface)
         return self._made[key]
 
 

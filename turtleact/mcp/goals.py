@@ -5,8 +5,8 @@ cancelled, the goal is canceled too, and the call waits for the goal's end. The 
 of `turtleact.goals.client.SendGoal` ensures this. If a client disconnects, its calls are
 cancelled in the same way.
 
-`Board` subscribes to the status topics when it is first asked for goals. The last message of a
-status topic is latched, so `Board` also learns of goals that were accepted earlier.
+`GoalList` subscribes to the status topics when it is first asked for goals. The last message of a
+status topic is latched, so `GoalList` also learns of goals that were accepted earlier.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from turtleact.node import Node
     from turtleact.node.topics import Subscription
 
-__all__ = ["Board", "Goals", "HeldGoal", "Report"]
+__all__ = ["GoalList", "Goals", "HeldGoal", "Report"]
 
 Report: TypeAlias = Callable[[float, float | None, str | None], Awaitable[None]]
 """A function that sends a progress message: a number that grows, a total, and a text."""
@@ -141,7 +141,7 @@ class HeldGoal(NamedTuple):
     stamp: int
 
 
-class Board:
+class GoalList:
     """Lists the goals of the offered actions, as their status topics report them.
 
     Args:

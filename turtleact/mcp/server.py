@@ -39,9 +39,9 @@ from mcp.types import (
 
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import Action, Message
-from turtleact.mcp.catalogue import Catalogue, Entry
+from turtleact.mcp.catalogue import Catalogue, ToolEntry
 from turtleact.mcp.confirmation import Confirmation
-from turtleact.mcp.goals import Board, Goals
+from turtleact.mcp.goals import GoalList, Goals
 from turtleact.mcp.offer import Limits, Names, Offer
 from turtleact.mcp.replies import failure
 from turtleact.mcp.schema import message_from, plain
@@ -97,7 +97,7 @@ class McpServer:
         self._offer = offer
         self._catalogue = Catalogue(node, offer)
         self._goals = Goals(node, offer.limits)
-        self._board = Board(node, self._catalogue.actions)
+        self._board = GoalList(node, self._catalogue.actions)
         self._tools = Tools(node, offer, self._catalogue, self._board, self._goals)
         self._tasks = Tasks(self._goals, self._board, self._type_of)
         self._confirmation = Confirmation()
@@ -143,7 +143,7 @@ class McpServer:
         return cast("CallToolResult | InputRequiredResult", reply)  # a task is a dict
 
     async def _run(
-        self, ctx: Request, params: CallToolRequestParams, entry: Entry
+        self, ctx: Request, params: CallToolRequestParams, entry: ToolEntry
     ) -> CallToolResult | InputRequiredResult | dict[str, Any]:
         arguments = params.arguments or {}
         interface = entry.interface

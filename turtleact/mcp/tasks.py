@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
     from turtleact.goals.client import ClientGoalHandle
     from turtleact.interfaces import Action, Message
-    from turtleact.mcp.goals import AnyClient, Board, Goals
+    from turtleact.mcp.goals import AnyClient, GoalList, Goals
     from turtleact.mcp.replies import Request
 
 __all__ = ["EXTENSION", "TASK_IDS", "Tasks", "declares_tasks", "require_tasks"]
@@ -141,7 +141,7 @@ class Tasks:
     def __init__(
         self,
         goals: Goals,
-        board: Board,
+        board: GoalList,
         action_type: Callable[[str], type[Action] | None],
     ) -> None:
         self._goals = goals

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from turtleact.goals.client import ClientGoalHandle
     from turtleact.interfaces import Service
     from turtleact.mcp.catalogue import Catalogue
-    from turtleact.mcp.goals import Board, Goals, HeldGoal
+    from turtleact.mcp.goals import GoalList, Goals, HeldGoal
     from turtleact.mcp.offer import Offer
     from turtleact.node import Node
     from turtleact.node.services import ServiceClient, ServiceType
@@ -55,7 +55,7 @@ class Tools:
     """
 
     def __init__(
-        self, node: Node, offer: Offer, catalogue: Catalogue, board: Board, goals: Goals
+        self, node: Node, offer: Offer, catalogue: Catalogue, board: GoalList, goals: Goals
     ) -> None:
         self._node = node
         self._offer = offer

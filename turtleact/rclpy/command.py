@@ -16,7 +16,7 @@ from pathlib import Path
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import load_workspace, offer_interfaces
 from turtleact.interfaces.workspace import find_interfaces
-from turtleact.rclpy.face import FACES, Place
+from turtleact.rclpy.face import FACES, JoinOptions
 from turtleact.rclpy.program import Options, end_threads, leave, prepare
 
 __all__ = ["run"]
@@ -43,7 +43,7 @@ def run(begin: Callable[[], object]) -> None:
     if given.alone and given.embedded:
         parser.error("--embedded needs a graph: leave --alone out")
     connect = tuple(given.connect.split(",")) if given.connect else ()
-    place = Place(connect, is_embedded=given.embedded, is_alone=given.alone)
+    place = JoinOptions(connect, is_embedded=given.embedded, is_alone=given.alone)
     options = Options(given.face, place, given.interfaces)
     file = None if given.module else Path(given.program)
     if file is not None and not file.is_file():

@@ -16,10 +16,10 @@ import msgspec
 
 from turtleact.errors import UsageError
 
-__all__ = ["FACES", "SETTINGS", "Face", "Place", "Settings", "chosen_face"]
+__all__ = ["FACES", "SETTINGS", "Face", "JoinOptions", "Settings", "chosen_face"]
 
 
-class Place(msgspec.Struct, frozen=True):
+class JoinOptions(msgspec.Struct, frozen=True):
     """Describes the graph to join.
 
     Attributes:
@@ -44,7 +44,7 @@ class Settings:
     """
 
     def __init__(self) -> None:
-        self.place = Place()
+        self.place = JoinOptions()
 
 
 #: The only ones: ``rclpy.init()`` names no graph.

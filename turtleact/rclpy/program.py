@@ -19,7 +19,7 @@ import msgspec
 
 from turtleact.interfaces import load_interfaces, offer_interfaces
 from turtleact.interfaces.workspace import find_interfaces
-from turtleact.rclpy.face import SETTINGS, Place, chosen_face
+from turtleact.rclpy.face import SETTINGS, JoinOptions, chosen_face
 from turtleact.rclpy.finder import install
 
 __all__ = ["Options", "end_threads", "leave", "offer_neighbours", "prepare"]
@@ -41,7 +41,7 @@ class Options(msgspec.Struct, frozen=True):
     """
 
     face: str = "auto"
-    place: Place = Place()
+    place: JoinOptions = JoinOptions()
     interfaces: str | None = None
 
 

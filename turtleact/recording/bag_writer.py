@@ -5,8 +5,8 @@ process is killed, the last file has no index and can be read up to its last chu
 fills up, the last file is cut back to the end of its last chunk. A bag whose ``metadata.yaml``
 found no room can be read without it.
 
-A write may block while the disk is busy, so `turtleact.recording.spool` writes in a thread of its
-own.
+A write may block while the disk is busy, so `turtleact.recording.writer_thread` writes in a thread
+of its own.
 
 Source: rosbag2 ``sequential_writer.cpp``, and ``mcap_storage.cpp`` for the profile and the
 metadata.

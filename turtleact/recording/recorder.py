@@ -1,4 +1,4 @@
-"""Records the topics of a graph: subscribes to them, and passes their messages to a `Spool`.
+"""Records the topics of a graph: subscribes to them, and passes their messages to a `WriterThread`.
 
 Messages from a network are recorded as the bytes that arrive, without decoding them. An action is
 recorded through its topics and the events of its services. Servers and clients publish these events
@@ -29,8 +29,8 @@ from turtleact.recording.bag_writer import BagWriter, Compression, Split
 from turtleact.recording.metadata import BagError, Offer
 from turtleact.recording.schemas import Schema, schema_of
 from turtleact.recording.selection import EVERYTHING, Selection
-from turtleact.recording.spool import CAPACITY, Spool
 from turtleact.recording.storage import Channel, in_nanoseconds
+from turtleact.recording.writer_thread import CAPACITY, WriterThread
 from turtleact.tasks import Background, current_tasks, thread_work
 from turtleact.tasks.clock import WallClock
 from turtleact.tasks.opening import opening
@@ -84,7 +84,7 @@ class Recording:
         node: Node,
         path: Path,
         selection: Selection,
-        spool: Spool,
+        thread: WriterThread,
         qos: Mapping[str, QoS],
     ) -> None:
         self.path = path
@@ -92,7 +92,7 @@ class Recording:
         self.unrecorded: dict[str, str] = {}
         self._node = node
         self._selection = selection
-        self._spool = spool
+        self._thread = thread
         self._qos = qos
         self._subscriptions: dict[_Key, Closeable] = {}
         self._numbers: dict[_Key, int] = {}
@@ -103,7 +103,7 @@ class Recording:
     @property
     def count(self) -> int:
         """How many messages are in the bag or wait to be written."""
-        return self._spool.count
+        return self._thread.count
 
     @property
     def lost(self) -> int:
@@ -116,17 +116,17 @@ class Recording:
     @property
     def lost_by_topic(self) -> dict[str, int]:
         """How many messages of each topic were lost. Topics without a loss are left out."""
-        return self._spool.lost
+        return self._thread.lost
 
     @property
     def waiting(self) -> int:
         """How many messages are not on disk yet."""
-        return self._spool.waiting
+        return self._thread.waiting
 
     @property
     def error(self) -> BagError | None:
         """Why the recording has ended early; None if it has not."""
-        problem = self._spool.error
+        problem = self._thread.error
         if problem is None:
             return None
         if isinstance(problem, FileNotFoundError) and problem.filename is not None:
@@ -274,10 +274,10 @@ class Recording:
             type_hash=key.type_hash,
         )
         if key in self._subscriptions:
-            self._spool.list_topic(self._numbers[key], channel)
+            self._thread.list_topic(self._numbers[key], channel)
         else:
             encode = WireFormat(cls).encode if cls is not None else None
-            number = self._spool.add(channel, encode, is_there=bool(publishers))
+            number = self._thread.add(channel, encode, is_there=bool(publishers))
             self._numbers[key] = number
             self._subscriptions[key] = self._subscribe(key, publishers, number)
         if publishers and not is_shown:
@@ -286,7 +286,7 @@ class Recording:
         return True
 
     def _subscribe(self, key: _Key, publishers: list[Endpoint], number: int) -> Closeable:
-        put, now = self._spool.put, self._node.clock.now
+        put, now = self._thread.put, self._node.clock.now
 
         def deliver(message: object) -> None:
             put(number, now(), message)
@@ -347,15 +347,15 @@ async def record(
     # Not in a thread: virtual time would go on meanwhile.
     writer = BagWriter(Path(path), split)
     ended: list[Recording] = []
-    spool = Spool(
+    thread = WriterThread(
         writer,
         lambda: tasks.from_anywhere(partial(_end_all, ended)),
         capacity=options.get("capacity", CAPACITY),
         is_patient=not isinstance(node.clock, WallClock),
     )
-    recording = Recording(node, Path(path), selection, spool, options.get("qos", {}))
+    recording = Recording(node, Path(path), selection, thread, options.get("qos", {}))
     ended.append(recording)
-    spool.start()
+    thread.start()
     try:
         await recording._look()
         watch = Background(recording._watch(), f"recording {path}")
@@ -370,7 +370,7 @@ async def record(
     finally:
         recording._close()
         with anyio.CancelScope(shield=True), thread_work().counted():
-            await anyio.to_thread.run_sync(spool.close)
+            await anyio.to_thread.run_sync(thread.close)
     if recording.error is not None:
         raise recording.error
 

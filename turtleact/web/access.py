@@ -23,7 +23,7 @@ import msgspec
 
 from turtleact.http_server import is_address, is_loopback
 
-__all__ = ["TELL_EVERY", "Access", "Refusals"]
+__all__ = ["TELL_EVERY", "Access", "RefusalCounter"]
 
 logger = logging.getLogger("turtleact.web")
 
@@ -73,7 +73,7 @@ class Access(msgspec.Struct, frozen=True):
         return name != "" and (is_loopback(name) or _place_of(origin) == host.lower())
 
 
-class Refusals:
+class RefusalCounter:
     """Counts and logs refused connections, with at most one line every `TELL_EVERY` seconds.
 
     Anybody who can reach the port can cause refusals. If each refusal were logged, refusals could

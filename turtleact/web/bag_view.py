@@ -35,7 +35,7 @@ from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import part_of
 from turtleact.recording.storage import Channel, Range, Raw
 from turtleact.tasks.opening import opening
-from turtleact.web.access import Access, Refusals
+from turtleact.web.access import Access, RefusalCounter
 from turtleact.web.bridge import FILES, HEADERS, page_file, plain_text
 from turtleact.web.page_values import hues
 from turtleact.web.server import READ_AHEAD, Config
@@ -82,7 +82,7 @@ class BagView:
     """
 
     def __init__(self, bag: Bag) -> None:
-        self.refusals = Refusals()
+        self.refusals = RefusalCounter()
         self._bag = bag
         self._access = Access()
         self._reading = anyio.Lock()  # threads share the file

@@ -24,9 +24,9 @@ from turtleact.errors import TurtleactError
 from turtleact.node import Node
 from turtleact.tasks import Background
 from turtleact.tasks.opening import opening
-from turtleact.web.access import Access, Refusals
+from turtleact.web.access import Access, RefusalCounter
 from turtleact.web.connection import TRY_AGAIN_LATER, Connection
-from turtleact.web.shared import Limits, Shared
+from turtleact.web.shared import BridgeState, Limits
 
 __all__ = ["FAREWELL", "Bridge", "Statistics", "open_bridge", "page_file", "plain_text"]
 
@@ -99,9 +99,9 @@ class Bridge:
         refusals: Counts and logs refused connections.
     """
 
-    def __init__(self, shared: Shared, access: Access) -> None:
+    def __init__(self, shared: BridgeState, access: Access) -> None:
         self.is_open = True
-        self.refusals = Refusals()
+        self.refusals = RefusalCounter()
         self._shared = shared
         self._access = access
         self._connections: set[Connection] = set()
@@ -241,7 +241,7 @@ async def open_bridge(
         limits: The limits on what clients may use. If left out, the defaults of `Limits` apply.
         cancel_on_disconnect: Whether the goals of a client are canceled when it disconnects.
     """
-    shared = Shared(node, limits or Limits(), cancel_on_disconnect=cancel_on_disconnect)
+    shared = BridgeState(node, limits or Limits(), cancel_on_disconnect=cancel_on_disconnect)
     bridge = Bridge(shared, Access(frozenset(hosts), frozenset(origins), token))
     learning = Background(
         node.learner.keep_learning(lambda _, name: "/_" not in name), "learning types for the page"

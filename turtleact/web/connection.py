@@ -44,7 +44,7 @@ from turtleact.web.protocol import (
     Writer,
 )
 from turtleact.web.serving import Serving
-from turtleact.web.shared import Feed, Shared
+from turtleact.web.shared import BridgeState, Feed
 
 __all__ = ["PATIENCE", "TRY_AGAIN_LATER", "Connection"]
 
@@ -78,7 +78,7 @@ class Connection:
         queue: The frames that wait to be sent to the client.
     """
 
-    def __init__(self, shared: Shared, websocket: WebSocket) -> None:
+    def __init__(self, shared: BridgeState, websocket: WebSocket) -> None:
         self.queue = ClientQueue(shared.limits.memory)
         self._shared = shared
         self._websocket = websocket

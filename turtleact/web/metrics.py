@@ -19,7 +19,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
 from turtleact.http_server import bound, is_loopback, serving
-from turtleact.web.access import Access, Refusals
+from turtleact.web.access import Access, RefusalCounter
 from turtleact.web.server import READ_AHEAD, Config, address_of
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ async def open_metrics(text: Callable[[], str], host: str, port: int) -> AsyncIt
 
     app = Starlette(routes=[Route("/metrics", answer)])
     with bound(host, port, read_ahead=READ_AHEAD) as listener:
-        config = Config(app, Refusals(), limit_concurrency=MOST_CONNECTIONS)
+        config = Config(app, RefusalCounter(), limit_concurrency=MOST_CONNECTIONS)
         config.request_within, config.spare = REQUEST_WITHIN, SPARE
         async with serving(config, listener):
             yield f"{address_of(host, listener.getsockname()[1])}metrics"

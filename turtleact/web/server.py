@@ -30,7 +30,7 @@ from turtleact.errors import TurtleactError
 from turtleact.http_server import bound, serving, token_for
 from turtleact.node import Node
 from turtleact.tasks.opening import opening
-from turtleact.web.access import Refusals
+from turtleact.web.access import RefusalCounter
 from turtleact.web.bridge import Bridge, open_bridge
 from turtleact.web.shared import Limits
 
@@ -170,7 +170,7 @@ class Config(http_server.Config):
     def __init__(
         self,
         app: ASGIApp,
-        refusals: Refusals,
+        refusals: RefusalCounter,
         limit_concurrency: int,
         ws_max_size: int = READ_AHEAD,
     ) -> None:
@@ -190,11 +190,11 @@ class _Log(logging.Logger):
     """The logger of uvicorn's protocols for one connection.
 
     The protocols log a warning for each request that they refuse. Each such warning counts as a
-    refusal in `Refusals`, and is not logged individually. Errors are logged unchanged, because they
-    show bugs.
+    refusal in `RefusalCounter`, and is not logged individually. Errors are logged unchanged,
+    because they show bugs.
     """
 
-    def __init__(self, refusals: Refusals) -> None:
+    def __init__(self, refusals: RefusalCounter) -> None:
         super().__init__("turtleact.web", logging.WARNING)
         self.parent = logger
         self._refusals = refusals

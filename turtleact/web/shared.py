@@ -1,6 +1,6 @@
 """Holds what all clients of a bridge share: the node, topics, goals and services.
 
-- All clients that read a topic share one subscription, and each frame is made once (`Feeds`). A
+- All clients that read a topic share one subscription, and each frame is made once (`TopicHub`). A
   latched topic gets a new subscription for each client, because only a new subscription gets the
   messages that the publishers keep.
 - The node's service clients and action clients stay open, so that the next web client can use them.
@@ -43,13 +43,13 @@ from turtleact.web.rosapi import Parameters, Rosapi
 from turtleact.web.watching import Watch
 
 __all__ = [
+    "BridgeState",
     "Deliver",
     "Feed",
-    "Feeds",
+    "GoalClient",
     "Goals",
     "Limits",
-    "Shared",
-    "Teller",
+    "TopicHub",
 ]
 
 logger = logging.getLogger("turtleact.web")
@@ -97,7 +97,7 @@ class Limits(msgspec.Struct, frozen=True):
     memory: int = 16_000_000
 
 
-class Shared:
+class BridgeState:
     """The objects that all connections of a bridge share.
 
     Args:
@@ -111,7 +111,7 @@ class Shared:
         self.limits = limits
         self.tasks = current_tasks()
         self.directory = Directory(node.transport)
-        self.feeds = Feeds(node, self.directory)
+        self.feeds = TopicHub(node, self.directory)
         self.goals = Goals(node, cancel_on_disconnect=cancel_on_disconnect)
         self.watch = self.goals.watch = Watch(node, self.goals.client)
         self.rosapi = Rosapi(node, self.directory, Parameters(node, self._ask))
@@ -197,7 +197,7 @@ class Feed:
                 deliver(rendering)
 
 
-class Feeds:
+class TopicHub:
     """The subscriptions to the topics that clients read.
 
     Args:
@@ -243,7 +243,7 @@ class Feeds:
             await feed.aclose()
 
 
-class Teller(Protocol):
+class GoalClient(Protocol):
     """The part of a `Connection` that sends the frames about a goal to the client."""
 
     def keep(self, frame: str) -> None:
@@ -287,7 +287,7 @@ class Goals:
             client = self._clients[key] = self._node.action_client(action_type, name)
         return client
 
-    def send(self, said: SendActionGoal, teller: Teller) -> None:
+    def send(self, said: SendActionGoal, teller: GoalClient) -> None:
         """Send a goal, and tell the web client the goal's feedback and result.
 
         If there is no result, the web client is told why.
@@ -304,7 +304,7 @@ class Goals:
             sent = self._sent[self._count] = _Sent(self._count, said, teller)
             sent.following = Background(self._follow(sent), f"goal {said.id} of a web client")
 
-    def cancel(self, said: CancelActionGoal, teller: Teller) -> str:
+    def cancel(self, said: CancelActionGoal, teller: GoalClient) -> str:
         """Cancel a goal. Return an empty string, or the reason why the goal cannot be canceled."""
         sent = self._own(said.id, teller)
         if sent is None:
@@ -316,7 +316,7 @@ class Goals:
         sent.cancel()
         return ""
 
-    def lose(self, teller: Teller) -> None:
+    def lose(self, teller: GoalClient) -> None:
         """Stop telling a client about its goals, because the client has gone.
 
         If ``cancel_on_disconnect`` is set, also cancel the goals that the client has sent.
@@ -348,7 +348,7 @@ class Goals:
         for client in self._clients.values():
             await client.aclose()
 
-    def _own(self, id: Id, teller: Teller) -> _Sent | None:
+    def _own(self, id: Id, teller: GoalClient) -> _Sent | None:
         for sent in self._sent.values():
             if sent.said.id == id and sent.teller is teller:
                 return sent
@@ -422,10 +422,10 @@ class _Sent:
 
     following: Background
 
-    def __init__(self, number: int, said: SendActionGoal, teller: Teller) -> None:
+    def __init__(self, number: int, said: SendActionGoal, teller: GoalClient) -> None:
         self.number = number
         self.said = said
-        self.teller: Teller | None = teller
+        self.teller: GoalClient | None = teller
         self.goal_id = new_goal_id()
         self.is_over = False
         self._handle: ClientGoalHandle[Message, Message] | None = None
@@ -479,6 +479,6 @@ class _Sent:
             _tell_failure(self.said, self.teller, problem)
 
 
-def _tell_failure(said: SendActionGoal, teller: Teller, problem: str) -> None:
+def _tell_failure(said: SendActionGoal, teller: GoalClient, problem: str) -> None:
     members = {"action": said.action, "values": problem, "status": 0, "result": False}
     teller.keep(reply("action_result", said.id, **members))

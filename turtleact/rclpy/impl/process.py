@@ -21,7 +21,7 @@ from weakref import WeakSet
 import anyio
 
 from turtleact.errors import TurtleactError
-from turtleact.rclpy.face import SETTINGS, Place
+from turtleact.rclpy.face import SETTINGS, JoinOptions
 from turtleact.rclpy.impl.connection import Connection, OpenTransport
 from turtleact.rclpy.impl.event_loop import EventLoop
 from turtleact.rclpy.impl.typing import Anything
@@ -64,7 +64,9 @@ async def open_chosen(domain: int) -> AsyncIterator[Transport]:
 
 
 @asynccontextmanager
-async def _open(place: Place, domain: int, clock: Clock | None = None) -> AsyncIterator[Transport]:
+async def _open(
+    place: JoinOptions, domain: int, clock: Clock | None = None
+) -> AsyncIterator[Transport]:
     if place.is_alone:
         yield MemoryTransport(clock)
         return

@@ -22,7 +22,7 @@ from turtleact.errors import InvalidMessage
 from turtleact.recording.bag_writer import BagWriter
 from turtleact.recording.storage import Channel
 
-__all__ = ["CAPACITY", "Encode", "Spool"]
+__all__ = ["CAPACITY", "Encode", "WriterThread"]
 
 logger = logging.getLogger("turtleact.recording")
 
@@ -48,11 +48,11 @@ Entry: TypeAlias = tuple[int, int, object]
 Encode: TypeAlias = Callable[[object], bytes]
 
 
-class Spool:
+class WriterThread:
     """Writes messages to a bag.
 
     Args:
-        writer: Writes the bag. The spool closes the writer when writing ends.
+        writer: Writes the bag. The thread closes the writer when writing ends.
         on_end: Called in the writing thread when the bag has been closed. The bag is closed after
             `close`, or earlier if writing fails, for example because the disk is full.
         capacity: How many bytes may wait to be written.
