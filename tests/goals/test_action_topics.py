@@ -27,11 +27,11 @@ class Topic:
     """Counts how often the state has changed.
 
     Attributes:
-        has_near_readers: Whether it is read in this process.
+        has_local_readers: Whether it is read in this process.
     """
 
     changes = 0
-    has_near_readers = has_object_readers = False
+    has_local_readers = has_object_readers = False
 
     def __init__(self) -> None:
         self.clock = VirtualClock()  # it stands still
@@ -54,7 +54,7 @@ class FullLane:
     """A publication that drops every second message."""
 
     sent = 0
-    has_near_readers = has_object_readers = False
+    has_local_readers = has_object_readers = False
 
     @property
     def dropped(self) -> int:
@@ -145,7 +145,7 @@ async def test_many_changes_are_told_of_once_until_they_are_written():
 async def test_a_reader_in_this_process_is_told_of_each_change():
     async with lab(act) as served:
         topic = Topic()
-        topic.has_near_readers = True
+        topic.has_local_readers = True
         source_of(served.local, topic)
         await send(served, 0)
         assert topic.changes == len(("ACCEPTED", "EXECUTING", "SUCCEEDED"))

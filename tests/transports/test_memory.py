@@ -83,9 +83,9 @@ async def test_what_is_written_already_is_for_nobody_here():
     seen: list[object] = []
     transport = MemoryTransport()
     publication = transport.advertise(publisher(), SPEECH)
-    assert not publication.has_near_readers
+    assert not publication.has_local_readers
     transport.subscribe(subscription(), SPEECH, seen.append)
-    assert publication.has_near_readers
+    assert publication.has_local_readers
     publication.send(SPEECH.encode(feedback(1)))
     assert seen == []
 

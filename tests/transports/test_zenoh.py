@@ -928,9 +928,9 @@ async def test_what_is_written_already_is_sent_to_other_processes_alone(address)
         publication = peers.here.advertise(publisher(), SPEECH)
         peers.there.subscribe(subscription(), SPEECH, far.deliver)
         await peers.settle()
-        assert not publication.has_near_readers
+        assert not publication.has_local_readers
         peers.here.subscribe(subscription(), SPEECH, near.deliver)
-        assert publication.has_near_readers
+        assert publication.has_local_readers
         publication.send(SPEECH.encode(feedback(1)))
         publication.publish(feedback(2))
         await peers.settle()

@@ -193,7 +193,7 @@ class StatusTopic(Source, GoalObserver):
 
     def _refresh(self) -> None:
         publication = self._publication
-        if publication is not None and (not self._is_stale or publication.has_near_readers):
+        if publication is not None and (not self._is_stale or publication.has_local_readers):
             self._is_stale = True
             publication.refresh()
 

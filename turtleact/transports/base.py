@@ -272,7 +272,7 @@ class Publication(Closeable, Protocol):
         """Whether a message published now has a reader, or may get one later (latched topics)."""
 
     @property
-    def has_near_readers(self) -> bool:
+    def has_local_readers(self) -> bool:
         """Whether a message published now has a reader in this process, or may get one later."""
 
     @property

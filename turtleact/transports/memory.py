@@ -323,7 +323,7 @@ class _Publication:
         )
 
     @property
-    def has_near_readers(self) -> bool:
+    def has_local_readers(self) -> bool:
         return self.has_readers
 
     @property

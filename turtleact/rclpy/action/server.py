@@ -420,7 +420,7 @@ class ActionServer(Introspected, Waitable):
 
         The goal's client reads feedback, but its subscription may not have been discovered yet.
         """
-        if self._handlers["send_goal"].has_far_callers and not self._expects_readers:
+        if self._handlers["send_goal"].has_remote_callers and not self._expects_readers:
             self._expects_readers = True
             self._feedback.expect_readers()
 

@@ -161,7 +161,7 @@ class RequestHandler(ServiceHandler):
     Attributes:
         take: The function that handles requests.
         observer: The observer of the requests and responses; None if there is none.
-        has_far_callers: Whether another process has sent a request.
+        has_remote_callers: Whether another process has sent a request.
         is_threaded: Always True: transports may call the handler outside the event loop.
     """
 
@@ -173,7 +173,7 @@ class RequestHandler(ServiceHandler):
     ) -> None:
         self.take = take
         self.observer = observer
-        self.has_far_callers = False
+        self.has_remote_callers = False
 
     def reply_nowait(
         self,
@@ -182,7 +182,7 @@ class RequestHandler(ServiceHandler):
         respond: Callable[[Reply | TurtleactError], object],
     ) -> bool:
         """Pass a request from another process to the function ``take``. Always return True."""
-        self.has_far_callers = True
+        self.has_remote_callers = True
 
         def answer(response: bytes | TurtleactError, note: str) -> None:
             respond(Reply(response, note) if isinstance(response, bytes) else response)

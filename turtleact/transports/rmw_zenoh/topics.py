@@ -133,7 +133,7 @@ class WirePublication:
         self._unsent: BoundedQueue[tuple[bytes, bytes]] = _queue_for(endpoint.qos)
         self._sent = context.tasks.signal()
         self._told_readers = False
-        self._has_near_readers = False
+        self._has_local_readers = False
         # Zenoh keeps the messages of a latched topic once it is declared, so declare it at once.
         wakes = "" if self.is_latched and source is None else named.on_demand
         self.declaration = Declaration(
@@ -145,7 +145,7 @@ class WirePublication:
             on_wake=self.refresh,
         )
         context.opened.add(self)
-        relay = None if source is None else _Relay(source, self._near_readers_changed)
+        relay = None if source is None else _Relay(source, self._local_readers_changed)
         self._near: Publication = context.near.advertise(endpoint, format, relay)
         if source is not None and self.is_latched:
             self._tell_source()
@@ -157,9 +157,9 @@ class WirePublication:
         return self._is_open and (self.is_read or self._near.has_readers)
 
     @property
-    def has_near_readers(self) -> bool:
+    def has_local_readers(self) -> bool:
         """Whether messages published now have readers in this process, or may get readers later."""
-        return self._near.has_readers if self._source is None else self._has_near_readers
+        return self._near.has_readers if self._source is None else self._has_local_readers
 
     @property
     def has_object_readers(self) -> bool:
@@ -231,19 +231,19 @@ class WirePublication:
 
         A thread of the session calls this.
         """
-        self._context.receive_queue.push(lambda: self._far_readers_changed(is_matching))
+        self._context.receive_queue.push(lambda: self._remote_readers_changed(is_matching))
 
-    def _far_readers_changed(self, has_readers: bool) -> None:
+    def _remote_readers_changed(self, has_readers: bool) -> None:
         self.is_read = has_readers or self._is_expected
         self._tell_source()
         self._context.near.tell_change()  # its token announced the reader; now it can be reached
 
-    def _near_readers_changed(self, has_readers: bool) -> None:
-        self._has_near_readers = has_readers
+    def _local_readers_changed(self, has_readers: bool) -> None:
+        self._has_local_readers = has_readers
         self._tell_source()
 
     def _tell_source(self) -> None:
-        has_readers = self.is_read or self._has_near_readers
+        has_readers = self.is_read or self._has_local_readers
         if self._source is not None and has_readers != self._told_readers:
             self._told_readers = has_readers
             self._source.readers_changed(has_readers=has_readers)
