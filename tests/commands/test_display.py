@@ -239,6 +239,14 @@ def test_names_of_turtles_stand_beside_them_and_cover_no_turtle(drawn):
     assert row.rstrip(BLANK).endswith(f"turtle1{BLANK}→")
 
 
+@pytest.mark.parametrize("x", [2.1, 2.3, 2.5])
+def test_the_name_of_a_turtle_does_not_run_into_the_number_of_a_target(drawn, x):
+    route = [at(8, 8), at(x, 8, math.pi)]
+    rows = map_of(drawn(driving(*route), "send-goal", "patrol", goal((8, 8), (2, 8))))
+    assert not re.search(r"turtle1\d", "".join(rows))
+    assert "turtle1" in "".join(rows)
+
+
 def test_a_turtle_that_drives_backwards_is_called_reversing(drawn):
     def shown(*poses):
         return "reversing" in drawn(driving(*poses), "send-goal", "patrol", goal((9, 9)))

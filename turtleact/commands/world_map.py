@@ -154,7 +154,8 @@ def _cell(x: float, y: float, columns: int, rows: int) -> tuple[int, int]:
 def _label(marks: Marks, turtle: Turtle, cell: tuple[int, int], drawn: Sequence[str]) -> None:
     """Put a turtle's name beside, above or below the turtle.
 
-    The name covers neither another mark nor a trail. If there is no room, it is left out.
+    The name covers no trail, and neither covers nor touches another mark: "turtle1" beside target 2
+    would read as "turtle12". If there is no room, it is left out.
     """
     name = shortened(printable(turtle.name), LONGEST_NAME)
     row, column = cell
@@ -169,9 +170,9 @@ def _label(marks: Marks, turtle: Turtle, cell: tuple[int, int], drawn: Sequence[
     for at, start in places:
         if not (0 <= at < len(drawn) and 0 <= start <= last):
             continue
-        cells = [(at, start + i) for i in range(len(name))]
-        if set(drawn[at][start : start + len(name)]) <= {BLANK} and not marks.keys() & set(cells):
-            marks.update({cell: (name[i], turtle.colour) for i, cell in enumerate(cells)})
+        around = {(at, start + i) for i in range(-1, len(name) + 1)}
+        if set(drawn[at][start : start + len(name)]) <= {BLANK} and not marks.keys() & around:
+            marks.update({(at, start + i): (each, turtle.colour) for i, each in enumerate(name)})
             return
 
 
