@@ -25,7 +25,7 @@ Log: Any = get_interface("rcl_interfaces/msg/Log")
 LATCHED = QoS(depth=2, durability="transient_local")
 
 
-class Add(Service, type_name="lab_interfaces/srv/Add"):
+class Add(Service, type_name="lab_interfaces/srv/AddInts"):
     class Request(Message):
         a: int32 = 0
         b: int32 = 0
@@ -228,7 +228,7 @@ async def test_what_a_client_had_open_is_closed_when_it_goes():
         async with line(bridge) as client:
             await subscribe(client, "/here")
             client.say("advertise", type="geometry_msgs/Point", topic="/there")
-            client.say("advertise_service", type="lab_interfaces/Add", service="/add")
+            client.say("advertise_service", type="lab_interfaces/AddInts", service="/add")
             client.say("advertise_action", type="lab_interfaces/Count", action="/count")
             assert await client.hears_nothing()
             assert kinds(node, "/there") == ["publisher"]
@@ -253,7 +253,7 @@ async def test_a_client_calls_a_service():
 
 
 @pytest.mark.parametrize(
-    "members", [{"args": [1, 2]}, {"args": {"a": 1, "b": 2}, "type": "lab_interfaces/Add"}]
+    "members", [{"args": [1, 2]}, {"args": {"a": 1, "b": 2}, "type": "lab_interfaces/AddInts"}]
 )
 async def test_a_call_is_understood_as_it_is_spelled(members):
     async with bridged() as (node, bridge), line(bridge) as client:
@@ -278,7 +278,10 @@ async def test_a_call_without_an_id_is_answered_without_one():
             {"service": "/add", "type": "lab_interfaces/Ad"},
             "unknown interface 'lab_interfaces/srv/Ad'",
         ),
-        ({"service": "/add", "type": "std_srvs/SetBool"}, "it is served as lab_interfaces/srv/Add"),
+        (
+            {"service": "/add", "type": "std_srvs/SetBool"},
+            "it is served as lab_interfaces/srv/AddInts",
+        ),
         ({"service": "/add", "args": {"c": 1}}, "args: unknown field 'c'"),
         ({"service": "/add", "args": [1, 2, 3]}, "args: 3 values for 2 fields"),
         (
@@ -390,7 +393,7 @@ async def test_hidden_services_can_be_called():
 
 async def test_a_client_serves_a_service():
     async with bridged() as (node, bridge), line(bridge) as client:
-        client.say("advertise_service", type="lab_interfaces/Add", service="/add")
+        client.say("advertise_service", type="lab_interfaces/AddInts", service="/add")
         assert await client.hears_nothing()
         caller = node.service_client(Add, "add")
         async with running(lambda: caller.call(Add.Request(a=1, b=2))) as call:
@@ -417,7 +420,7 @@ async def test_a_client_serves_a_service():
 )
 async def test_a_client_that_fails_to_serve_is_told_of(answer, problem, caplog):
     async with bridged() as (node, bridge), line(bridge) as client:
-        client.say("advertise_service", type="lab_interfaces/Add", service="/add")
+        client.say("advertise_service", type="lab_interfaces/AddInts", service="/add")
         assert await client.hears_nothing()
         async with running(lambda: node.service_client(Add, "add").call(Add.Request())) as call:
             asked = await client.hear()
@@ -431,7 +434,7 @@ async def test_who_calls_a_client_that_goes_is_told(caplog):
         caller = node.service_client(Add, "add")
         call: Running[Any] = Running(lambda: caller.call(Add.Request()))
         async with anyio.create_task_group() as group, line(bridge) as client:
-            client.say("advertise_service", type="lab_interfaces/Add", service="/add")
+            client.say("advertise_service", type="lab_interfaces/AddInts", service="/add")
             assert await client.hears_nothing()
             group.start_soon(call.run)
             await client.hear()
@@ -442,7 +445,7 @@ async def test_who_calls_a_client_that_goes_is_told(caplog):
 
 async def test_a_service_can_be_withdrawn():
     async with bridged() as (node, bridge), line(bridge) as client:
-        client.say("advertise_service", type="lab_interfaces/Add", service="/add")
+        client.say("advertise_service", type="lab_interfaces/AddInts", service="/add")
         client.say("unadvertise_service", service="/add")
         assert await client.hears_nothing()
         await settle()
@@ -452,7 +455,7 @@ async def test_a_service_can_be_withdrawn():
 async def test_a_service_that_is_advertised_again_is_served_anew():
     async with bridged() as (node, bridge), line(bridge) as client:
         for _ in range(2):
-            client.say("advertise_service", type="lab_interfaces/Add", service="/add")
+            client.say("advertise_service", type="lab_interfaces/AddInts", service="/add")
         assert await client.hears_nothing()
         await settle()
         assert kinds(node, "/add") == ["service"]
@@ -465,7 +468,7 @@ async def test_a_service_that_is_advertised_again_is_served_anew():
 async def test_a_service_that_is_withdrawn_leaves_the_others_alone(caplog):
     async with bridged() as (node, bridge), line(bridge) as client:
         for name in ("/add", "/sub"):
-            client.say("advertise_service", type="lab_interfaces/Add", service=name)
+            client.say("advertise_service", type="lab_interfaces/AddInts", service=name)
         assert await client.hears_nothing()
         async with running(lambda: node.service_client(Add, "sub").call(Add.Request())) as call:
             asked = await client.hear()
@@ -477,7 +480,7 @@ async def test_a_service_that_is_withdrawn_leaves_the_others_alone(caplog):
 
 async def test_a_canceled_call_is_forgotten():
     async with bridged() as (node, bridge), line(bridge) as client:
-        client.say("advertise_service", type="lab_interfaces/Add", service="/add")
+        client.say("advertise_service", type="lab_interfaces/AddInts", service="/add")
         client.say("set_level", level="info")
         assert await client.hears_nothing()
         async with running(lambda: node.service_client(Add, "add").call(Add.Request())) as call:
