@@ -238,6 +238,21 @@ async def test_a_goal_does_not_seem_to_run_without_a_connection(devtools):
 
 @in_a_browser
 @on_asyncio
+async def test_the_button_that_pauses_the_world_follows_at_once(devtools):
+    async with (
+        open_world() as node,
+        open_web(node, port=0) as web,
+        connected(devtools, web.url) as page,
+    ):
+        await page.until("!$('pause').hidden && !$('pause').disabled")
+        for after in ("Resume world", "Pause world"):
+            assert await page.run("$('pause').click(), $('pause').disabled")
+            await page.until("!$('pause').disabled")
+            assert await page.text("#pause") == after
+
+
+@in_a_browser
+@on_asyncio
 async def test_turtles_keep_their_colours_when_others_come(devtools):
     async with (
         open_world() as node,

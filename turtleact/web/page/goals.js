@@ -15,7 +15,7 @@ const MOST_STEPS = 30;
 export class Goals {
   #cards = new Map();
 
-  // `names()` gives the turtles that there are, `describe(action, type)` a promise of an action's form.
+  // `names()` gives the turtles, `describe(action, type)` a promise of an action's form.
   constructor(watch, {names, describe}) {
     this.watch = watch;
     this.names = names;

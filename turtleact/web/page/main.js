@@ -62,15 +62,21 @@ watch.addEventListener("graph", () => {
 });
 
 const isPaused = () => watch.rate < .001;
-watch.addEventListener("time", () => {
-  // The rate is measured, so it is only about right.
+function showRate() {
   const whole = Math.round(watch.rate), isWhole = Math.abs(watch.rate / whole - 1) < .15;
   setText($("rate"), !connection.isUp ? "" : isPaused() ? "paused" : `time ${isWhole ? whole : watch.rate.toFixed(1)}×`);
   setText($("pause"), isPaused() ? "Resume world" : "Pause world");
-});
+}
+watch.addEventListener("time", showRate);
 $("pause").onclick = () => {
-  const state = isPaused() ? 1 : 2; // STATE_PLAYING, STATE_PAUSED
-  report(connection.call("/world/set_simulation_state", {state: {state}}), ({result}) => result.error_message);
+  const rate = +isPaused(), state = 2 - rate; // PLAYING is 1, PAUSED 2
+  $("pause").disabled = true;
+  const call = connection.call("/world/set_simulation_state", {state: {state}});
+  call.then(() => watch.expect(rate), () => {}).then(() => {
+    $("pause").disabled = !connection.isUp;
+    showRate();
+  });
+  report(call, ({result}) => result.error_message);
 };
 
 // the turtles

@@ -45,7 +45,7 @@ export class Watch extends EventTarget {
     }
   }
 
-  // The graph's time now (s), between two answers of the server. Without a connection, it stands still.
+  // The graph's time now (s), between two answers. Without a connection, it stands still.
   time() {
     return this.#stopped ?? this.now + this.rate * Math.min(2, (performance.now() - this.#heardAt) / 1000);
   }
@@ -97,7 +97,12 @@ export class Watch extends EventTarget {
     if (isReplaced || Object.keys(tails).length) this.#tell("trails", isReplaced);
   }
 
-  // How fast the graph's clock goes: measured over a second, as answers come irregularly.
+  expect(rate) {
+    this.rate = rate;
+    this.#measured = [0, 0];
+  }
+
+  // The clock's rate is measured over a second, as answers come irregularly.
   #setTime(now) {
     const here = performance.now(), [then, at] = this.#measured;
     if (!at || now < then) this.#measured = [now, here];

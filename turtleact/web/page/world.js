@@ -106,7 +106,7 @@ export class World {
     for (const turtle of this.turtles.values()) if (turtle.pose) this.#drawTurtle(turtle, size);
   }
 
-  // Trails are drawn onto a canvas of their own, which is kept as long as the view is the same.
+  // Trails have a canvas of their own, which is kept while the view is the same.
   #drawTrails(width, height, unit, shift) {
     const view = [width, height, unit, ...shift].join(), ink = this.#ink;
     if (view !== this.#inked) {
@@ -123,7 +123,7 @@ export class World {
     }
   }
 
-  // The piece from the last known point to where the turtle is now.
+  // From the last known point to where the turtle is.
   #drawEnds() {
     const pen = this.#pen;
     pen.lineCap = "round";
@@ -206,7 +206,7 @@ export class World {
     }
     pen.stroke();
     pen.restore();
-    this.#drawName(name, x, SIDE - y - .48 - 7 * size, size);
+    if (this.turtles.size < 20 || name === this.chosen()) this.#drawName(name, x, SIDE - y - .48 - 7 * size, size);
   }
 
   #drawName(name, x, y, size) {
