@@ -48,14 +48,21 @@ async def connected(devtools: str, url: str) -> AsyncIterator[Tab]:
         yield page
 
 
-@in_a_browser
-@on_asyncio
-async def test_the_page_drives_patrols_pauses_and_cancels(devtools):
+@asynccontextmanager
+async def world_page(devtools: str) -> AsyncIterator[tuple[turtleact.Node, Tab]]:
+    """The node of a world, and a page that is connected to it."""
     async with (
         open_world() as node,
         open_web(node, port=0) as web,
         connected(devtools, web.url) as page,
     ):
+        yield node, page
+
+
+@in_a_browser
+@on_asyncio
+async def test_the_page_drives_patrols_pauses_and_cancels(devtools):
+    async with world_page(devtools) as (node, page):
         # what is on the graph can be asked for
         await page.until("!$('spawn-here').disabled")
         await page.run("void (Math.random = () => 0.95)")  # away from the clicks below
@@ -239,11 +246,7 @@ async def test_a_goal_does_not_seem_to_run_without_a_connection(devtools):
 @in_a_browser
 @on_asyncio
 async def test_the_button_that_pauses_the_world_follows_at_once(devtools):
-    async with (
-        open_world() as node,
-        open_web(node, port=0) as web,
-        connected(devtools, web.url) as page,
-    ):
+    async with world_page(devtools) as (_, page):
         await page.until("!$('pause').hidden && !$('pause').disabled")
         for after in ("Resume world", "Pause world"):
             assert await page.run("$('pause').click(), $('pause').disabled")
@@ -254,11 +257,7 @@ async def test_the_button_that_pauses_the_world_follows_at_once(devtools):
 @in_a_browser
 @on_asyncio
 async def test_turtles_keep_their_colours_when_others_come(devtools):
-    async with (
-        open_world() as node,
-        open_web(node, port=0) as web,
-        connected(devtools, web.url) as page,
-    ):
+    async with world_page(devtools) as (_, page):
         await page.click("#tab-turtles")
         await page.until("$('turtle').options.length === 1")
         spawn = "const [x, y, name] = document.querySelectorAll('[aria-label^=Spawn] input');"
@@ -282,11 +281,7 @@ async def test_turtles_keep_their_colours_when_others_come(devtools):
 @in_a_browser
 @on_asyncio
 async def test_a_patrol_is_sent_with_the_keyboard_alone(devtools):
-    async with (
-        open_world() as node,
-        open_web(node, port=0) as web,
-        connected(devtools, web.url) as page,
-    ):
+    async with world_page(devtools) as (_, page):
         await page.until("$('action').value === '/patrol' && $('fields').children.length")
         order: list[str] = []
         while not order or order[-1] != "tab-goals":

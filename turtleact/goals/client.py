@@ -387,9 +387,11 @@ class ActionClient(Generic[G, R, F]):
     async def _enter(self, request: GoalRequest) -> ClientGoalHandle[R, F]:
         """Send a goal and wait until it is accepted."""
         server, goal = await self._send_to_server(request)
-        goal.log.is_kept = True
+        handle: ClientGoalHandle[R, F] = ClientGoalHandle(
+            server, goal, self._services, is_sender=True
+        )  # before the wait, as a body that begins in it may publish
         await self._wait(server, goal, partial(server.wait_for_acceptance, goal))
-        return ClientGoalHandle(server, goal, self._services, is_sender=True)
+        return handle
 
     async def _attach(self, goal_id: bytes) -> ClientGoalHandle[R, F]:
         """Attach to a goal that somebody else sent."""

@@ -135,6 +135,7 @@ class ClientGoalHandle(Generic[R, F]):
     def __init__(
         self, server: GoalServer, goal: Goal, services: HandleServices, *, is_sender: bool
     ) -> None:
+        goal.log.is_kept = True
         self._server = server
         self._goal = goal
         self._guard = services.guard

@@ -6,8 +6,8 @@ owns the task, and therefore cancels the task and waits for its end.
 A step is the part of a body between two awaits. During a long step nothing else in the event loop
 can run, so long steps are reported.
 
-Source: asyncio's debug mode, for the report of slow callbacks.
-rclpy ``action/server.py`` for the handle's names and behaviour.
+Source: asyncio's debug mode, for the report of slow callbacks; rclpy ``action/server.py`` for the
+names and the behaviour of the handle.
 """
 
 from __future__ import annotations
@@ -47,6 +47,11 @@ _ENDS_PROGRAM = (KeyboardInterrupt, SystemExit)
 _CANCELING = GoalStatus.CANCELING
 _EXECUTE = GoalEvent.EXECUTE
 _SUCCEED = GoalEvent.SUCCEED
+
+
+G = TypeVar("G", bound=Message)
+R = TypeVar("R", bound=Message)
+F = TypeVar("F", bound=Message)
 
 
 class BodyRunner:
@@ -417,11 +422,6 @@ def _stop_in(error: BaseException) -> BaseException | None:
     if isinstance(error, BaseExceptionGroup):
         return next(filter(None, map(_stop_in, error.exceptions)), None)
     return error if isinstance(error, _ENDS_PROGRAM) else None
-
-
-G = TypeVar("G", bound=Message)
-R = TypeVar("R", bound=Message)
-F = TypeVar("F", bound=Message)
 
 
 class GoalHandle(Generic[G, R, F]):

@@ -62,6 +62,19 @@ __all__ = [
 ]
 
 
+logger = logging.getLogger("turtleact.server")
+
+# Members of enums that each goal needs. Python 3.11 looks them up slowly in their classes.
+_ACCEPTED = GoalStatus.ACCEPTED
+_CANCELING = GoalStatus.CANCELING
+_CANCEL_GOAL = GoalEvent.CANCEL_GOAL
+
+SHUTDOWN = "shutdown"
+"""The default reason for goals that end because their server closes."""
+
+_Check: TypeAlias = Callable[[object], Message]
+
+
 class GoalPauses(Protocol):
     """Pauses and resumes the goals of a server."""
 
@@ -126,10 +139,7 @@ class GoalServer(Protocol):
         """Wait until a goal that was sent is accepted, and raise the errors of `send`."""
 
     async def attach(self, goal_id: bytes) -> Goal | None:
-        """Return the goal with that id, or None if there is none.
-
-        From now on, the goal's feedback is kept.
-        """
+        """Return the goal with that id, or None if there is none."""
 
     def cancel(self, goal_id: bytes | None, stamp: int) -> Awaitable[CancelGoal.Response]:
         """Cancel the goals that an id and a stamp (ns) select, and return the server's answer.
@@ -152,19 +162,6 @@ class OffersGoals(Protocol):
     """Handles ``send_goal`` requests, and gives clients in its process access to the server."""
 
     goal_server: GoalServer
-
-
-logger = logging.getLogger("turtleact.server")
-
-# Members of enums that each goal needs. Python 3.11 looks them up slowly in their classes.
-_ACCEPTED = GoalStatus.ACCEPTED
-_CANCELING = GoalStatus.CANCELING
-_CANCEL_GOAL = GoalEvent.CANCEL_GOAL
-
-SHUTDOWN = "shutdown"
-"""The default reason for goals that end because their server closes."""
-
-_Check: TypeAlias = Callable[[object], Message]
 
 
 class ServerSpec(NamedTuple):
@@ -398,12 +395,9 @@ class LocalActionServer:
         return self.table.held(self.now())
 
     async def attach(self, goal_id: bytes) -> Goal | None:
-        """Return the goal as `find` does, and keep the goal's feedback for readers from now on."""
+        """Return the goal as `find` does, once the goals of an earlier process are restored."""
         await self.wait_until_restored()
-        goal = self.find(goal_id)
-        if goal is not None:
-            goal.log.is_kept = True
-        return goal
+        return self.find(goal_id)
 
     async def _hold_all(self) -> None:
         """Return at once, because without a journal there are no goals of an earlier process."""
