@@ -42,6 +42,20 @@ async def main():
     assert (it.returncode, it.stdout, it.stderr) == (status, f"cleaned\nleft {status}\n", "")
 
 
+def test_a_signal_while_the_loop_opens_cancels_the_command():
+    it = ran("""
+import turtleact.commands.interrupts as opening
+new_event_loop = opening.new_event_loop
+def open_late():
+    come()
+    return new_event_loop()
+opening.new_event_loop = open_late
+async def main():
+    print('started')
+""")
+    assert (it.returncode, it.stdout, it.stderr) == (130, "left 130\n", "")
+
+
 def test_a_command_may_wait_for_the_first_signal_instead():
     it = ran("""
 async def main():

@@ -2,7 +2,7 @@
 
 The first signal asks the command to end: the command is cancelled, or cancels its goal and waits
 for the end. The second signal ends the process at once, even if the user's code blocks the event
-loop. Before and after the loop, Python's own signal handlers are in place.
+loop. Before and after `Interrupts.run`, Python's own signal handlers are in place.
 
 Source: `asyncio.Runner`, which handles Ctrl-C in the same way. The loop's ``add_signal_handler``
 would not do, because its handlers wait for a blocked loop.
@@ -52,6 +52,7 @@ class Interrupts:
         self.restore: Callable[[], object] = bool
         self.last_words: Callable[[], str] = str
         self._first = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._task: asyncio.Task[int] | None = None
 
     @property
@@ -65,13 +66,15 @@ class Interrupts:
         Raises:
             BaseException: if the command raised it.
         """
-        # The handlers also cover the closing of the loop, which waits for tasks and threads.
-        runner = asyncio.Runner(loop_factory=new_event_loop)
-        loop = runner.get_loop()
-        with self._handled(loop), runner:
-            self._task = loop.create_task(main)
+        # The handlers also cover the opening of the loop, which a signal would leave half done, and
+        # its closing, which waits for tasks and threads.
+        with self._handled(), asyncio.Runner(loop_factory=new_event_loop) as runner:
+            self._loop = runner.get_loop()
+            self._task = self._loop.create_task(main)
+            if self.received:  # before there was a loop to call
+                self._ask_to_end()
             try:
-                return loop.run_until_complete(self._task)
+                return self._loop.run_until_complete(self._task)
             except asyncio.CancelledError:
                 if not self.received:
                     raise
@@ -91,7 +94,7 @@ class Interrupts:
             self._task.cancel()
 
     @contextmanager
-    def _handled(self, loop: asyncio.AbstractEventLoop) -> Iterator[None]:
+    def _handled(self) -> Iterator[None]:
         """Handle `SIGNALS` during a block, except those that this process inherited as ignored."""
 
         def arrive(number: int, _: FrameType | None) -> None:
@@ -102,8 +105,8 @@ class Interrupts:
             self.received.append(signal.Signals(number))
             if len(self.received) > 1:
                 self._end()
-            if not loop.is_closed():
-                loop.call_soon_threadsafe(self._ask_to_end)
+            if self._loop is not None and not self._loop.is_closed():
+                self._loop.call_soon_threadsafe(self._ask_to_end)
 
         taken = [each for each in SIGNALS if signal.getsignal(each) is not signal.SIG_IGN]
         before = {each: signal.signal(each, arrive) for each in taken}
