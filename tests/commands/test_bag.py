@@ -16,7 +16,7 @@ from turtleact.interfaces import encode, get_message
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
 from turtleact.interfaces.standard.std_msgs.msg import String
 from turtleact.recording import Bag
-from turtleact.recording.bag_writer import BagWriter, McapWriter, Split
+from turtleact.recording.bag_writer import BagWriter, Split
 from turtleact.recording.metadata import Offer
 from turtleact.recording.schemas import Schema, schema_of
 from turtleact.recording.storage import Channel
@@ -235,10 +235,10 @@ def test_a_recording_names_what_was_lost(on_graph, monkeypatch, tmp_path):
 
 
 def test_a_disk_that_is_full_is_named(on_graph, monkeypatch, tmp_path):
-    def flush(_):
+    def finish(_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(McapWriter, "flush", flush)
+    monkeypatch.setattr("mcap.writer.Writer.finish", finish)
     ran = on_graph(interrupted(talking), "bag", "record", "-a", "-o", str(tmp_path / "run"))
     assert ran.status == 1
     assert "it cannot be written any more: No space left on device" in ran.err

@@ -23,7 +23,6 @@ from turtleact.transports.base import QoS, TimePolicies
 __all__ = [
     "ABOUT",
     "METADATA",
-    "NOT_CLOSED",
     "ROOT",
     "BagError",
     "BagFile",
@@ -47,12 +46,6 @@ METADATA: Final = "metadata.yaml"
 
 ABOUT: Final = "rosbag2"
 """The name of the records in a file that describe the bag."""
-
-NOT_CLOSED: Final = "not_closed"
-"""The key in a bag's custom metadata for the name of a file without an index.
-
-The index of that file is missing because the disk was full.
-"""
 
 ROOT: Final = "rosbag2_bagfile_information"
 
@@ -136,8 +129,8 @@ class BagInfo(msgspec.Struct, frozen=True, kw_only=True):
         compression: What rosbag2 has compressed: ``"file"`` (whole files) or ``"message"`` (each
             message); otherwise empty. It is also empty if only the chunks inside a file are
             compressed.
-        is_closed: Whether the recorder closed every file. A recorder that is killed does not close
-            its last file.
+        is_closed: Whether the recorder closed every file. A recorder that is killed, or that finds
+            the disk full, does not close its last file.
     """
 
     files: tuple[BagFile, ...] = ()
@@ -362,7 +355,6 @@ def _info(said: dict[str, Any]) -> BagInfo:
         distro=str(said.get("ros_distro") or ""),
         custom=custom,
         compression=_compression(said),
-        is_closed=NOT_CLOSED not in custom,
     )
 
 

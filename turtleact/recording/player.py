@@ -4,23 +4,13 @@ Messages are published at the intervals at which they were recorded, measured by
 Over a network, the bytes in the bag are sent without decoding them. Instead of publishing the
 topics of an action, the player can send the action's goals again. These goals get new ids, because
 a server may still hold the recorded goals and would then reject their ids.
-
-In virtual time, many messages have the same stamp, and their order matters to a simulation. The
-player assumes that the simulation itself publishes all messages that are not played from the bag.
-Among messages with the same stamp, the player therefore finds the first message that the simulation
-itself publishes. If a message from the bag was recorded before this first message, the player
-publishes the message `NUDGE` before its stamp. All other messages are published `NUDGE` after their
-stamp. The simulation then gets all messages in the recorded order, and reaches exactly the recorded
-poses.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Collection, Iterable, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Collection, Mapping
 from contextlib import aclosing
-from itertools import groupby
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, Literal, TypedDict, Unpack
 
@@ -41,14 +31,10 @@ from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import EVERYTHING, REQUESTS, Selection, owner_of, part_of
 from turtleact.recording.storage import Channel, Range, in_nanoseconds
 from turtleact.tasks import Background, current_tasks, thread_work
-from turtleact.tasks.clock import WallClock
 from turtleact.transports.base import Endpoint, Publication, QoS, RawFormat
 from turtleact.transports.graph import SEND_GOAL
 
 __all__ = ["PlayOptions", "Played", "play"]
-
-NUDGE: Final = 1000
-"""In virtual time, a message is played this long before or after its stamp (ns)."""
 
 PATIENCE: Final = 2.0
 """How long to wait until known readers can be reached (s)."""
@@ -255,13 +241,15 @@ class _Player:
 
     async def _play_all(self, begun: float, rate: float | None) -> None:
         clock, count = self._node.clock, 0
-        async with aclosing(self._messages()) as batches:
-            async for message, nudge in batches:
+        reading = Reading(
+            self._bag, Range(self._start, self._end, self._is_wanted), is_decoded=False
+        )
+        async with aclosing(reading.batches()) as read, aclosing(_still(read)) as batches:
+            async for message in batches:
                 count += 1
                 self._reached = message.stamp
                 if rate is not None:
-                    offset = message.stamp - self._start + nudge
-                    due = begun + offset / 1e9 / rate
+                    due = begun + (message.stamp - self._start) / 1e9 / rate
                     if due > clock.time():
                         await clock.sleep_until(due)
                 if not count % TURN:
@@ -280,40 +268,6 @@ class _Player:
                 stamp = self._start + round((clock.time() - begun) * rate * 1e9)
             self._clock.publish(Clock(stamp_of(stamp)))
             await clock.sleep(1 / self._frequency)
-
-    async def _messages(self) -> AsyncGenerator[tuple[Recorded, int]]:
-        """Yield each message to play, and how much later than its stamp to play it (ns)."""
-        is_exact = not isinstance(self._node.clock, WallClock)
-        # Messages that are not played tell what came first, where that matters.
-        wants = None if is_exact else self._is_wanted
-        reading = Reading(self._bag, Range(self._start, self._end, wants), is_decoded=False)
-        waiting: list[Recorded] = []
-        async with aclosing(reading.batches()) as read, aclosing(_still(read)) as batches:
-            async for batch in batches:
-                if not is_exact:
-                    for message in batch:
-                        yield message, 0
-                    continue
-                waiting += batch
-                *moments, last = [list(each) for _, each in groupby(waiting, attrgetter("stamp"))]
-                for moment in moments:
-                    for pair in self._ordered(moment):
-                        yield pair
-                waiting = last
-        for pair in self._ordered(waiting):
-            yield pair
-
-    def _ordered(self, moment: list[Recorded]) -> Iterable[tuple[Recorded, int]]:
-        """Yield each message to play, and how much later than its stamp to play it (ns).
-
-        All messages in ``moment`` have the same stamp. A negative number means that the message is
-        played before its stamp.
-        """
-        others = [place for place, each in enumerate(moment) if not self._is_wanted(each.topic)]
-        first = others[0] if others else -1
-        for place, each in enumerate(moment):
-            if self._is_wanted(each.topic):
-                yield each, -NUDGE if place < first else NUDGE
 
     def _is_wanted(self, topic: str) -> bool:
         return topic in self._outlets or (
@@ -546,14 +500,15 @@ class _GoalSender:
         return self._clients[name]
 
 
-async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncGenerator[list[Recorded]]:
-    """Yield the batches, and stop virtual time while a thread reads the next batch."""
+async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncGenerator[Recorded]:
+    """Yield the messages, and stop virtual time while a thread reads the next batch."""
     while True:
         with thread_work().counted():
             batch = await anext(batches, None)
         if batch is None:
             return
-        yield batch
+        for message in batch:
+            yield message
 
 
 def _times(options: PlayOptions) -> tuple[int, int | None]:

@@ -107,15 +107,12 @@ class Recording:
 
     @property
     def lost(self) -> int:
-        """How many messages were lost because the disk was too slow or full.
-
-        Messages that come after the recording has ended early are not counted.
-        """
+        """How many messages were dropped because the disk was too slow."""
         return sum(self.lost_by_topic.values())
 
     @property
     def lost_by_topic(self) -> dict[str, int]:
-        """How many messages of each topic were lost. Topics without a loss are left out."""
+        """How many messages of each topic were dropped. Topics without a loss are left out."""
         return self._thread.lost
 
     @property

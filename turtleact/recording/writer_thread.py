@@ -78,9 +78,8 @@ class WriterThread:
         self._channels: list[Channel] = []
         self._encoders: list[Encode | None] = []
         self._sizes: list[int] = []  # of the last message of each topic, for those not yet encoded
-        self._lost: Counter[int] = Counter()
-        self._taken = 0
-        self._refused = 0
+        self._lost: Counter[str] = Counter()
+        self._count = 0
         self._entries: list[Entry] = []
         self._taken_out: list[Entry] = []  # by the thread, which writes them
         self._weight = 0
@@ -143,10 +142,9 @@ class WriterThread:
             if self._is_over:
                 return
             if self._weight > self._capacity:
-                self._refused += 1
                 self._lose(number)
                 return
-            self._taken += 1
+            self._count += 1
             self._entries.append((number, stamp, message))
             self._weight += size + OVERHEAD
 
@@ -163,13 +161,11 @@ class WriterThread:
     @property
     def count(self) -> int:
         """How many messages are in the bag or wait to be written."""
-        with self._changed:
-            gone = self._lost.total() - self._refused + self._writer.lost.total()
-            return self._taken - gone
+        return self._count - (self.waiting if self._is_over else 0)
 
     @property
     def waiting(self) -> int:
-        """How many messages are not on disk yet.
+        """How many messages are not on disk yet, or were not when the disk failed.
 
         Reading this needs no lock, so a signal handler may do it.
         """
@@ -177,17 +173,14 @@ class WriterThread:
 
     @property
     def lost(self) -> dict[str, int]:
-        """How many messages of each topic were lost."""
+        """How many messages of each topic were dropped."""
         with self._changed:
-            return dict(self._dropped() + self._writer.lost)
-
-    def _dropped(self) -> Counter[str]:
-        return Counter({self._channels[key].topic: count for key, count in self._lost.items()})
+            return dict(self._lost)
 
     def _lose(self, number: int) -> None:
-        self._lost[number] += 1
-        if self._lost[number] == 1:
-            topic = self._channels[number].topic
+        topic = self._channels[number].topic
+        self._lost[topic] += 1
+        if self._lost[topic] == 1:
             logger.warning("topic %s: the disk is too slow; messages are lost", topic)
 
     # the thread
@@ -250,22 +243,19 @@ class WriterThread:
             data = None
         with self._changed:
             if data is None:
-                self._lost[number] += 1
+                self._lost[self._channels[number].topic] += 1
+                self._count -= 1
             else:
                 self._sizes[number] = len(data)
         return data
 
     def _end(self) -> None:
-        """Close the bag, even after an error. Entries that were not written count as lost."""
+        """Close the bag, even after an error."""
         with self._changed:
             self._is_over = True
-            for number, _, _ in (*self._taken_out, *self._entries):
-                self._lost[number] += 1
-            self._entries, self._taken_out = [], []
-            dropped = self._dropped()
             self._changed.notify_all()
         try:
-            self._writer.close(dict(dropped))
+            self._writer.close(self.lost)
         except Exception as error:
             self._fail(error)
         finally:
