@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from turtleact.sim.canvas import CLEAR, Canvas
+from turtleact.sim.drawing import CLEAR, Canvas
 from turtleact.sim.paint import SIZE, Colour, Pen
 
 RED, BLUE = Colour(255, 0, 0), Colour(0, 0, 255)

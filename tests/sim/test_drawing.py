@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from turtleact.sim import drawing
-from turtleact.sim.canvas import Canvas
-from turtleact.sim.drawing import TOLERANCE, Drawing
+from turtleact.sim.drawing import TOLERANCE, Canvas, Drawing
 from turtleact.sim.paint import METER, Colour, Pen
 
 RED, BLUE = Pen(Colour(255, 0, 0), 3), Pen(Colour(0, 0, 255), 5)

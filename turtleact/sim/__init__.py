@@ -3,11 +3,10 @@
 These modules depend on neither ROS nor a clock:
 
 - `world` keeps the turtles by name, and applies commands, teleports and walls.
-- `start_poses` chooses where turtles start.
 - `fleet` moves turtles by one step, and finds the turtles that block each other. `kinematics` has
-  the constants and types of a step.
-- `drawing` has the turtles' pens, and draws their lines on a `canvas`. `pictures` turns a drawing
-  into SVG and PNG, and `paint` has the sizes and colours of pictures.
+  the constants and types of a step, and chooses where turtles start.
+- `drawing` has the turtles' pens, and draws their lines. `pictures` turns a drawing into SVG and
+  PNG, and `paint` has the sizes and colours of pictures.
 
 These modules make the world a ROS node:
 

@@ -23,9 +23,13 @@ import numpy.typing as npt
 
 from turtleact.errors import SimError
 from turtleact.sim.fleet import Fleet, stopped
-from turtleact.sim.kinematics import DT, SIDE, Command, Hit, Place
-from turtleact.sim.start_poses import (
+from turtleact.sim.kinematics import (
+    DT,
     MIDDLE,
+    SIDE,
+    Command,
+    Hit,
+    Place,
     check_finite,
     place_ahead,
     place_at,

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from turtleact.errors import SimError
-from turtleact.sim.kinematics import SIDE, Place
-from turtleact.sim.start_poses import MIDDLE, PLACINGS, place_at, starts
+from turtleact.sim.kinematics import MIDDLE, PLACINGS, SIDE, Place, place_at, starts
 
 floats = st.floats(-20.0, 20.0, width=32)
 
