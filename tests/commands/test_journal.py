@@ -440,16 +440,3 @@ def test_a_clean_stop_keeps_goals_or_ends_them(tmp_path, at, turtleact, options,
     told = json.loads(turtleact("goals", "--journal", str(tmp_path / "goals.db"), "--json").out)
     reason = "shutdown" if state == "ABORTED" else ""
     assert (told["state"], told["reason"]) == (state, reason)
-
-
-@pytest.mark.skipif(os.name != "posix", reason="Windows does not delete an open file")
-def test_a_server_whose_journal_was_deleted_takes_no_goals_and_says_so_at_its_end(tmp_path, at):
-    with serving(tmp_path, at, "--on-restart", "resume") as server:
-        (tmp_path / "goals.db").unlink()
-        sent = start(tmp_path, "send-goal", "steps", "order: 4", "--connect", at)
-        said, _ = sent.communicate(timeout=30)
-        assert "the file was deleted, renamed or replaced" in said
-        server.send_signal(signal.SIGTERM)
-        out, _ = server.communicate(timeout=30)
-        assert server.returncode == 0
-        assert "running goals are lost, unless the journal can be written in time" in out

@@ -329,63 +329,6 @@ async def test_a_full_disk_refuses_new_goals_and_lets_running_ones_end(path, mon
     assert "can be written again" in caplog.text
 
 
-def delete(path: Path) -> None:
-    path.unlink()
-
-
-def rename(path: Path) -> None:
-    path.rename(path.with_suffix(".old"))
-
-
-def replace(path: Path) -> None:
-    path.with_suffix(".new").touch()
-    path.with_suffix(".new").replace(path)
-
-
-def empty(path: Path) -> None:
-    os.truncate(path, 0)
-
-
-def delete_its_log(path: Path) -> None:
-    Path(f"{path}-wal").unlink()
-
-
-@pytest.mark.skipif(os.name != "posix", reason="Windows does not delete or rename an open file")
-@pytest.mark.parametrize("lose", [delete, rename, replace, empty, delete_its_log])
-async def test_a_journal_whose_file_has_gone_takes_no_goals(path, caplog, lose):
-    async with open_journal(path) as journal:
-        await journal.accept(record(1))
-        assert not journal.problem()
-        lose(path)
-        for number in range(2, 4):
-            with pytest.raises(JournalError, match="the file was deleted, renamed or replaced"):
-                await journal.accept(record(number))
-        assert journal.problem() == "the file was deleted, renamed or replaced"
-        journal.end(record(1).id, ended(NOW, NOW), lambda: None)
-        began = time.monotonic()
-    assert time.monotonic() - began < 4  # it does not wait for the file
-    assert "1 changes of goals are lost" in caplog.text
-    assert caplog.text.count("cannot be written: the file was deleted") == 1
-
-
-@pytest.mark.skipif(os.name != "posix", reason="Windows does not rename an open file")
-async def test_a_journal_whose_file_is_put_back_goes_on(path, monkeypatch):
-    monkeypatch.setattr("turtleact.journal.writer.RETRY", 0.01)
-    async with open_journal(path) as journal:
-        await journal.accept(record(1))
-        rename(path)
-        assert journal.problem()
-        over = anyio.Event()
-        journal.end(record(1).id, ended(NOW, NOW), over.set)
-        await journal.written()
-        assert not over.is_set()
-        path.with_suffix(".old").rename(path)
-        await over.wait()
-        assert not journal.problem()
-    (kept,) = read_goals(path)
-    assert kept.status == GoalStatus.SUCCEEDED
-
-
 async def test_feedback_goes_on_though_the_disk_is_full(path, monkeypatch):
     disk = Disk(monkeypatch)
     async with open_journal(path) as journal:

@@ -32,7 +32,6 @@ __all__ = [
     "Database",
     "JournalError",
     "JournalHeld",
-    "MovedError",
     "Withdraw",
     "explain",
     "find_goals",
@@ -123,16 +122,6 @@ class JournalHeld(JournalError):
     """The journal cannot be opened because another process writes it."""
 
 
-class MovedError(sqlite3.OperationalError):
-    """The journal's file was deleted, renamed or replaced while it was open.
-
-    Data written to the open file would be lost.
-    """
-
-    def __init__(self) -> None:
-        super().__init__("the file was deleted, renamed or replaced")
-
-
 class Accept(msgspec.Struct):
     """A job that adds a goal to the journal.
 
@@ -193,7 +182,6 @@ class Database:
         except BaseException:
             self._lock.close()
             raise
-        self._opened = _files(path)
 
     def close(self) -> None:
         """Close the file, so that another process may write it."""
@@ -230,21 +218,11 @@ class Database:
                     _add(changes.setdefault(job.goal_id, {}), job.change)
             for goal_id, columns in changes.items():
                 self._update(goal_id, columns)
-            if self.is_moved():
-                raise MovedError
             execute("COMMIT")
         except BaseException:
             with suppress(sqlite3.Error):  # SQLite has rolled back by itself after some errors
                 execute("ROLLBACK")
             raise
-
-    def is_moved(self) -> bool:
-        """Whether the journal's files were deleted, renamed, replaced or emptied.
-
-        Any thread may call this method. In WAL mode, SQLite does not notice that its files were
-        moved, and would go on writing to the old file.
-        """
-        return _files(self.path) != self._opened
 
     def _insert(self, job: Accept) -> None:
         record = job.record
@@ -444,24 +422,6 @@ def _lock(path: Path) -> sqlite3.Connection:
             raise JournalHeld(path, problem) from None
         raise JournalError(path, explain(error)) from error
     return connection
-
-
-def _files(path: Path) -> list[tuple[int, int] | None]:
-    """Return the device and inode numbers of the journal's file and of SQLite's log beside it.
-
-    An entry is None if the file is missing. The entry of the journal's file is also None if the
-    file is empty. An empty log still has an entry, because other programs may have moved the log's
-    contents to the journal's file.
-    """
-    return [_identity(path, least=1), _identity(Path(f"{path}-wal"), least=0)]
-
-
-def _identity(path: Path, least: int) -> tuple[int, int] | None:
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return (status.st_dev, status.st_ino) if status.st_size >= least else None
 
 
 def _is_foreign(path: Path) -> bool:

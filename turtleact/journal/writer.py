@@ -4,9 +4,8 @@ All changes go to one thread, in order. The thread writes all waiting changes in
 While the thread waits for the disk, further changes accumulate. A hundred goals at the same time
 therefore need only a few waits for the disk, not a hundred.
 
-If the disk is full, or the file was deleted, renamed or replaced, new goals are rejected for that
-reason. Running goals go on: their changes stay in memory, and the thread tries again until it can
-write them.
+If the disk is full, new goals are rejected for that reason. Running goals go on: their changes stay
+in memory, and the thread tries again until it can write them.
 """
 
 from __future__ import annotations
@@ -31,7 +30,6 @@ from turtleact.journal.database import (
     Change,
     Database,
     JournalError,
-    MovedError,
     Withdraw,
     explain,
 )
@@ -102,7 +100,6 @@ class Journal:
         self._deadline = 0.0
         self._is_failing = False
         self._failure = ""
-        self._database: Database | None = None
         self._opened = anyio.Event()
         self._ended = anyio.Event()
         self._error: BaseException | None = None
@@ -174,8 +171,6 @@ class Journal:
 
         Any thread may call this.
         """
-        if self._database is not None and self._database.is_moved():
-            return explain(MovedError())
         return self._failure
 
     # the event loop's side
@@ -287,13 +282,11 @@ class Journal:
         if database.moved_to is not None:
             problem = "%s is damaged; it is now %s, and a new journal was begun"
             logger.error(problem, self.path, database.moved_to)
-        self._database = database
         self._tasks.from_anywhere(self._opened.set)
         try:
             while jobs := self._next():
                 self._serve(database, jobs)
         finally:
-            self._database = None
             database.close()
             self._tasks.from_anywhere(self._ended.set)
 
@@ -310,8 +303,7 @@ class Journal:
             jobs = list(self._jobs)
             self._jobs.clear()
         if jobs and self._is_closing and self._is_failing:
-            is_moved = self._database is not None and self._database.is_moved()
-            if is_moved or time.monotonic() > self._deadline:
+            if time.monotonic() > self._deadline:
                 logger.error("%s: %d changes of goals are lost", self.path, len(jobs))
                 return []
             time.sleep(RETRY / 10)
