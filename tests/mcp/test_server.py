@@ -121,27 +121,6 @@ async def test_a_reason_reaches_the_model_word_for_word(arguments, text):
         assert text_of(reply) == text
 
 
-async def test_arguments_of_10_mb_are_refused():
-    async with connect() as (_, client):
-        reply = await client.call_tool("count", {"order": "9" * 10_000_000})
-        assert "bytes are too many" in text_of(reply)
-
-
-@pytest.mark.loops("asyncio", "trio")
-async def test_a_hundred_calls_run_at_once():
-    replies = []
-    async with connect() as (_, client):
-
-        async def call(order):
-            replies.append(await client.call_tool("count", {"order": order}))
-
-        async with anyio.create_task_group() as calling:
-            for number in range(100):
-                calling.start_soon(call, number % 4 + 1)
-    lengths = [len(reply.structured_content["result"]["sequence"]) for reply in replies]
-    assert sorted(lengths) == [1] * 25 + [2] * 25 + [3] * 25 + [4] * 25
-
-
 @pytest.mark.loops("asyncio", "trio")
 async def test_a_flood_of_goals_meets_a_limit_that_says_what_to_do():
     async with connect(limits=Limits(goals=1)) as (lab, client):

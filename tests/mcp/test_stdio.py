@@ -6,13 +6,12 @@ import json
 import os
 import sys
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import anyio
 import pytest
 
-from turtleact.mcp.stdio import serve_stdio
+from turtleact.mcp.serving import serve_stdio
 
 from .line import open_lab
 
@@ -23,7 +22,7 @@ class Pipes:
     def __init__(self) -> None:
         reads, self._ours = os.pipe()
         self._answers, writes = os.pipe()
-        self.inner = self._ends = os.fdopen(reads), os.fdopen(writes, "w")
+        self.inner = os.fdopen(reads), os.fdopen(writes, "w")
         self._held = b""
 
     @contextmanager
@@ -36,13 +35,8 @@ class Pipes:
         finally:
             sys.stdin, sys.stdout = before
 
-    async def send(self, line) -> None:
-        data = line if isinstance(line, bytes) else json.dumps({"jsonrpc": "2.0", **line}).encode()
-        await anyio.to_thread.run_sync(self._write, data + b"\n")
-
-    def _write(self, data: bytes) -> None:
-        while data:
-            data = data[os.write(self._ours, data) :]
+    def send(self, line) -> None:
+        os.write(self._ours, json.dumps({"jsonrpc": "2.0", **line}).encode() + b"\n")
 
     async def answer(self):
         while b"\n" not in self._held:
@@ -55,16 +49,11 @@ class Pipes:
         os.close(self._ours)
         self._ours = -1
 
-    def stop_listening(self) -> None:
-        os.close(self._answers)
-        self._answers = -1
-
     def close(self) -> None:
         if self._ours >= 0:
             os.close(self._ours)
-        if self._answers >= 0:
-            os.close(self._answers)
-        for end in self._ends:
+        os.close(self._answers)
+        for end in self.inner:
             end.close()
 
 
@@ -95,13 +84,13 @@ HELLO: dict[str, Any] = {
 async def test_a_client_that_hangs_up_cancels_its_goal_and_ends_the_server(pipes):
     async with open_lab() as (lab, _, server), anyio.create_task_group() as serving:
         serving.start_soon(serve, pipes, server)
-        await pipes.send(HELLO)
+        pipes.send(HELLO)
         hello = await pipes.answer()
         assert hello["result"]["protocolVersion"] == "2024-11-05"
         assert hello["result"]["capabilities"]["tools"] == {"listChanged": True}
-        await pipes.send({"method": "notifications/initialized"})
+        pipes.send({"method": "notifications/initialized"})
         call = {"name": "count", "arguments": {"order": 0}}
-        await pipes.send({"id": 1, "method": "tools/call", "params": call})
+        pipes.send({"id": 1, "method": "tools/call", "params": call})
         await lab.started.wait()
         pipes.hang_up()
     assert lab.ended == ["cancelled"]
@@ -112,20 +101,3 @@ async def test_a_signal_ends_a_server_whose_client_says_nothing(pipes):
         with anyio.move_on_after(0.05) as scope:
             await serve(pipes, server)
     assert scope.cancelled_caught
-
-
-async def test_an_empty_file_for_stdin_ends_the_server(pipes):
-    async with open_lab() as (_, _, server):
-        with Path(os.devnull).open() as nothing:
-            pipes.inner = nothing, pipes.inner[1]
-            await serve(pipes, server)
-
-
-async def test_a_line_that_is_no_message_is_answered_and_the_next_is_read(pipes):
-    async with open_lab() as (_, _, server), anyio.create_task_group() as serving:
-        serving.start_soon(serve, pipes, server)
-        await pipes.send(b"{")
-        await pipes.send(HELLO)
-        while "result" not in (answer := await pipes.answer()):
-            assert answer["error"]["code"] == -32700
-        pipes.hang_up()

@@ -196,7 +196,7 @@ async def _serve(order: OfferOptions, node: Node) -> int:
         if order.address is not None:
             await _serve_http(server, order.address, order.token, order.hosts)
         else:
-            from turtleact.mcp.stdio import serve_stdio
+            from turtleact.mcp.serving import serve_stdio
 
             await serve_stdio(server)
     return 0
@@ -205,7 +205,7 @@ async def _serve(order: OfferOptions, node: Node) -> int:
 async def _serve_http(
     server: McpServer, address: tuple[str, int], token: str | None, hosts: tuple[str, ...]
 ) -> None:
-    from turtleact.mcp.http import open_http
+    from turtleact.mcp.serving import open_http
 
     opened = open_http(server, *address, token=token, hosts=hosts)
     async with AsyncExitStack() as stack:

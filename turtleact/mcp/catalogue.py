@@ -1,35 +1,101 @@
 """Lists the tools of an MCP server: one per offered action or service, and a few fixed ones.
 
-The list follows the graph: it contains the tool of an action or service only while a server offers
-that action or service.
+Nothing is offered unless the program or the command line names it (`Offer`). The list follows the
+graph: it contains the tool of an action or service only while a server offers that action or
+service.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from collections.abc import Collection
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeAlias, TypeVar
 
+import msgspec
 from mcp.types import Tool, ToolAnnotations
 
+from turtleact.errors import InvalidOption
 from turtleact.interfaces import Action, Service
 from turtleact.interfaces.comments import introduction
 from turtleact.interfaces.types import REGISTRY
-from turtleact.mcp.offer import Offer, tool_name
-from turtleact.mcp.replies import goal_schema
-from turtleact.mcp.schema import Schema, input_schema, output_schema
+from turtleact.mcp.messages import (
+    Schema,
+    goal_schema,
+    input_schema,
+    object_schema,
+    output_schema,
+)
+from turtleact.names import resolve_name
 from turtleact.transports.graph import Kind, graph_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Mapping
 
     from turtleact.node import Node
 
-__all__ = ["FIXED", "Catalogue", "ToolEntry"]
+__all__ = ["Catalogue", "Limits", "Names", "Offer", "ToolEntry", "resolved"]
 
 T = TypeVar("T", bound="Action | Service")
+
+ALL: Final = "all"
+
+Names: TypeAlias = Collection[str] | Literal["all"]
+"""Some names of the graph, or every name."""
 
 READS: Final = ToolAnnotations(read_only_hint=True, open_world_hint=True)
 STOPS: Final = ToolAnnotations(read_only_hint=False, destructive_hint=False, idempotent_hint=True)
 ACTS: Final = ToolAnnotations(read_only_hint=False, destructive_hint=True, open_world_hint=True)
+
+
+class Limits(msgspec.Struct, frozen=True):
+    """Limits on the goals, calls and tasks of all clients together.
+
+    Attributes:
+        goals: The maximum number of goals and service calls under way.
+        progress_rate: The maximum number of progress messages per second for each goal. Feedback
+            beyond this rate is skipped.
+        kept_tasks: The maximum number of tasks that are remembered after their goals have ended.
+    """
+
+    goals: int = 128
+    progress_rate: float = 10.0
+    kept_tasks: int = 1000
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            if not getattr(self, name) > 0:
+                raise InvalidOption(name, f"must be above zero, not {getattr(self, name)!r}")
+
+
+class Offer(msgspec.Struct, frozen=True):
+    """What a server offers to clients.
+
+    Attributes:
+        actions: The actions that clients may use; None for every action.
+        services: The services that clients may call.
+        topics: The topics that clients may read; None for every topic.
+        is_read_only: Whether clients may only read: they cannot send or cancel goals, or call
+            services.
+        asks: Whether the user must confirm each goal and each service call.
+        limits: Limits on the goals, calls and tasks of all clients together.
+    """
+
+    actions: frozenset[str] | None
+    services: frozenset[str]
+    topics: frozenset[str] | None
+    is_read_only: bool
+    asks: bool
+    limits: Limits
+
+    def allows_action(self, name: str) -> bool:
+        """Whether clients may see the goals of an action.
+
+        If the offer is not read-only, clients may also send goals to the action.
+        """
+        return self.actions is None or name in self.actions
+
+    def allows_topic(self, name: str) -> bool:
+        """Whether clients may read a topic."""
+        return self.topics is None or name in self.topics
 
 
 class ToolEntry(NamedTuple):
@@ -47,12 +113,7 @@ class ToolEntry(NamedTuple):
 
 
 def _object(**properties: Schema) -> Schema:
-    return {
-        "type": "object",
-        "properties": properties,
-        "required": list(properties),
-        "additionalProperties": False,
-    }
+    return object_schema(properties, properties)
 
 
 GOAL_ID: Final[Schema] = {
@@ -78,57 +139,58 @@ GOALS: Final[Schema] = _object(
 )
 
 
-def _fixed(
-    name: str, description: str, takes: Schema, gives: Schema | None, hints: ToolAnnotations
-) -> Tool:
-    return Tool(
-        name=name,
-        description=description,
-        input_schema=takes,
-        output_schema=gives,
-        annotations=hints,
-    )
-
-
 FIXED: Final = (
-    _fixed("list_goals", "List the goals that servers hold.", _object(), GOALS, READS),
-    _fixed(
-        "read_topic",
-        "Read the newest message of a topic. Waits a few seconds for one if there is none yet.",
-        _object(topic=TOPIC),
-        None,
-        READS,
+    Tool(
+        name="list_goals",
+        description="List the goals that servers hold.",
+        input_schema=_object(),
+        output_schema=GOALS,
+        annotations=READS,
     ),
-    _fixed(
-        "take_picture",
-        "Take a picture of the world of turtles, with their trails, as PNG. It is 11.1 m wide and "
-        "high; x is to the right, y is up, and the origin is the lower left corner.",
-        _object(),
-        None,
-        READS,
+    Tool(
+        name="read_topic",
+        description="Read the newest message of a topic. Waits a few seconds for one if there is "
+        "none yet.",
+        input_schema=_object(topic=TOPIC),
+        annotations=READS,
     ),
-    _fixed(
-        "cancel_goal",
-        "Cancel a goal, whoever has sent it, and wait for its end.",
-        _object(goal_id=GOAL_ID),
-        STATUS,
-        STOPS,
+    Tool(
+        name="take_picture",
+        description="Take a picture of the world of turtles, with their trails, as PNG. It is "
+        "11.1 m wide and high; x is to the right, y is up, and the origin is the lower left "
+        "corner.",
+        input_schema=_object(),
+        annotations=READS,
     ),
-    _fixed(
-        "cancel_all_goals",
-        "Cancel all goals of all offered actions, whoever has sent them, and wait for their ends.",
-        _object(),
-        GOALS,
-        STOPS,
+    Tool(
+        name="cancel_goal",
+        description="Cancel a goal, whoever has sent it, and wait for its end.",
+        input_schema=_object(goal_id=GOAL_ID),
+        output_schema=STATUS,
+        annotations=STOPS,
     ),
-    _fixed(
-        "pause_goal",
-        "Pause a goal, and wait until it stands still. Not every goal can be paused.",
-        _object(goal_id=GOAL_ID),
-        STATUS,
-        STOPS,
+    Tool(
+        name="cancel_all_goals",
+        description="Cancel all goals of all offered actions, whoever has sent them, and wait for "
+        "their ends.",
+        input_schema=_object(),
+        output_schema=GOALS,
+        annotations=STOPS,
     ),
-    _fixed("resume_goal", "Let a paused goal go on.", _object(goal_id=GOAL_ID), STATUS, ACTS),
+    Tool(
+        name="pause_goal",
+        description="Pause a goal, and wait until it stands still. Not every goal can be paused.",
+        input_schema=_object(goal_id=GOAL_ID),
+        output_schema=STATUS,
+        annotations=STOPS,
+    ),
+    Tool(
+        name="resume_goal",
+        description="Let a paused goal go on.",
+        input_schema=_object(goal_id=GOAL_ID),
+        output_schema=STATUS,
+        annotations=ACTS,
+    ),
 )
 """The tools that do not depend on the graph. An `Offer` may exclude some of these tools."""
 
@@ -146,7 +208,6 @@ class Catalogue:
         self._offer = offer
         self._changes = -1, 0
         self._entries: dict[str, ToolEntry] = {}
-        self._made: dict[tuple[str, str], ToolEntry] = {}
 
     def actions(self) -> dict[str, type[Action]]:
         """Return the class of each offered action that has a server now, by the action's name."""
@@ -182,66 +243,53 @@ class Catalogue:
         return self._entries
 
     def _list(self) -> dict[str, ToolEntry]:
-        found = {tool.name: ToolEntry(tool) for tool in FIXED if self._has_use_for(tool)}
-        if self._offer.is_read_only:
-            return found
-        for name, action_type in self.actions().items():
-            self._add(found, self._entry(name, action_type), "action")
-        for name, service_type in self._known("service", self._offer.services, Service).items():
-            self._add(found, self._entry(name, service_type), "service")
-        return found
+        entries = [ToolEntry(tool) for tool in FIXED if self._has_use_for(tool)]
+        if not self._offer.is_read_only:
+            services = self._known("service", self._offer.services, Service)
+            entries += [_service_tool(name, each) for name, each in services.items()]
+            entries += [_action_tool(name, each) for name, each in self.actions().items()]
+        return {entry.tool.name: entry for entry in entries}
 
     def _has_use_for(self, tool: Tool) -> bool:
         if tool.name == "read_topic":
             return self._offer.topics is None or bool(self._offer.topics)
         return tool.annotations is READS or not self._offer.is_read_only
 
-    @staticmethod
-    def _add(found: dict[str, ToolEntry], entry: ToolEntry, kind: str) -> None:
-        """Add a tool. If another tool has the same name, append the kind to the new tool's name."""
-        name = entry.tool.name
-        if name in found:
-            name = f"{name}.{kind}"
-            entry = entry._replace(tool=entry.tool.model_copy(update={"name": name}))
-        found[name] = entry
 
-    def _entry(self, name: str, interface: type[Action] | type[Service]) -> ToolEntry:
-        """Return the tool of an action or service.
+def resolved(names: Names) -> frozenset[str] | None:
+    """Return these names as absolute names; None for "all".
 
-        A tool is made only once, because its schemas do not change.
-        """
-        key = name, interface.type_name
-        if key not in self._made:
-            if issubclass(interface, Action):
-                tool = _action_tool(name, interface)
-            else:
-                tool = _service_tool(name, interface)
-            self._made[key] = ToolEntry(tool, name, interface)
-        return self._made[key]
+    Raises:
+        InvalidName: if a name breaks ROS 2's rules for names.
+    """
+    return None if names == ALL else frozenset(resolve_name(each) for each in names)
 
 
-def _action_tool(name: str, action_type: type[Action]) -> Tool:
+def _action_tool(name: str, action_type: type[Action]) -> ToolEntry:
     about = f"Send a goal to the action {name} ({action_type.type_name}) and wait for its end."
-    return Tool(
-        name=tool_name(name),
-        title=name,
-        description=" ".join(filter(None, (_said(action_type), about))),
-        input_schema=input_schema(action_type.Goal),
-        output_schema=goal_schema(action_type),
-        annotations=ACTS,
-    )
+    schemas = input_schema(action_type.Goal), goal_schema(action_type)
+    return _entry(name, action_type, about, *schemas)
 
 
-def _service_tool(name: str, service_type: type[Service]) -> Tool:
+def _service_tool(name: str, service_type: type[Service]) -> ToolEntry:
     about = f"Call the service {name} ({service_type.type_name})."
-    return Tool(
-        name=tool_name(name),
+    schemas = input_schema(service_type.Request), output_schema(service_type.Response)
+    return _entry(name, service_type, about, *schemas)
+
+
+def _entry(
+    name: str, interface: type[Action] | type[Service], about: str, takes: Schema, gives: Schema
+) -> ToolEntry:
+    """Return the tool of an action or service. ``turtle1.spin`` is that of ``/turtle1/spin``."""
+    tool = Tool(
+        name=name.strip("/").replace("/", "."),
         title=name,
-        description=" ".join(filter(None, (_said(service_type), about))),
-        input_schema=input_schema(service_type.Request),
-        output_schema=output_schema(service_type.Response),
+        description=" ".join(filter(None, (_said(interface), about))),
+        input_schema=takes,
+        output_schema=gives,
         annotations=ACTS,
     )
+    return ToolEntry(tool, name, interface)
 
 
 def _said(interface: type[Action] | type[Service]) -> str:

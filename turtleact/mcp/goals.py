@@ -5,8 +5,8 @@ cancelled, the goal is canceled too, and the call waits for the goal's end. The 
 of `turtleact.goals.client.SendGoal` ensures this. If a client disconnects, its calls are
 cancelled in the same way.
 
-`GoalList` subscribes to the status topics when it is first asked for goals. The last message of a
-status topic is latched, so `GoalList` also learns of goals that were accepted earlier.
+The status topics are subscribed to when goals are first listed. The last message of a status topic
+is latched, so goals that were accepted earlier are listed, too.
 """
 
 from __future__ import annotations
@@ -22,23 +22,21 @@ from turtleact.errors import TurtleactError
 from turtleact.goals.state import GoalStatus, status_of
 from turtleact.interfaces import nanoseconds
 from turtleact.interfaces.standard import GoalStatusArray
-from turtleact.mcp.replies import data_of, failure, one_line
+from turtleact.mcp.messages import data_of, failure, one_line
 from turtleact.names import action_names
 from turtleact.transports.base import STATUS_QOS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
     from mcp.types import CallToolResult
 
     from turtleact.goals.body import ActionType
     from turtleact.goals.client import ActionClient
     from turtleact.interfaces import Action, Message
-    from turtleact.mcp.offer import Limits
+    from turtleact.mcp.catalogue import Limits
     from turtleact.node import Node
     from turtleact.node.topics import Subscription
 
-__all__ = ["GoalList", "Goals", "HeldGoal", "Report"]
+__all__ = ["AnyClient", "Goals", "HeldGoal", "Report"]
 
 Report: TypeAlias = Callable[[float, float | None, str | None], Awaitable[None]]
 """A function that sends a progress message: a number that grows, a total, and a text."""
@@ -63,11 +61,29 @@ The time for `ROUND_TRIPS` network round trips is added.
 ROUND_TRIPS: Final = 5
 
 
+class HeldGoal(NamedTuple):
+    """A goal that a server holds.
+
+    Attributes:
+        goal_id: The 16 bytes of the goal's id.
+        action: The name of the goal's action.
+        status: The goal's state.
+        stamp: When the goal was accepted (ns since the epoch, by the server's clock).
+    """
+
+    goal_id: bytes
+    action: str
+    status: GoalStatus
+    stamp: int
+
+
 class Goals:
-    """Sends goals, and limits how many are under way.
+    """Sends goals, limits how many are under way, and lists the goals that servers hold.
 
     Args:
         node: The node that sends the goals.
+        actions: A function that returns the offered actions that have a server now, with their
+            types.
         limits: How many goals and service calls may be under way, and how often feedback is
             reported.
 
@@ -75,11 +91,15 @@ class Goals:
         active: How many goals and service calls are under way.
     """
 
-    def __init__(self, node: Node, limits: Limits) -> None:
+    def __init__(
+        self, node: Node, actions: Callable[[], dict[str, type[Action]]], limits: Limits
+    ) -> None:
         self.active = 0
         self.limits = limits
         self._node = node
+        self._actions = actions
         self._clients: dict[tuple[str, str], AnyClient] = {}
+        self._topics: dict[str, Subscription[GoalStatusArray]] = {}
 
     def client(self, name: str, action_type: type[Action]) -> AnyClient:
         """Return the client of an action. It is created on first use, and closed with the node."""
@@ -124,38 +144,8 @@ class Goals:
                 beside.cancel_scope.cancel()
             return reply
 
-
-class HeldGoal(NamedTuple):
-    """A goal that a server holds.
-
-    Attributes:
-        goal_id: The 16 bytes of the goal's id.
-        action: The name of the goal's action.
-        status: The goal's state.
-        stamp: When the goal was accepted (ns since the epoch, by the server's clock).
-    """
-
-    goal_id: bytes
-    action: str
-    status: GoalStatus
-    stamp: int
-
-
-class GoalList:
-    """Lists the goals of the offered actions, as their status topics report them.
-
-    Args:
-        node: The node that subscribes to the topics.
-        actions: A function that returns the names of the offered actions that have a server now.
-    """
-
-    def __init__(self, node: Node, actions: Callable[[], Collection[str]]) -> None:
-        self._node = node
-        self._actions = actions
-        self._topics: dict[str, Subscription[GoalStatusArray]] = {}
-
-    async def goals(self) -> list[HeldGoal]:
-        """Return all goals, in the order in which they were accepted."""
+    async def held(self) -> list[HeldGoal]:
+        """Return the goals that servers hold, in the order in which they were accepted."""
         await self._join()
         found = [
             HeldGoal(
@@ -170,9 +160,12 @@ class GoalList:
         ]
         return sorted(found, key=lambda goal: goal.stamp)
 
-    async def find(self, goal_id: bytes) -> HeldGoal | None:
-        """Return the goal with this id, or None if no server holds it."""
-        return next((goal for goal in await self.goals() if goal.goal_id == goal_id), None)
+    async def find(self, goal_id: bytes) -> tuple[HeldGoal, AnyClient] | None:
+        """Return a goal, and a client of its action; None if no server of an action holds it."""
+        for goal in await self.held():
+            if goal.goal_id == goal_id:
+                return goal, self.client(goal.action, self._actions()[goal.action])
+        return None
 
     async def _join(self) -> None:
         """Subscribe to the status topics of new actions, and wait for the latched messages.
@@ -180,7 +173,7 @@ class GoalList:
         If an action no longer has a server, close the subscription to its status topic.
         """
         actions = self._actions()
-        for gone in self._topics.keys() - set(actions):
+        for gone in self._topics.keys() - actions.keys():
             self._topics.pop(gone).close()
         new = [action for action in actions if action not in self._topics]
         for action in new:
@@ -239,31 +232,20 @@ class _Reporter:
 
     async def run(self) -> None:
         """Send feedback until `end` is called and the queue is empty."""
-        credit, since = float(BURST), anyio.current_time()
-        while True:
-            while self._waiting:
-                now = anyio.current_time()
-                credit, since = min(BURST, credit + (now - since) * self._rate), now
-                if credit < 1 and not self._over.is_set():
-                    with anyio.move_on_after((1 - credit) / self._rate):
-                        await self._over.wait()
-                    self._skip()
-                    continue
-                credit -= 1
+        while not (self._over.is_set() and not self._waiting):
+            if self._waiting:
                 count, feedback = self._waiting.popleft()
                 await self._report(count, None, one_line(feedback))
-            if self._over.is_set():
-                break
-            self._changed = anyio.Event()
-            await self._changed.wait()
+                if count >= BURST:
+                    await self._rest()
+            else:
+                self._changed = anyio.Event()
+                await self._changed.wait()
         self.ended.set()
 
-    def _skip(self) -> None:
-        """Remove all messages but the newest from the queue.
-
-        The reporter had to wait because of the rate limit. Meanwhile, the older messages became out
-        of date.
-        """
-        newest = self._waiting.pop()
-        self._waiting.clear()
-        self._waiting.append(newest)
+    async def _rest(self) -> None:
+        """Keep to the rate, and then skip all waiting messages but the newest."""
+        with anyio.move_on_after(1 / self._rate):
+            await self._over.wait()
+        while len(self._waiting) > 1:
+            self._waiting.popleft()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import json
+import secrets
 from collections.abc import AsyncIterator, Collection
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -23,6 +24,9 @@ from mcp.types import (
     BlobResourceContents,
     CallToolRequestParams,
     CallToolResult,
+    ElicitRequest,
+    ElicitRequestFormParams,
+    ElicitResult,
     InputRequiredResult,
     ListResourcesResult,
     ListResourceTemplatesResult,
@@ -39,13 +43,10 @@ from mcp.types import (
 
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import Action, Message
-from turtleact.mcp.catalogue import Catalogue, ToolEntry
-from turtleact.mcp.confirmation import Confirmation
-from turtleact.mcp.goals import GoalList, Goals
-from turtleact.mcp.offer import Limits, Names, Offer
-from turtleact.mcp.replies import failure
-from turtleact.mcp.schema import message_from, plain
-from turtleact.mcp.tasks import TASK_IDS, Tasks, declares_tasks, require_tasks
+from turtleact.mcp.catalogue import Catalogue, Limits, Names, Offer, ToolEntry, resolved
+from turtleact.mcp.goals import Goals
+from turtleact.mcp.messages import failure, message_from, plain
+from turtleact.mcp.tasks import FIRST_VERSION, TASK_IDS, Tasks, declares_tasks, require_tasks
 from turtleact.mcp.tools import Tools, picture, read_topic
 from turtleact.tasks import Background
 from turtleact.tasks.opening import opening
@@ -55,7 +56,7 @@ if TYPE_CHECKING:
     from mcp.server.models import InitializationOptions
     from mcp.server.session import ServerSession
 
-    from turtleact.mcp.replies import Request
+    from turtleact.mcp.messages import Request
     from turtleact.node import Node
 
 __all__ = ["McpServer", "open_mcp"]
@@ -84,6 +85,14 @@ SETTLED: Final = 0.05
 """How long to wait after a change of the graph before notifying clients (s, event loop time)."""
 
 
+QUESTION: Final = "confirm"
+MOST_ASKED: Final = 256
+"""The maximum number of unanswered questions. A new question may replace the oldest one."""
+
+FORM: Final = {"type": "object", "properties": {}}
+"""The form that the user fills in. It has no fields; the user only answers yes or no."""
+
+
 class McpServer:
     """A running MCP server. Use `open_mcp` to start one.
 
@@ -96,10 +105,9 @@ class McpServer:
         self._node = node
         self._offer = offer
         self._catalogue = Catalogue(node, offer)
-        self._goals = Goals(node, offer.limits)
-        self._board = GoalList(node, self._catalogue.actions)
-        self._tools = Tools(node, offer, self._catalogue, self._board, self._goals)
-        self._tasks = Tasks(self._goals, self._board, self._type_of)
+        self._goals = Goals(node, self._catalogue.actions, offer.limits)
+        self._tools = Tools(node, offer, self._goals)
+        self._tasks = Tasks(self._goals)
         self._confirmation = Confirmation()
         self._bus = InMemorySubscriptionBus()
         self._listening = ListenHandler(self._bus)
@@ -151,13 +159,11 @@ class McpServer:
             return await self._tools.run(entry.tool, arguments)
         message: Message
         if issubclass(interface, Action):
-            what, message = (
-                "Send this goal to",
-                message_from(interface.Goal, arguments, root="goal"),
-            )
+            what = "Send this goal to"
+            message = message_from(interface.Goal, arguments, root="goal")
         else:
-            request = message_from(interface.Request, arguments, root="request")
-            what, message = "Call the service", request
+            what = "Call the service"
+            message = message_from(interface.Request, arguments, root="request")
         if self._offer.asks:
             question = f"{what} {entry.name}?\n{json.dumps(arguments, ensure_ascii=False)}"
             asking = await self._confirmation.ask(ctx, params, question)
@@ -176,9 +182,6 @@ class McpServer:
             f"there is no tool '{name}' now: the server of its action may have gone, or it is not "
             f"offered. There are: {tools}"
         )
-
-    def _type_of(self, action: str) -> type[Action] | None:
-        return self._catalogue.actions().get(action)
 
     def _input_schema(self, name: str) -> dict[str, Any] | None:
         entry = self._catalogue.entries().get(name)
@@ -296,6 +299,74 @@ class McpServer:
         await self._tasks.aclose()
 
 
+class Confirmation:
+    """Asks the user before a goal is sent or a service is called (MCP's elicitation).
+
+    Up to version 2025-11-25 of the protocol, the server sends the question to the client as a
+    request. From version 2026-07-28 on, the server answers the call of a tool with the question and
+    a token. The client then repeats the call with the user's answer and the token. The token is
+    valid only once, and only for the same tool with the same arguments.
+
+    Source: MCP 2026-07-28, "Elicitation" and "Multi Round-Trip Requests".
+    """
+
+    def __init__(self) -> None:
+        self._asked: dict[str, tuple[str, object]] = {}
+
+    async def ask(
+        self, ctx: Request, params: CallToolRequestParams, question: str
+    ) -> InputRequiredResult | None:
+        """Ask the user, and return None if the user agrees.
+
+        In protocol version 2026-07-28 and later, the first call returns a reply that contains the
+        question. The client then repeats the tool's call with the user's answer.
+
+        Raises:
+            TurtleactError: if the user does not agree, or the client cannot ask its user.
+        """
+        capabilities = ctx.session.client_capabilities
+        if capabilities is None or capabilities.elicitation is None:
+            raise TurtleactError(
+                "this needs the user's confirmation, but the client cannot ask its user: use a "
+                "client with elicitation, or a server without --confirm"
+            )
+        if ctx.protocol_version < FIRST_VERSION:
+            reply = await ctx.session.elicit_form(question, FORM, ctx.request_id)
+        elif params.request_state is None:
+            return self._begin(params, question)
+        else:
+            reply = self._take(params)
+        if reply.action != "accept":
+            raise TurtleactError(
+                f"the user did not confirm this ({reply.action}): do not try again"
+            )
+        return None
+
+    def _begin(self, params: CallToolRequestParams, question: str) -> InputRequiredResult:
+        token = secrets.token_urlsafe(16)
+        self._asked[token] = params.name, params.arguments
+        for oldest in list(self._asked)[: max(0, len(self._asked) - MOST_ASKED)]:
+            del self._asked[oldest]
+        asked = ElicitRequest(
+            params=ElicitRequestFormParams(message=question, requested_schema=FORM)
+        )
+        return InputRequiredResult(input_requests={QUESTION: asked}, request_state=token)
+
+    def _take(self, params: CallToolRequestParams) -> ElicitResult:
+        """Return the user's answer to the question about a call with this tool and arguments.
+
+        Raises:
+            TurtleactError: if the question was about another call, or has been answered before.
+        """
+        asked = self._asked.pop(params.request_state or "", None)
+        reply = (params.input_responses or {}).get(QUESTION)
+        if asked != (params.name, params.arguments) or not isinstance(reply, ElicitResult):
+            raise TurtleactError(
+                "the confirmation does not belong to this call, or was used before: call again"
+            )
+        return reply
+
+
 class _Server(Server[Any]):
     """The SDK's server. It announces to clients with an older protocol that tools may change."""
 
@@ -339,8 +410,13 @@ async def open_mcp(
     Raises:
         InvalidName: if a name breaks ROS 2's rules for names.
     """
-    offer = Offer.of(
-        actions, services, topics, limits or Limits(), is_read_only=read_only, asks=confirm
+    offer = Offer(
+        actions=resolved(actions),
+        services=resolved(services) or frozenset(),
+        topics=resolved(topics),
+        is_read_only=read_only,
+        asks=confirm,
+        limits=limits or Limits(),
     )
     server = McpServer(node, offer)
     watching = Background(server.watch(), "watching the graph for mcp")

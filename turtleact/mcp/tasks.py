@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import binascii
 from datetime import UTC, datetime
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import anyio
@@ -37,20 +38,20 @@ from mcp.types import (
 from turtleact.errors import ServerUnavailable, TurtleactError
 from turtleact.goals.ids import new_goal_id
 from turtleact.goals.state import GoalStatus
-from turtleact.mcp.replies import data_of, failure, one_line
+from turtleact.mcp.messages import data_of, failure, one_line
 from turtleact.tasks import Background
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Awaitable, Callable
 
     from mcp.server.lowlevel import Server
 
     from turtleact.goals.client import ClientGoalHandle
-    from turtleact.interfaces import Action, Message
-    from turtleact.mcp.goals import AnyClient, GoalList, Goals
-    from turtleact.mcp.replies import Request
+    from turtleact.interfaces import Message
+    from turtleact.mcp.goals import AnyClient, Goals
+    from turtleact.mcp.messages import Request
 
-__all__ = ["EXTENSION", "TASK_IDS", "Tasks", "declares_tasks", "require_tasks"]
+__all__ = ["EXTENSION", "FIRST_VERSION", "TASK_IDS", "Tasks", "declares_tasks", "require_tasks"]
 
 EXTENSION: Final = "io.modelcontextprotocol/tasks"
 TASK_IDS: Final = "taskIds"
@@ -58,7 +59,7 @@ TASK_IDS: Final = "taskIds"
 
 METHODS: Final = ("tasks/get", "tasks/update", "tasks/cancel")
 FIRST_VERSION: Final = "2026-07-28"
-"""The first version of the protocol that has the extension. Versions are dates."""
+"""The first version of the protocol in which a reply to a tool call can be a task or a question."""
 
 KEEP_MS: Final = 3_600_000
 """The minimum time to keep an ended task (ms).
@@ -84,12 +85,9 @@ class _Task:
     """A goal that runs as a task."""
 
     def __init__(self, goal_id: bytes) -> None:
-        now = datetime.now(UTC)
         self.goal_id = goal_id
-        self.created = now
-        self.updated = now
+        self.created = self.updated = datetime.now(UTC)
         self.status = "working"
-        self.message = ""
         self.reply: CallToolResult | None = None
         self.latest: Message | None = None
         self.handle: ClientGoalHandle[Any, Any] | None = None
@@ -108,8 +106,6 @@ class _Task:
 
     def told(self) -> dict[str, Any]:
         """Return the task in the form that the protocol prescribes."""
-        handle = self.handle
-        latest = self.latest or (handle.last_feedback if handle is not None else None)
         told = {
             "taskId": self.goal_id.hex(),
             "status": self.status,
@@ -118,11 +114,16 @@ class _Task:
             "ttlMs": KEEP_MS,
             "pollIntervalMs": POLL_MS,
         }
+        latest = self.newest()
         if self.status == "working" and latest is not None:
             told["statusMessage"] = one_line(latest)
         if self.status == "completed" and self.reply is not None:
             told["result"] = self.reply.model_dump(by_alias=True, mode="json", exclude_none=True)
         return told
+
+    def newest(self) -> Message | None:
+        """Return the newest feedback that is known."""
+        return self.latest or (None if self.handle is None else self.handle.last_feedback)
 
 
 class Tasks:
@@ -132,21 +133,12 @@ class Tasks:
     task's id.
 
     Args:
-        goals: Sends the goals.
-        board: Finds goals that this server did not send, or sent before its restart.
-        action_type: A function that returns the type of an action; None if the action is not
-            offered.
+        goals: Sends the goals, and finds goals that this server did not send, or sent before its
+            restart.
     """
 
-    def __init__(
-        self,
-        goals: Goals,
-        board: GoalList,
-        action_type: Callable[[str], type[Action] | None],
-    ) -> None:
+    def __init__(self, goals: Goals) -> None:
         self._goals = goals
-        self._board = board
-        self._action_type = action_type
         self._tasks: dict[bytes, _Task] = {}
 
     def install(self, server: Server[Any]) -> None:
@@ -161,11 +153,11 @@ class Tasks:
         If this call is cancelled, the goal is canceled, because no client knows the goal's id yet.
         """
         task = _Task(new_goal_id())
-        task.following = Background(self._send(client, goal, task), f"task {task.goal_id.hex()}")
+        self._start(task, partial(self._send, client, goal, task))
         try:
             await task.known.wait()
         except anyio.get_cancelled_exc_class():
-            await task.following.aclose()
+            await self._stop(task)
             raise
         if task.handle is None:
             return task.reply or failure("the goal was not sent: the server is closing")
@@ -176,21 +168,30 @@ class Tasks:
     async def aclose(self) -> None:
         """Stop waiting for the ends of goals. The goals themselves go on."""
         for task in self._tasks.values():
-            if task.following is not None:
-                await task.following.aclose()
+            await self._stop(task)
+
+    def _start(self, task: _Task, following: Callable[[], Awaitable[None]]) -> None:
+        async def follow() -> None:
+            try:
+                await following()
+            except TurtleactError as error:
+                task.end(failure(error), "completed")
+            finally:
+                task.known.set()
+
+        task.following = Background(follow(), f"task {task.goal_id.hex()}")
+
+    async def _stop(self, task: _Task) -> None:
+        if task.following is not None:
+            await task.following.aclose()
 
     async def _send(self, client: AnyClient, goal: Message, task: _Task) -> None:
-        try:
-            with self._goals.place():
-                order = client.send_goal(
-                    goal, goal_id=task.goal_id, feedback_callback=task.take, reattach=RETURN
-                )
-                async with order as handle:
-                    await self._follow(task, handle)
-        except TurtleactError as error:
-            task.end(failure(error), "completed")
-        finally:
-            task.known.set()
+        with self._goals.place():
+            order = client.send_goal(
+                goal, goal_id=task.goal_id, feedback_callback=task.take, reattach=RETURN
+            )
+            async with order as handle:
+                await self._follow(task, handle)
 
     async def _attach(self, client: AnyClient, task: _Task) -> None:
         """Wait for the end of a goal that its server already holds.
@@ -198,27 +199,21 @@ class Tasks:
         After a restart of the goal's server, attach to the goal again, because the server's journal
         may have kept the goal.
         """
-        try:
-            while task.reply is None:
-                try:
-                    async with client.attach(task.goal_id) as handle:
-                        await self._follow(task, handle)
-                except ServerUnavailable:
-                    await anyio.sleep(PAUSE)
-                    if not await client.wait_for_server(RETURN):
-                        raise
-        except TurtleactError as error:
-            task.end(failure(error), "completed")
-        finally:
-            task.known.set()
+        while task.reply is None:
+            try:
+                async with client.attach(task.goal_id) as handle:
+                    await self._follow(task, handle)
+            except ServerUnavailable:
+                await anyio.sleep(PAUSE)
+                if not await client.wait_for_server(RETURN):
+                    raise
 
     async def _follow(self, task: _Task, handle: ClientGoalHandle[Any, Any]) -> None:
         task.handle = handle
         task.known.set()
         outcome = await handle.outcome()
         is_canceled = outcome.status is GoalStatus.CANCELED
-        latest = task.latest or handle.last_feedback
-        reply = data_of(handle.goal_id, outcome, latest)
+        reply = data_of(handle.goal_id, outcome, task.newest())
         task.end(reply, "cancelled" if is_canceled else "completed")
 
     def _remember(self, task: _Task) -> None:
@@ -251,15 +246,14 @@ class Tasks:
 
         Return None if no server of an offered action has the goal.
         """
-        held = await self._board.find(goal_id)
-        action_type = None if held is None else self._action_type(held.action)
-        if held is None or action_type is None:
+        found = await self._goals.find(goal_id)
+        if found is None:
             return None
+        goal, client = found
         task = _Task(goal_id)
-        client = self._goals.client(held.action, action_type)
-        task.following = Background(self._attach(client, task), f"task {goal_id.hex()}")
+        self._start(task, partial(self._attach, client, task))
         await task.known.wait()
-        if held.status.is_terminal:
+        if goal.status.is_terminal:
             await task.over.wait()  # the result is on its way
         self._remember(task)
         return task

@@ -15,8 +15,7 @@ from turtleact.goals.ids import goal_id_bytes
 from turtleact.interfaces import SECOND, Message, get_message
 from turtleact.interfaces.definition import did_you_mean, names_like
 from turtleact.interfaces.values import describe
-from turtleact.mcp.replies import answer
-from turtleact.mcp.schema import plain
+from turtleact.mcp.messages import answer, plain
 from turtleact.names import resolve_name
 from turtleact.sim.world_services import TakeSnapshot
 from turtleact.transports import QoS
@@ -27,9 +26,8 @@ if TYPE_CHECKING:
 
     from turtleact.goals.client import ClientGoalHandle
     from turtleact.interfaces import Service
-    from turtleact.mcp.catalogue import Catalogue
-    from turtleact.mcp.goals import GoalList, Goals, HeldGoal
-    from turtleact.mcp.offer import Offer
+    from turtleact.mcp.catalogue import Offer
+    from turtleact.mcp.goals import Goals, HeldGoal
     from turtleact.node import Node
     from turtleact.node.services import ServiceClient, ServiceType
 
@@ -48,19 +46,12 @@ class Tools:
     Args:
         node: The node that the tools use.
         offer: Which actions, services and topics the tools may use.
-        catalogue: Lists the offered actions.
-        board: Finds the goals that action servers hold.
-        goals: The clients of the actions, and the limit on goals and calls that run at the same
-            time.
+        goals: Finds goals, and limits how many goals and calls are under way.
     """
 
-    def __init__(
-        self, node: Node, offer: Offer, catalogue: Catalogue, board: GoalList, goals: Goals
-    ) -> None:
+    def __init__(self, node: Node, offer: Offer, goals: Goals) -> None:
         self._node = node
         self._offer = offer
-        self._catalogue = catalogue
-        self._board = board
         self._goals = goals
         self._services: dict[tuple[str, str], ServiceClient[Any, Any]] = {}
         self._runs: dict[str, Callable[..., Awaitable[CallToolResult]]] = {
@@ -95,7 +86,7 @@ class Tools:
 
     async def list_goals(self) -> CallToolResult:
         """Return the goals that the servers of the offered actions hold."""
-        return answer({"goals": [_told(goal) for goal in await self._board.goals()]})
+        return answer({"goals": [_told(goal) for goal in await self._goals.held()]})
 
     async def _read_topic(self, topic: str) -> CallToolResult:
         message = await read_topic(self._node, self._offer, topic)
@@ -115,12 +106,12 @@ class Tools:
         return _status(handle)
 
     async def _cancel_all(self) -> CallToolResult:
-        active = [goal for goal in await self._board.goals() if not goal.status.is_terminal]
+        active = [goal for goal in await self._goals.held() if not goal.status.is_terminal]
         async with anyio.create_task_group() as canceling:
             for goal in active:
                 canceling.start_soon(self._cancel_one, goal)
         ended = {goal.goal_id for goal in active}
-        goals = [goal for goal in await self._board.goals() if goal.goal_id in ended]
+        goals = [goal for goal in await self._goals.held() if goal.goal_id in ended]
         left = [goal.goal_id.hex() for goal in goals if not goal.status.is_terminal]
         problem = f"these goals have not ended: {', '.join(left)}" if left else ""
         return answer({"goals": [_told(goal) for goal in goals]}, error=problem)
@@ -141,12 +132,11 @@ class Tools:
 
     async def _attach(self, text: str) -> ClientGoalHandle[Any, Any]:
         """Return a client's handle for a goal of an offered action."""
-        held = await self._board.find(goal_id_bytes(text))
-        action_type = None if held is None else self._catalogue.actions().get(held.action)
-        if held is None or action_type is None:
+        found = await self._goals.find(goal_id_bytes(text))
+        if found is None:
             raise UnknownGoal(f"no server of an offered action holds {text}")
-        client = self._goals.client(held.action, action_type)
-        return await client.attach(held.goal_id)
+        goal, client = found
+        return await client.attach(goal.goal_id)
 
 
 async def read_topic(node: Node, offer: Offer, topic: str) -> Message:

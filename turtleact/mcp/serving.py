@@ -1,31 +1,35 @@
-"""Serves MCP over HTTP, either as an ASGI app inside another server or on a port of its own.
+"""Serves MCP over HTTP, as an ASGI app or on a port, and on stdin and stdout.
 
 The SDK checks the headers Host and Origin of each request, so that a page of another web site
 cannot reach the server through the user's browser. A server on a loopback address needs no further
 protection. On other addresses, clients must also send a token.
 
-Source: MCP 2026-07-28, "Transports", Streamable HTTP; RFC 6750 for the token.
+Source: MCP 2026-07-28, "Transports"; RFC 6750 for the token.
 """
 
 from __future__ import annotations
 
 import hmac
+import sys
 from collections.abc import AsyncIterator, Collection
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 import msgspec
+from mcp.server.stdio import stdio_server
 from mcp.server.transport_security import TransportSecuritySettings
 from starlette.responses import PlainTextResponse
 
 from turtleact.http_server import Config, bound, serving, token_for
+from turtleact.tasks import run_in_daemon
 from turtleact.tasks.opening import opening
 
 if TYPE_CHECKING:
+    import anyio
     from starlette.types import ASGIApp, Receive, Scope, Send
 
     from turtleact.mcp.server import McpServer
 
-__all__ = ["Address", "open_app", "open_http"]
+__all__ = ["Address", "open_app", "open_http", "serve_stdio"]
 
 PATH: Final = "/mcp"
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
@@ -111,6 +115,28 @@ async def open_http(
             serving(Config(app), listener, is_patient=False),
         ):
             yield Address(host, listener.getsockname()[1], token)
+
+
+async def serve_stdio(server: McpServer) -> None:
+    """Serve one client until it closes stdin. Then cancel the client's calls.
+
+    Nothing else may write to stdout while this function runs. The SDK redirects prints of user code
+    to stderr.
+    """
+    sdk = server.sdk
+    lines = cast("anyio.AsyncFile[str]", _stdin())  # the SDK only iterates
+    async with stdio_server(lines) as (read, write):
+        await sdk.run(read, write, sdk.create_initialization_options())
+
+
+async def _stdin() -> AsyncIterator[str]:
+    """Yield the lines of stdin."""
+    # The SDK would read in a thread that must end before the program can, so a signal would wait
+    # for the client's next message. A daemon thread is left behind, and the file with it: closing
+    # the file would wait for the thread.
+    file = open(sys.stdin.fileno(), encoding="utf-8", errors="replace", closefd=False)  # noqa: SIM115
+    while line := await run_in_daemon(file.readline, "stdin"):
+        yield line
 
 
 class _Guarded:
