@@ -26,7 +26,6 @@ class Collector:
         spans: The spans, as protobuf messages.
         metrics: The newest message about metrics.
         resources: The attributes of the resources that sent spans.
-        moved_to: Where every request is redirected to; empty if the collector takes it itself.
     """
 
     def __init__(self) -> None:
@@ -34,7 +33,6 @@ class Collector:
         self.spans: list[Any] = []
         self.metrics: Any = None
         self.resources: list[dict[str, Any]] = []
-        self.moved_to = ""
 
     def take(self, path: str, data: bytes) -> None:
         if path == "/v1/traces":
@@ -87,12 +85,8 @@ def collecting() -> Iterator[Collector]:
             data = self.rfile.read(int(self.headers["Content-Length"]))
             if self.headers.get("Content-Encoding") == "gzip":
                 data = gzip.decompress(data)
-            if collector.moved_to:
-                self.send_response(307)
-                self.send_header("Location", collector.moved_to)
-            else:
-                collector.take(self.path, data)
-                self.send_response(200)
+            collector.take(self.path, data)
+            self.send_response(200)
             self.send_header("Content-Type", "application/x-protobuf")
             self.send_header("Content-Length", "0")
             self.end_headers()

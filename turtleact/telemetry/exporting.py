@@ -16,12 +16,11 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager
-from typing import Any, Final
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Final
 
 import anyio
-import requests
 from opentelemetry import metrics, trace
 from opentelemetry.exporter.otlp.proto.http.metric_exporter import OTLPMetricExporter
 from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
@@ -33,7 +32,6 @@ from opentelemetry.sdk.trace.export import BatchSpanProcessor
 
 from turtleact.errors import TurtleactError
 from turtleact.tasks import run_in_daemon
-from turtleact.tasks.failures import summary
 
 __all__ = ["FLUSH_WITHIN", "exporting"]
 
@@ -43,15 +41,6 @@ FLUSH_WITHIN: Final = 3.0
 """The time allowed at shutdown to send the last spans and measurements (s, event loop time)."""
 
 EXPORTERS: Final = ("otlp", "none")
-
-LOGGERS: Final = {
-    kind: logging.getLogger(f"opentelemetry.exporter.otlp.proto.http.{exporter}_exporter")
-    for kind, exporter in (("spans", "trace"), ("metrics", "metric"))
-}
-"""The loggers of the exporters."""
-
-READERS: Final = "opentelemetry.sdk.trace.export", "opentelemetry.sdk.resources"
-"""The SDK's loggers that log a traceback if an environment variable has an invalid value."""
 
 
 @asynccontextmanager
@@ -69,8 +58,7 @@ async def exporting(service: str) -> AsyncIterator[None]:
         TurtleactError: if an environment variable has a value that is not supported.
     """
     try:
-        with _without_tracebacks():
-            ends = _set_up(service)
+        ends = _set_up(service)
     except (ValueError, RuntimeError) as error:
         raise TurtleactError(f"OpenTelemetry cannot be set up: {error}") from error
     try:
@@ -90,76 +78,19 @@ def _set_up(service: str) -> list[Callable[[], object]]:
     ends: list[Callable[[], object]] = []
     if _is_wanted("OTEL_TRACES_EXPORTER"):
         spans = TracerProvider(resource=resource, shutdown_on_exit=False)
-        spans.add_span_processor(BatchSpanProcessor(OTLPSpanExporter(session=_session("spans"))))
+        spans.add_span_processor(BatchSpanProcessor(OTLPSpanExporter()))
         trace.set_tracer_provider(spans)
         ends.append(spans.shutdown)
     else:
         trace.set_tracer_provider(trace.NoOpTracerProvider())
     if _is_wanted("OTEL_METRICS_EXPORTER"):
-        reader = PeriodicExportingMetricReader(OTLPMetricExporter(session=_session("metrics")))
+        reader = PeriodicExportingMetricReader(OTLPMetricExporter())
         numbers = MeterProvider([reader], resource, shutdown_on_exit=False)
         metrics.set_meter_provider(numbers)
         ends.append(numbers.shutdown)
     else:
         metrics.set_meter_provider(metrics.NoOpMeterProvider())
     return ends
-
-
-class _Session(requests.Session):
-    """Sends the requests of an exporter, and logs redirects as errors.
-
-    The SDK does not follow a redirect, but treats it as a success. This class therefore logs a
-    redirect itself, with the text that the exporters use for other failures.
-
-    Args:
-        kind: What the exporter sends: ``spans`` or ``metrics``.
-    """
-
-    def __init__(self, kind: str) -> None:
-        super().__init__()
-        self._kind = kind
-
-    def send(self, request: requests.PreparedRequest, **settings: Any) -> requests.Response:  # noqa: ANN401  # as requests has them
-        """Send a request; log an error if the answer is a redirect."""
-        response = super().send(request, **settings)
-        if 300 <= response.status_code < 400:
-            place = response.headers.get("Location", "another address")[:200]
-            reason = f"{response.reason} to {place}"
-            problem = "Failed to export %s batch code: %d, reason: %s"
-            LOGGERS[self._kind].error(problem, self._kind, response.status_code, reason)
-        return response
-
-
-def _session(kind: str) -> requests.Session | None:
-    """Return a session for an exporter; None if an environment variable sets a credential provider.
-
-    If there is a credential provider, the SDK gets the session from the provider.
-    """
-    if any(name.endswith("_CREDENTIAL_PROVIDER") for name in os.environ):
-        return None
-    return _Session(kind)
-
-
-@contextmanager
-def _without_tracebacks() -> Iterator[None]:
-    """During a ``with`` block, let the SDK report each invalid environment variable in one line."""
-    loggers = [logging.getLogger(name) for name in READERS]
-    for each in loggers:
-        each.addFilter(_shorten)
-    try:
-        yield
-    finally:
-        for each in loggers:
-            each.removeFilter(_shorten)
-
-
-def _shorten(record: logging.LogRecord) -> bool:
-    """Replace a record's traceback with a summary of the exception."""
-    error = record.exc_info and record.exc_info[1]
-    if error:
-        record.msg, record.args = f"{record.getMessage()} ({summary(error)})", ()
-        record.exc_info = record.exc_text = None
-    return True
 
 
 def _is_wanted(variable: str) -> bool:

@@ -13,16 +13,14 @@ context.
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from datetime import UTC, datetime
 from typing import Any, Final
 
-import msgspec
-
 from turtleact.goals.running import BodyTask
 from turtleact.goals.state import CURRENT_GOAL
-from turtleact.tasks.failures import encodable, summary, text_of
 
 __all__ = ["GoalFilter", "JsonFormatter", "TextFormatter"]
 
@@ -75,8 +73,8 @@ class JsonFormatter(logging.Formatter):
     Each object has the members ``time`` (UTC, ISO 8601), ``level``, ``logger`` and ``message``. A
     record that was logged in a body also has ``goal_id``, ``action`` and ``node``. A record that
     was logged in a span of OpenTelemetry also has ``trace_id`` and ``span_id``. A traceback is in
-    ``exception``. Values passed as ``extra`` also become members. If an ``extra`` value has the
-    name of another member, an underscore is appended to the name of the value.
+    ``exception``. Values passed as ``extra`` also become members, as text if JSON has no form for
+    them. If one has the name of another member, an underscore is appended to its name.
     """
 
     def format(self, record: logging.LogRecord) -> str:
@@ -85,7 +83,7 @@ class JsonFormatter(logging.Formatter):
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="microseconds"),
             "level": record.levelname,
             "logger": record.name,
-            "message": _message(record),
+            "message": record.getMessage(),
         }
         members |= {name: said for name in FIELDS if (said := getattr(record, name, ""))}
         members |= _current_span()
@@ -94,23 +92,7 @@ class JsonFormatter(logging.Formatter):
         for name, value in record.__dict__.items():
             if name not in PLAIN and name not in FIELDS:
                 members[f"{name}_" if name in members else name] = value
-        return _written(members)
-
-
-def _message(record: logging.LogRecord) -> str:
-    """Return a record's message; if its arguments do not fit, return a description of the error."""
-    try:
-        return record.getMessage()
-    except Exception as error:
-        return f"{_text(record.msg)} {_text(record.args)} ({summary(error)})"
-
-
-def _text(value: object) -> str:
-    """Return a value as text; if ``str`` fails, the text says so."""
-    try:
-        return str(value)
-    except Exception:
-        return text_of(value)
+        return json.dumps(members, default=str)
 
 
 def _current_span() -> dict[str, str]:
@@ -122,12 +104,3 @@ def _current_span() -> dict[str, str]:
     if not here.is_valid:
         return {}
     return {"trace_id": f"{here.trace_id:032x}", "span_id": f"{here.span_id:016x}"}
-
-
-def _written(members: dict[str, Any]) -> str:
-    """Return a JSON object as text. A value that JSON cannot represent becomes a string."""
-    try:
-        return msgspec.json.encode(members, enc_hook=_text).decode()
-    except Exception:
-        plain = {name: encodable(_text(value)) for name, value in members.items()}
-        return msgspec.json.encode(plain).decode()

@@ -1,4 +1,6 @@
-"""Measures goals: how many end, how long they take and wait, and how much feedback is lost.
+"""Measures goals, and gives goals traces of their own; neither needs OpenTelemetry.
+
+`measure` counts how many goals end, how long they take and wait, and how much feedback is lost.
 
 The measurements go to a `Measurements` object: the one in `turtleact.telemetry.prometheus` keeps
 them, and the one in `turtleact.telemetry.instruments` passes them on to OpenTelemetry. The times of
@@ -8,7 +10,9 @@ begin a new time series.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, Final, Protocol
 
 import anyio
@@ -18,7 +22,15 @@ from turtleact.goals.observers import FeedbackLost, GoalObserver, Lost, News
 from turtleact.goals.state import Goal, GoalStatus
 from turtleact.node import ActionServer, Node, local_server_of, resources_of
 
-__all__ = ["BOUNDS", "Measurements", "measure", "watch", "watch_loop"]
+__all__ = [
+    "BOUNDS",
+    "NEW_TRACES",
+    "Measurements",
+    "measure",
+    "new_traces",
+    "watch",
+    "watch_loop",
+]
 
 BOUNDS: Final = (
     *(0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0),
@@ -155,3 +167,21 @@ class _ClientMeter(GoalObserver):
         """Count lost feedback."""
         if isinstance(news, FeedbackLost):
             self._measurements.feedback_lost(self._action, news.count)
+
+
+NEW_TRACES: ContextVar[bool] = ContextVar("NEW_TRACES", default=False)
+"""Whether the goals that are sent now get traces of their own."""
+
+
+@contextmanager
+def new_traces() -> Iterator[None]:
+    """Give each goal that is sent in a ``with`` block its own trace, linked to the current trace.
+
+    Use this for goals that you detach. Without this block, the server's span is a child of the
+    client's span, which suits a client that waits for the goal's end.
+    """
+    token = NEW_TRACES.set(True)
+    try:
+        yield
+    finally:
+        NEW_TRACES.reset(token)

@@ -54,8 +54,7 @@ from turtleact.goals.state import Goal, GoalRequest, GoalStatus
 from turtleact.goals.wire import GoalMetadata
 from turtleact.names import action_names
 from turtleact.node import Node, local_server_of
-from turtleact.telemetry.linking import NEW_TRACES
-from turtleact.telemetry.measuring import AnyClient, AnyServer
+from turtleact.telemetry.measuring import NEW_TRACES, AnyClient, AnyServer
 from turtleact.transports.base import REQUEST_NOTE
 
 __all__ = ["Tracing"]
