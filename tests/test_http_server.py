@@ -6,9 +6,7 @@ import anyio
 import pytest
 
 from turtleact.errors import InvalidOption
-from turtleact.http_server import Config, bound, is_loopback, serving, token_for
-
-READ_AHEAD = 2**14
+from turtleact.http_server import Access, Config, bound, is_loopback, serving, token_for
 
 
 def test_small_frames_do_not_wait_for_one_another():
@@ -16,16 +14,6 @@ def test_small_frames_do_not_wait_for_one_another():
         accepted, _ = listener.accept()
         with accepted:
             assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-
-
-def test_a_client_that_says_much_is_not_read_far_ahead():
-    with (
-        bound("127.0.0.1", 0, read_ahead=READ_AHEAD) as listener,
-        socket.create_connection(listener.getsockname()),
-    ):
-        accepted, _ = listener.accept()
-        with accepted:
-            assert accepted.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) <= 2 * READ_AHEAD
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.5", "::", "robot", ""])
@@ -64,3 +52,76 @@ async def test_a_server_ends_with_its_block_even_if_closing_fails():
                 pass
     with pytest.raises(OSError, match="connect"):
         await anyio.connect_tcp(*address)
+
+
+# who may connect
+
+OPEN = Access()
+NAMED = Access(frozenset({"robot.example"}), frozenset({"https://console.example", "null"}))
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["localhost", "localhost:9090", "127.0.0.1:9090", "[::1]:9090", "10.1.2.3:80", "a.localhost"],
+)
+def test_loopback_names_and_addresses_come_in(host):
+    assert OPEN.problem(host=host, origin=None, token="") == ""
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "evil.example",
+        "evil.example:9090",
+        "localhost.evil.example",
+        "",
+        "[",
+        "127.0.0.1.evil.example",
+    ],
+)
+def test_a_name_that_could_be_rebound_is_refused(host):
+    assert "host" in OPEN.problem(host=host, origin=None, token="")
+
+
+def test_a_name_that_was_allowed_comes_in():
+    assert NAMED.problem(host="Robot.example:80", origin=None, token="") == ""
+
+
+@pytest.mark.parametrize(
+    "origin",
+    ["http://localhost:8000", "http://127.0.0.1:37857", "https://[::1]", "http://10.0.0.2:9090"],
+)
+def test_pages_of_loopback_hosts_and_of_the_server_itself_come_in(origin):
+    assert OPEN.problem(host="10.0.0.2:9090", origin=origin, token="") == ""
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "https://evil.example",
+        "http://10.0.0.2:9091",
+        "http://10.0.0.2",
+        "null",
+        "",
+        "file://",
+        "http://localhost.evil.example",
+        "http://[",
+    ],
+)
+def test_pages_of_others_are_refused(origin):
+    assert "pages of" in OPEN.problem(host="10.0.0.2:9090", origin=origin, token="")
+
+
+@pytest.mark.parametrize("origin", ["https://console.example", "null"])
+def test_pages_that_were_allowed_come_in(origin):
+    assert NAMED.problem(host="localhost", origin=origin, token="") == ""
+
+
+@pytest.mark.parametrize("token", ["", "Secret", "secret ", "sécret"])
+def test_a_wrong_token_is_refused(token):
+    access = Access(token="secret")
+    assert "the token is missing" in access.problem(host="localhost", origin=None, token=token)
+
+
+def test_the_right_token_comes_in():
+    assert Access(token="secret").problem(host="localhost", origin=None, token="secret") == ""

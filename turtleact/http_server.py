@@ -1,29 +1,40 @@
-"""Runs a web server for the length of an ``async with`` block.
+"""Runs a web server for the length of an ``async with`` block, and decides who may connect.
 
 The server is uvicorn, which needs asyncio or uvloop. Here, uvicorn leaves signals and logging to
-the program. Other machines can connect only with a token (`token_for`). This module does not
-depend on the app that it serves.
+the program. This module does not depend on the app that it serves.
 
-Source: uvicorn ``server.py`` and ``config.py``.
+- Other machines can connect only with a token (`token_for`).
+- A web page of another site can open a WebSocket to any address. The browser sends that page's
+  origin, and `Access` refuses the connection. Programs other than browsers send no origin, and may
+  connect.
+- By DNS rebinding, another site can make its own host name lead to this machine. Requests of that
+  site's pages have this host name in the Host header, so `Access` refuses the requests. An IP
+  address or a loopback name in the Host header is allowed, because neither can be rebound.
+
+Source: uvicorn ``server.py`` and ``config.py``; RFC 6454 (origins); RFC 6455, section 10.2; RFC
+9110, section 7.2 (Host).
 """
 
 from __future__ import annotations
 
 import errno
+import hmac
 import secrets
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from ipaddress import ip_address
 from typing import Any, Final
+from urllib.parse import urlsplit
 
 import anyio
+import msgspec
 import uvicorn
 
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.tasks import Background
 
-__all__ = ["Config", "bound", "is_address", "is_loopback", "serving", "token_for"]
+__all__ = ["Access", "Config", "bound", "is_loopback", "serving", "token_for"]
 
 PORT_ERRORS: Final = (errno.EADDRINUSE, errno.EACCES)
 """Errors that the user can avoid by choosing another port."""
@@ -42,6 +53,7 @@ class Config(uvicorn.Config):
             app,
             lifespan="off",
             log_config=None,
+            log_level="error",  # its warnings tell of each request that it refuses
             access_log=False,
             proxy_headers=False,
             server_header=False,
@@ -50,14 +62,12 @@ class Config(uvicorn.Config):
 
 
 @contextmanager
-def bound(host: str, port: int, *, read_ahead: int | None = None) -> Iterator[socket.socket]:
+def bound(host: str, port: int) -> Iterator[socket.socket]:
     """Open a socket that listens on a port, and close it at the end of the block.
 
     Args:
         host: The address or name to bind.
         port: The port, or 0 for any free one.
-        read_ahead: How much received data the system may keep before the server reads it (bytes);
-            if left out, the system decides.
 
     Raises:
         InvalidOption: if the host or the port cannot be bound.
@@ -67,8 +77,6 @@ def bound(host: str, port: int, *, read_ahead: int | None = None) -> Iterator[so
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listener = socket.create_server((host, port), family=family, backlog=128)
-        if read_ahead is not None:
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, read_ahead)
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # or small frames take 40 ms
     except (OSError, UnicodeError) as error:
         is_port = isinstance(error, OSError) and error.errno in PORT_ERRORS
@@ -151,16 +159,71 @@ def is_loopback(host: str) -> bool:
     """
     if host == "localhost" or host.endswith(".localhost"):
         return True
-    return is_address(host) and ip_address(host).is_loopback
+    return _is_address(host) and ip_address(host).is_loopback
 
 
-def is_address(host: str) -> bool:
+def _is_address(host: str) -> bool:
     """Whether a host is an IP address rather than a name."""
     try:
         ip_address(host)
     except ValueError:
         return False
     return True
+
+
+class Access(msgspec.Struct, frozen=True):
+    """The rules that decide whether a request is allowed.
+
+    Attributes:
+        hosts: The names that a Host header may have, besides IP addresses and loopback names.
+        origins: The origins of pages that may connect, besides the server's own origin and those of
+            loopback hosts.
+        token: The token that a request must have; empty if none is needed.
+    """
+
+    hosts: frozenset[str] = frozenset()
+    origins: frozenset[str] = frozenset()
+    token: str = ""
+
+    def problem(self, *, host: str, origin: str | None, token: str = "") -> str:
+        """Return why a request is refused, or an empty string if it is allowed.
+
+        Args:
+            host: The request's Host header.
+            origin: The request's Origin header; None if it has none.
+            token: The request's token; empty if it has none.
+        """
+        name = _name_of(f"//{host}")
+        if not (_is_address(name) or is_loopback(name) or name in self.hosts):
+            return f"host '{host[:100]}' is not allowed here: allow it with 'hosts' or --allow-host"
+        if origin is not None and not self._is_allowed(origin, host):
+            named = f"pages of '{origin[:100]}' may not connect"
+            return f"{named}: allow them with 'origins' or --allow-origin"
+        # Compared in constant time: how long it takes must not tell how much of a guess was right.
+        if self.token and not hmac.compare_digest(token.encode(), self.token.encode()):
+            return (
+                "the token is missing or wrong: send it as ?token=… or as 'Authorization: Bearer …'"
+            )
+        return ""
+
+    def _is_allowed(self, origin: str, host: str) -> bool:
+        if origin in self.origins:
+            return True
+        name = _name_of(origin)
+        return name != "" and (is_loopback(name) or _place_of(origin) == host.lower())
+
+
+def _name_of(url: str) -> str:
+    """Return the host in a URL, in lower case; empty if the URL has none."""
+    try:
+        return (urlsplit(url).hostname or "").removesuffix(".")
+    except ValueError:
+        return ""
+
+
+def _place_of(origin: str) -> str:
+    """Return the host and port of an origin, in the form of a Host header."""
+    return urlsplit(origin).netloc.lower()
 
 
 class _Server(uvicorn.Server):

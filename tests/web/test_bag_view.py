@@ -100,7 +100,6 @@ REFUSED = [
     ("poses?start=0&end=100", 400, b"ask for 60 s at most"),
     ("poses?start=1&end=0", 400, b"ask for 60 s at most"),
     ("poses?start=x&end=1", 400, b"could not convert"),
-    ("poses?start=1e300&end=1e300", 400, b"ask for a start of 1,000,000,000 s at most"),
     ("poses", 400, b"ask for 60 s at most"),
     ("etc", 404, b"the only page is at the path /"),
 ]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from turtleact.web.client_queue import MOST_DROPPABLE, ClientQueue
+from turtleact.web.connection import MOST_DROPPABLE, ClientQueue
 
 MOST = 1000
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 from typing import Any
 
 import anyio
@@ -16,7 +17,6 @@ from turtleact.errors import ServerUnavailable, ServiceError
 from turtleact.interfaces import Message, Service, decode, get_interface, int32, string, uint8
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray, Point, Twist, Vector3
 from turtleact.web import Limits
-from turtleact.web.rosapi import Rosapi
 
 from ..lab import Count, Gate, Running, count, goal, running, settle
 from .line import Line, bridged, line, websocket_scope
@@ -178,17 +178,38 @@ def test_a_topic_comes_no_more_often_than_asked_for():
         assert testing.run(publish, backend=backend) == [0, 3, 6, 9, 12, 15, 18]
 
 
-async def test_a_throttle_rate_can_be_changed():
+@pytest.mark.parametrize(
+    "members",
+    [
+        {"id": "1"},
+        {"id": "2", "throttle_rate": -5, "queue_length": None},
+        {"id": "2", "throttle_rate": None, "type": None, "compression": None},
+    ],
+)
+async def test_the_smallest_throttle_rate_of_a_clients_subscriptions_holds(members):
     async with bridged() as (node, bridge), line(bridge) as client:
         publisher = node.publisher(Point, "here")
-        await subscribe(client, "/here", id="1", throttle_rate=3_600_000)
+        await subscribe(client, "/here", id="1", throttle_rate=1e300)
         publisher.publish(Point(x=1.0))
         await client.hear()
         publisher.publish(Point(x=2.0))
         await settle()
-        await subscribe(client, "/here", id="1")
+        await subscribe(client, "/here", **members)
         publisher.publish(Point(x=3.0))
         assert (await client.hear())["msg"]["x"] == 3.0
+
+
+async def test_the_newest_compression_of_a_clients_subscriptions_holds():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        publisher = node.publisher(Point, "here")
+        await subscribe(client, "/here", id="1", compression="png")
+        await subscribe(client, "/here", id="2", compression="cbor")
+        publisher.publish(Point(x=1.0))
+        assert cbor2.loads(await client.hear_raw())["msg"]["x"] == 1.0
+        client.say("unsubscribe", topic="/here", id="2")
+        assert await client.hears_nothing()
+        publisher.publish(Point(x=2.0))
+        assert (await client.hear())["op"] == "png"
 
 
 # topics from the client
@@ -309,14 +330,6 @@ async def test_a_handler_that_fails_is_told_of(caplog):
         answer = await client.call("/add")
         assert answer["result"] is False
         assert "the handler failed: ValueError: too much" in answer["values"]
-
-
-async def test_a_bug_in_a_call_ends_no_connection(caplog, monkeypatch):
-    async with bridged() as (_, bridge), line(bridge) as client:
-        monkeypatch.setattr(Rosapi, "call", lambda *_: 1 / 0)
-        answer = await client.call("/rosapi/topics")
-        assert answer["values"] == "ZeroDivisionError: division by zero"
-        assert "a call of /rosapi/topics for a web client failed" in caplog.text
 
 
 def test_a_call_ends_after_the_time_that_the_client_gives_it():
@@ -550,18 +563,146 @@ async def test_a_topic_of_several_types_is_read_once_its_type_is_said():
         assert (await client.hear())["op"] == "publish"
 
 
-async def test_a_frame_that_is_too_long_is_told_of():
-    async with bridged(limits=Limits(message_size=100)) as (_, bridge), line(bridge) as client:
-        client.say("set_level", level="error")
-        client.say_raw("x" * 101)
-        assert (await client.hear())["msg"] == "too long a message"
+MALFORMED = [
+    ("[" * 100_000, "not understood: "),
+    ("nonsense", "JSON is malformed"),
+    ("", "Input data was truncated"),
+    ("[]", "Expected `object`, got `array`"),
+    ("{}", "missing required field `op`"),
+    ('{"op":"fragment"}', "Invalid value 'fragment'"),
+    ('{"op":"subscribe"}', "missing required field `topic`"),
+    ('{"op":"subscribe","topic":3}', "Expected `str`, got `int`"),
+    ('{"op":"call_service","service":"a","args":3}', "Expected"),
+    ('{"op":"publish","topic":"a","msg":[]}', "Expected `object | null`"),
+    ('{"op":"publish","topic":"a","msg":{"a":' + "9" * 5000 + "}}", "out of range"),
+    ('{"op":"unsubscribe","topic":"\\ud800"}', "not understood: "),
+    (b"\x00\xff", "binary frames are not supported"),
+    ('{"op":"subscribe","topic":"a","compression":"zip"}', "no compression 'zip'"),
+    ('{"op":"unsubscribe","topic":"a"}', "'a' has no such subscription"),
+    ('{"op":"unadvertise","topic":"a"}', "'a' has no such advertisement"),
+    ('{"op":"unadvertise_service","service":"a"}', "service 'a' is not advertised"),
+    ('{"op":"unadvertise_action","action":"a"}', "action 'a' is not advertised"),
+    ('{"op":"set_level","level":"loud"}', "no level 'loud'"),
+    (" " * 200_000, "too long a message"),
+]
 
 
-async def test_binary_frames_are_told_of():
+@pytest.mark.parametrize(("said", "problem"), MALFORMED, ids=[problem for _, problem in MALFORMED])
+async def test_a_frame_that_makes_no_sense_is_told_of(said, problem):
+    limits = Limits(message_size=150_000)
+    async with bridged(limits=limits) as (_, bridge), line(bridge) as client:
+        client.say("set_level", level="info")
+        client.say_raw(said)
+        answer = await client.hear()
+        assert answer["op"] == "status"
+        assert problem in answer["msg"]
+        assert await client.hears_nothing()
+
+
+async def test_a_mistake_is_told_under_the_id_of_the_frame():
     async with bridged() as (_, bridge), line(bridge) as client:
         client.say("set_level", level="error")
-        client.say_raw(b"\x00")
-        assert "binary frames are not supported" in (await client.hear())["msg"]
+        client.say("nope", id="n:1")
+        assert (await client.hear())["id"] == "n:1"
+
+
+@pytest.mark.parametrize(
+    ("level", "heard"),
+    [("none", []), ("error", ["error"]), ("warning", ["error", "warning"])],
+)
+async def test_a_level_says_how_much_is_told(level, heard):
+    async with bridged() as (_, bridge), line(bridge) as client:
+        client.say("set_level", level="info")
+        client.say("set_level", level=level)
+        client.say_raw("[]")
+        client.say("unsubscribe", topic="a")
+        assert [(await client.hear())["level"] for _ in heard] == heard
+        assert await client.hears_nothing()
+
+
+async def test_what_pythons_json_writes_is_read():
+    async with bridged() as (node, bridge), line(bridge) as client:
+        heard = node.subscription(Point, "here")
+        client.say_raw('{"op":"publish","topic":"/here","msg":{"x":NaN, "y": 1, "z":-Infinity}}')
+        point = await anext(heard)
+        assert math.isnan(point.x)
+        assert point.y == 1.0
+
+
+# how much a client may open
+
+
+@pytest.mark.parametrize(
+    "members",
+    [
+        {"op": "subscribe", "topic": "/x", "type": "geometry_msgs/Point"},
+        {"op": "subscribe", "topic": "/t0", "id": "another"},
+        {"op": "advertise", "topic": "/x", "type": "geometry_msgs/Point"},
+        {"op": "publish", "topic": "/x", "type": "geometry_msgs/Point"},
+        {"op": "advertise_service", "service": "/x", "type": "lab_interfaces/AddInts"},
+        {"op": "advertise_action", "action": "/x", "type": "lab_interfaces/Count"},
+    ],
+)
+async def test_a_client_may_open_so_much_and_no_more(members):
+    async with bridged(limits=Limits(opened=3)) as (_, bridge), line(bridge) as client:
+        client.say("set_level", level="error")
+        for number in range(3):
+            client.say("subscribe", topic=f"/t{number}", type="geometry_msgs/Point", id="1")
+        client.say(**members)
+        problem = "3 subscriptions and advertisements are open: close some first"
+        assert (await client.hear())["msg"] == problem
+
+
+CYCLES: list[list[dict[str, Any]]] = [
+    [
+        {"op": "subscribe", "topic": "/a", "type": "geometry_msgs/Point", "id": "1"},
+        {"op": "subscribe", "topic": "/a", "id": "2"},
+        {"op": "unsubscribe", "topic": "/a"},
+    ],
+    [
+        {"op": "subscribe", "topic": "/a", "type": "geometry_msgs/Point", "id": "1"},
+        {"op": "subscribe", "topic": "/a", "id": "2"},
+        {"op": "unsubscribe", "topic": "/a", "id": "1"},
+        {"op": "unsubscribe", "topic": "/a", "id": "2"},
+    ],
+    [
+        {"op": "advertise", "topic": "/a", "type": "geometry_msgs/Point", "id": "1"},
+        {"op": "advertise", "topic": "/a", "type": "geometry_msgs/Point", "id": "2"},
+        {"op": "unadvertise", "topic": "/a", "id": "1"},
+        {"op": "unadvertise", "topic": "/a", "id": "2"},
+    ],
+    [
+        {"op": "publish", "topic": "/a", "type": "geometry_msgs/Point"},
+        {"op": "unadvertise", "topic": "/a"},
+    ],
+    [
+        {"op": "advertise_service", "service": "/a", "type": "lab_interfaces/AddInts"},
+        {"op": "advertise_service", "service": "/a", "type": "lab_interfaces/AddInts"},
+        {"op": "unadvertise_service", "service": "/a"},
+    ],
+    [
+        {"op": "advertise_action", "action": "/a", "type": "lab_interfaces/Count"},
+        {"op": "unadvertise_action", "action": "/a"},
+    ],
+    [{"op": "subscribe", "topic": "/a", "type": "a/Nope"}],
+]
+
+
+@pytest.mark.parametrize("cycle", CYCLES)
+async def test_what_was_closed_or_could_not_be_opened_is_not_counted(cycle):
+    async with bridged(limits=Limits(opened=3)) as (node, bridge), line(bridge) as client:
+        before = len(node.transport.endpoints())
+        for _ in range(5):
+            for said in cycle:
+                client.say(**said)
+        assert await client.hears_nothing()
+        await settle()
+        assert len(node.transport.endpoints()) == before
+        client.say("set_level", level="error")
+        for number in range(4):
+            client.say("subscribe", topic=f"/t{number}", type="geometry_msgs/Point")
+        assert "3 subscriptions and advertisements are open" in (await client.hear())["msg"]
+        assert await client.hears_nothing()
 
 
 async def test_a_call_that_is_under_way_when_the_bridge_closes_is_answered_once():

@@ -137,15 +137,6 @@ def reject_plainly() -> GoalResponse:
     raise Reject
 
 
-async def test_a_bug_in_following_a_goal_is_told_and_logged(monkeypatch, caplog):
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", count)
-        monkeypatch.setattr(shared, "read_message", lambda *_, **__: 1 / 0)
-        send(client)
-        assert "ZeroDivisionError" in (await client.hear())["values"]
-        assert "goal g:1 of a web client cannot be followed" in caplog.text
-
-
 async def test_an_id_that_is_in_use_is_refused():
     gate = Gate()
     async with bridged() as (node, bridge), line(bridge) as client:
@@ -411,12 +402,6 @@ async def test_a_client_serves_an_action():
             "ABORTED",
             [],
             "the client's result does not fit: result: ",
-        ),
-        (
-            {"op": "service_response", "result": True},
-            "ABORTED",
-            [],
-            "the client answered a goal with a service_response",
         ),
     ],
 )

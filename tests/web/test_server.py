@@ -6,9 +6,6 @@ import asyncio
 import json
 import signal
 import socket
-from collections.abc import Callable
-from contextlib import suppress
-from typing import Any
 
 import anyio
 import pytest
@@ -20,7 +17,7 @@ import turtleact
 from turtleact.errors import InvalidOption, TurtleactError
 from turtleact.interfaces import Message, string
 from turtleact.web import Limits, open_web
-from turtleact.web.server import Socket, Web
+from turtleact.web.server import Web
 
 from ..lab import ON_ASYNCIO, ON_TRIO, other_tasks
 
@@ -205,35 +202,15 @@ async def test_a_message_that_is_too_long_ends_its_connection():
         assert closed.value.rcvd.code == 1009
 
 
-async def shake_hands(web: Web) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-    """A connection that sends frames byte by byte, once its handshake is over."""
-    reader, writer = await asyncio.open_connection(web.host, web.port)
-    writer.write(HANDSHAKE)
-    await reader.readuntil(b"\r\n\r\n")
-    return reader, writer
-
-
-def begun(size: int, *, opcode: int = 1) -> bytes:
-    """The beginning of a text message that goes on, under a mask of zeros."""
-    return bytes([opcode, 0x80 | 126]) + size.to_bytes(2, "big") + bytes(4) + b" " * size
-
-
-async def wait_until(condition: Callable[[], bool]) -> None:
-    while not condition():
-        await anyio.sleep(0.001)
-
-
 @ON_ASYNCIO
 @pytest.mark.parametrize(
     "said",
     [
-        pytest.param(b"nonsense\r\n\r\n", id="no-http"),
         pytest.param(b"GET /?token=no HTTP/1.1\r\nHost: localhost\r\n\r\n", id="page"),
-        pytest.param(b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: h2c\r\n\r\n", id="upgrade"),
         pytest.param("HANDSHAKE", id="websocket"),
     ],
 )
-async def test_refused_connections_are_a_line_and_a_count_in_the_log(said, caplog):
+async def test_refused_connections_are_one_line_in_the_log(said, caplog):
     caplog.set_level("INFO")
     async with (
         turtleact.open_node("lab") as node,
@@ -245,11 +222,8 @@ async def test_refused_connections_are_a_line_and_a_count_in_the_log(said, caplo
             writer.write(HANDSHAKE if isinstance(said, str) else said)
             await reader.read()
             writer.close()
-        first = list(caplog.messages)
-    assert len(first) == 1
-    assert first[0].startswith("a web connection was refused: ")
-    (rest,) = [text for text in caplog.messages if "connections were refused" in text]
-    assert rest.startswith(("19 ", "39 "))
+        (message,) = caplog.messages
+    assert message.startswith("a web connection was refused (0 more before): the token")
 
 
 @ON_ASYNCIO
@@ -278,48 +252,12 @@ async def test_a_reader_that_never_reads_is_cut_off_and_slows_nobody(caplog, mon
 
 
 @ON_ASYNCIO
-@pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost: loc"])
-async def test_a_client_that_asks_for_nothing_is_let_go(said, monkeypatch):
-    monkeypatch.setattr("turtleact.web.server.Config.request_within", 0.05)
-    async with (
-        turtleact.open_node("lab") as node,
-        open_web(node, port=0) as web,
-        connect(address(web)) as client,
-    ):
-        reader, writer = await asyncio.open_connection(web.host, web.port)
-        writer.write(said)
-        with suppress(ConnectionResetError):
-            assert await reader.read() == b""
-        writer.close()
-        assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
-
-
-@ON_ASYNCIO
 async def test_a_client_that_has_its_answer_is_let_go():
     async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
         reader, writer = await asyncio.open_connection(web.host, web.port)
         writer.write(b"GET /favicon.ico HTTP/1.1\r\nHost: localhost\r\n\r\n")
         assert b"<svg" in await reader.read()
         writer.close()
-
-
-@ON_ASYNCIO
-async def test_there_is_an_end_to_connections(monkeypatch, caplog):
-    monkeypatch.setattr("turtleact.web.server.ROOM", 1)
-    async with (
-        turtleact.open_node("lab") as node,
-        open_web(node, port=0, limits=Limits(connections=1)) as web,
-        connect(address(web)) as client,
-    ):
-        await ask(client, "/rosapi/nodes")
-        _, idle = await asyncio.open_connection(web.host, web.port)
-        reader, writer = await asyncio.open_connection(web.host, web.port)
-        with suppress(ConnectionResetError):
-            assert await reader.read() == b""
-        for each in (writer, idle):
-            each.close()
-        assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
-        assert caplog.messages == ["a web connection was refused: 2 connections are open"]
 
 
 @ON_ASYNCIO
@@ -332,28 +270,6 @@ async def test_an_app_that_fails_is_logged_with_its_traceback(caplog, monkeypatc
         with pytest.raises(InvalidStatus, match="500"):
             await connect(address(web))
     assert "ZeroDivisionError" in caplog.text
-
-
-class Impatient(Socket):
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.ping_interval, self.ping_timeout = 0.02, 0.3
-
-
-@ON_ASYNCIO
-async def test_a_client_that_answers_no_ping_stays_as_long_as_it_talks(monkeypatch):
-    monkeypatch.setattr("turtleact.web.server.Socket", Impatient)
-    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
-        reader, writer = await asyncio.open_connection(web.host, web.port)
-        writer.write(HANDSHAKE)
-        await reader.readuntil(b"\r\n\r\n")
-        begun, heard = anyio.current_time(), b""
-        while anyio.current_time() < begun + 0.5:
-            writer.write(masked(b'{"op":"call_service","service":"/rosapi/get_time"}'))
-            heard += await reader.readuntil(b'"result":true}')
-        assert b"keepalive ping timeout" not in heard
-        assert b"keepalive ping timeout" in await reader.read()
-        writer.close()
 
 
 HANDSHAKE = (

@@ -10,8 +10,7 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact import Abort, GoalResponse, GoalStatus, open_world
-from turtleact.errors import ServerUnavailable, UnknownGoal
+from turtleact import Abort, GoalResponse, open_world
 from turtleact.interfaces import WireFormat
 from turtleact.interfaces.standard import (
     UUID,
@@ -29,8 +28,8 @@ from turtleact.transports import MemoryTransport, QoS, open_zenoh
 from turtleact.transports.base import STATUS_QOS, Endpoint, ServiceHandler
 from turtleact.web import open_bridge
 from turtleact.web.bridge import FAREWELL
-from turtleact.web.goal_history import MOST_ACTIVE, MOST_ENDED
-from turtleact.web.watching import MOST_FOLLOWED, Watch
+from turtleact.web.page_history import MOST_ACTIVE, MOST_ENDED
+from turtleact.web.watching import MOST_FOLLOWED
 
 from ..lab import Count, Gate, count, goal, settle
 from .line import Line, bridged, line
@@ -304,103 +303,6 @@ async def test_a_goal_is_followed_if_another_type_of_its_action_is_unknown(odd_t
             await handle.outcome()
         (ended,) = await goals(client)
         assert (ended["status"], ended["result"]) == ("SUCCEEDED", {"counted": [5]})
-
-
-@pytest.mark.parametrize("status", ["EXECUTING", "SUCCEEDED"])
-@pytest.mark.parametrize("odd_type", ["aaa/action/Odd", "zzz/action/Odd"])
-async def test_a_goal_that_may_have_an_unknown_type_keeps_its_status(odd_type, status):
-    async with bridged_beside(odd_type, count) as (node, client):
-        await publish_status(node, GoalStatus[status])
-        (shown,) = await goals(client)
-        assert shown["type"] == min(TYPE, odd_type)
-        assert (shown["status"], shown["reason"]) == (status, "")
-
-
-class Broken:
-    """A client that cannot attach to any goal."""
-
-    def __init__(self, error: turtleact.TurtleactError) -> None:
-        self._error = error
-
-    async def wait_for_server(self, timeout: float) -> bool:
-        return False
-
-    async def attach(self, goal_id: bytes) -> Any:
-        raise self._error
-
-
-class Mistaken:
-    """A client that attaches to goals of another type, and the handle of such a goal."""
-
-    request, is_resumed, status = None, False, GoalStatus.EXECUTING
-
-    async def wait_for_server(self, timeout: float) -> bool:
-        return True
-
-    async def attach(self, goal_id: bytes) -> Mistaken:
-        return self
-
-    async def events(self) -> AsyncIterator[Any]:
-        raise UnknownGoal("the server does not know the goal")
-        yield
-
-
-@asynccontextmanager
-async def broken_for_fibonacci(node: turtleact.Node, broken: Any) -> AsyncIterator[Watch]:
-    """A watch that uses this client for Fibonacci."""
-
-    def open_client(name: str, action_type: Any) -> Any:
-        return broken if action_type is Fibonacci else node.action_client(action_type, name)
-
-    watched = Watch(node, open_client)
-    await watched.call("/turtleact/web/watch", {})
-    try:
-        yield watched
-    finally:
-        await watched.aclose()
-
-
-@pytest.mark.parametrize("broken", [Broken(ServerUnavailable("/count")), Mistaken()])
-async def test_a_goal_is_followed_if_only_another_type_of_its_action_can_be_reached(broken):
-    gate = Gate()
-    async with (
-        bridged_beside(Fibonacci.type_name, gate.stream) as (node, _),
-        broken_for_fibonacci(node, broken) as watched,
-    ):
-        async with node.action_client(Count, "count").send_goal(goal(5)) as handle:
-            await settle()
-            record = watched.history.find(handle.goal_id.hex())
-            assert record is not None
-            assert (record.type, record.status) == (TYPE, "EXECUTING")
-            assert (record.request, record.reason) == ({"upto": 5}, "")
-            gate.opened.set()
-            await handle.outcome()
-        await settle()
-        assert record.status == "SUCCEEDED"
-
-
-@pytest.mark.parametrize(
-    ("status", "shown", "reason"),
-    [("SUCCEEDED", "SUCCEEDED", ""), ("EXECUTING", "UNKNOWN", "the types differ")],
-)
-async def test_an_error_of_a_client_does_not_change_a_goal_that_has_ended(status, shown, reason):
-    broken = Broken(turtleact.TurtleactError("the types differ"))
-    async with (
-        bridged_beside(Fibonacci.type_name, count) as (node, _),
-        broken_for_fibonacci(node, broken) as watched,
-    ):
-        await publish_status(node, GoalStatus[status])
-        record = watched.history.find(GOAL_ID.hex())
-        assert record is not None
-        assert (record.status, record.reason) == (shown, reason)
-
-
-async def publish_status(node: turtleact.Node, status: GoalStatus) -> None:
-    """Publish the status of a goal that no server of /count knows."""
-    statuses = node.publisher(GoalStatusArray, "/count/_action/status", STATUS_QOS)
-    info = GoalInfo(UUID(GOAL_ID), Time(1, 0))
-    statuses.publish(GoalStatusArray([GoalStatusMessage(info, status)]))
-    await settle()
 
 
 async def test_a_goal_of_a_server_whose_clock_is_ahead_begins_now():

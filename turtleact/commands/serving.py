@@ -391,7 +391,7 @@ class Server:
             self._watchers.append(await _export(stack))
         if self._service.metrics is not None:
             from turtleact.telemetry import GoalMetrics
-            from turtleact.web.metrics import open_metrics
+            from turtleact.web.server import open_metrics
 
             metrics = GoalMetrics()
             self._watchers.append(metrics.watch)

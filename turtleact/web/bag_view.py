@@ -25,7 +25,7 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import Response
 
-from turtleact.http_server import bound, serving
+from turtleact.http_server import Access, Config, bound, serving
 from turtleact.interfaces import to_json
 from turtleact.interfaces.types import fields
 from turtleact.recording.bag import Bag, reader_of
@@ -35,35 +35,24 @@ from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import part_of
 from turtleact.recording.storage import Channel, Range, Raw
 from turtleact.tasks.opening import opening
-from turtleact.web.access import Access, RefusalCounter
-from turtleact.web.bridge import FILES, HEADERS, page_file, plain_text
+from turtleact.web.bridge import HEADERS, page_response, plain_text
 from turtleact.web.page_values import hues
-from turtleact.web.server import READ_AHEAD, Config
 
 if TYPE_CHECKING:
     from starlette.types import Receive, Scope, Send
 
 __all__ = ["BagView", "open_bag_view"]
 
-PAGE: Final = {
-    "/": ("bag.html", "text/html"),
-    "/bag.css": ("bag.css", "text/css"),
-    "/bag.js": ("bag.js", "text/javascript"),
-}
-"""The files that only this page uses. This page shares all its other files with a node's page."""
-
 LONGEST: Final = 60.0
 """The longest part of a bag that is sent at once (s)."""
-
-FURTHEST: Final = 1_000_000_000
-"""The poses may begin at most this far from the start of the bag (s)."""
 
 CLOSEST: Final = 25_000_000
 """A turtle's pose is left out if it comes less than this time after the last one kept (ns)."""
 
+LAST_ORDERS: Final = 2
+"""How long uvicorn waits at its end for requests that are under way (s)."""
+
 MOST_TURTLES: Final = 64
-MOST_CONNECTIONS: Final = 64
-MOST_REACHED: Final = 1000
 MOST_SKIPPED: Final = 100
 """How many messages of a topic are searched for its first pose."""
 
@@ -76,13 +65,9 @@ class BagView:
 
     Args:
         bag: The bag.
-
-    Attributes:
-        refusals: Counts and logs refused connections.
     """
 
     def __init__(self, bag: Bag) -> None:
-        self.refusals = RefusalCounter()
         self._bag = bag
         self._access = Access()
         self._reading = anyio.Lock()  # threads share the file
@@ -101,25 +86,19 @@ class BagView:
 
     async def _answer(self, asked: Request) -> Response:
         host, origin = asked.headers.get("host", ""), asked.headers.get("origin")
-        problem = self._access.problem(host=host, origin=origin, token="")
+        problem = self._access.problem(host=host, origin=origin)
         if problem:
             return plain_text(403, problem)
-        path = asked.url.path
-        if path in self._answers:
-            try:
-                async with self._reading:
-                    found = await anyio.to_thread.run_sync(partial(self._answers[path], asked))
-            except (BagError, ValueError) as error:
-                return plain_text(400, str(error))
-            content = msgspec.json.encode(found)  # unlike json, this writes null for NaN
-            return Response(content, headers=HEADERS, media_type="application/json")
-        if path in PAGE:
-            name, media_type = PAGE[path]
-            return Response(page_file(name, "bag_page"), headers=HEADERS, media_type=media_type)
-        if path in FILES:
-            name, media_type = FILES[path]
-            return Response(page_file(name), headers=HEADERS, media_type=media_type)
-        return plain_text(404, "the only page is at the path /")
+        answer = self._answers.get(asked.url.path)
+        if answer is None:
+            return page_response(asked.url.path, "bag_page", "page")
+        try:
+            async with self._reading:
+                found = await anyio.to_thread.run_sync(partial(answer, asked))
+        except (BagError, ValueError) as error:
+            return plain_text(400, str(error))
+        content = msgspec.json.encode(found)  # unlike json, this writes null for NaN
+        return Response(content, headers=HEADERS, media_type="application/json")
 
     # what the page asks for; in a thread
 
@@ -170,8 +149,6 @@ class BagView:
         start, end = (float(asked.query_params.get(name, "nan")) for name in ("start", "end"))
         if not 0 <= end - start <= LONGEST:
             raise ValueError(f"ask for {LONGEST:g} s at most")
-        if not abs(start) <= FURTHEST:
-            raise ValueError(f"ask for a start of {FURTHEST:,} s at most")
         first, last = (origin + round(moment * 1e9) for moment in (start, end))
         wanted = Range(first, last, channels.__contains__)
         readers = {topic: reader_of(each) for topic, each in channels.items()}
@@ -207,8 +184,7 @@ class BagView:
             count = getattr(getattr(message, "feedback", None), "reached", None)
             if isinstance(count, int):
                 known = times.setdefault(bytes(message.goal_id.uuid), [])
-                more = min(count, MOST_REACHED) - len(known)
-                known += [(raw.stamp - self._bag.info.start) / 1e9] * more
+                known += [(raw.stamp - self._bag.info.start) / 1e9] * (count - len(known))
         return times
 
     def _channels(self) -> dict[str, Channel]:
@@ -248,10 +224,10 @@ async def open_bag_view(
     """
     bag = await anyio.to_thread.run_sync(Bag, path)
     try:
-        with bound(host, port, read_ahead=READ_AHEAD) as listener:
-            view = BagView(bag)
+        with bound(host, port) as listener:
             at: tuple[str, int] = listener.getsockname()[:2]
-            async with serving(Config(view, view.refusals, MOST_CONNECTIONS), listener):
+            config = Config(BagView(bag), timeout_graceful_shutdown=LAST_ORDERS)
+            async with serving(config, listener):
                 yield Shown(f"http://{at[0]}:{at[1]}/")
     finally:
         bag.close()

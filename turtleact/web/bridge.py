@@ -8,9 +8,12 @@ Source: ASGI 3.0; rosbridge v2.
 
 from __future__ import annotations
 
+import logging
+import math
 from collections.abc import AsyncIterator, Collection
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import Final
 
 import anyio
@@ -21,14 +24,16 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from turtleact.errors import TurtleactError
+from turtleact.http_server import Access
 from turtleact.node import Node
 from turtleact.tasks import Background
 from turtleact.tasks.opening import opening
-from turtleact.web.access import Access, RefusalCounter
 from turtleact.web.connection import TRY_AGAIN_LATER, Connection
 from turtleact.web.shared import BridgeState, Limits
 
-__all__ = ["FAREWELL", "Bridge", "Statistics", "open_bridge", "page_file", "plain_text"]
+__all__ = ["FAREWELL", "Bridge", "Statistics", "open_bridge", "page_response", "plain_text"]
+
+logger = logging.getLogger("turtleact.web")
 
 FAREWELL: Final = 2.0
 """When the bridge is closed, clients have this long to read their last frames (s)."""
@@ -45,33 +50,15 @@ HEADERS: Final = {
     "Cache-Control": "no-cache",
     "Connection": "close",  # a client that says nothing more holds none
 }
-MODULES: Final = (
-    "connection",
-    "draft",
-    "driving",
-    "elements",
-    "fields",
-    "goals",
-    "main",
-    "places",
-    "timeline",
-    "topics",
-    "turtles",
-    "values",
-    "watch",
-    "world",
-)
-"""The page's JavaScript modules."""
-
-FILES: Final = {
-    "/": ("page.html", "text/html"),
-    "/page.css": ("page.css", "text/css"),
-    "/favicon.ico": ("icon.svg", "image/svg+xml"),
-    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in MODULES},
+MEDIA_TYPES: Final = {
+    ".html": "text/html",
+    ".css": "text/css",
+    ".js": "text/javascript",
+    ".svg": "image/svg+xml",
 }
-"""The files of the page by path.
 
-Only the HTML page needs the token, because the other files contain no data."""
+TELL_EVERY: Final = 10.0
+"""The shortest time between two log lines about refused connections (s)."""
 
 
 class Statistics(msgspec.Struct, frozen=True):
@@ -96,16 +83,16 @@ class Bridge:
 
     Attributes:
         is_open: Whether the bridge accepts new connections.
-        refusals: Counts and logs refused connections.
     """
 
     def __init__(self, shared: BridgeState, access: Access) -> None:
         self.is_open = True
-        self.refusals = RefusalCounter()
         self._shared = shared
         self._access = access
         self._connections: set[Connection] = set()
         self._left = shared.tasks.signal()
+        self._refused = 0
+        self._told_at = -math.inf
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one HTTP request or one WebSocket, as ASGI demands."""
@@ -154,7 +141,6 @@ class Bridge:
                 connection.let_go("the bridge is closed")
             await self._wait_until_left()
             await self._shared.aclose()
-        self.refusals.tell()
 
     async def _wait_until_left(self) -> None:
         while self._connections:
@@ -180,7 +166,16 @@ class Bridge:
             self._left.fire()
 
     def _note_refusal(self, refusal: Response) -> None:
-        self.refusals.note(bytes(refusal.body).decode().rstrip(), anyio.current_time())
+        """Log why a connection is refused, at most once in `TELL_EVERY` seconds.
+
+        A page with an old token tries again each second.
+        """
+        if anyio.current_time() - self._told_at < TELL_EVERY:
+            self._refused += 1
+            return
+        reason = bytes(refusal.body).decode().rstrip()
+        logger.warning("a web connection was refused (%d more before): %s", self._refused, reason)
+        self._refused, self._told_at = 0, anyio.current_time()
 
     def _refusal(self, websocket: WebSocket) -> Response | None:
         """Return the response to a refused client; None if the client may connect."""
@@ -207,16 +202,14 @@ class Bridge:
     def _answer(self, asked: HTTPConnection) -> Response:
         if asked.scope["method"] not in ("GET", "HEAD"):
             return plain_text(405, "only GET works here")
-        found = FILES.get(_path(asked))
-        if found is None:
-            return plain_text(404, "the only page is at the path /")
-        name, media_type = found
-        problem = self._problem(asked) if media_type == "text/html" else ""
+        path = _path(asked)
+        # Only the HTML page needs the token, because the other files contain no data.
+        problem = self._problem(asked) if path == "/" else ""
         if problem:
             refusal = plain_text(403, problem)
             self._note_refusal(refusal)
             return refusal
-        return Response(page_file(name), media_type=media_type, headers=HEADERS)
+        return page_response(path, "page")
 
 
 @opening
@@ -258,10 +251,22 @@ def plain_text(status: int, text: str) -> Response:
     return Response(f"{text}\n", status, HEADERS, media_type="text/plain")
 
 
+def page_response(path: str, *folders: str) -> Response:
+    """Return the response with a file of a page, which is in one of these folders.
+
+    The first folder also has the HTML page itself, whose name is that of the folder.
+    """
+    name = {"/": f"{folders[0]}.html", "/favicon.ico": "icon.svg"}.get(path, path[1:])
+    content = next(filter(None, (_files(folder).get(name) for folder in folders)), None)
+    if content is None:
+        return plain_text(404, "the only page is at the path /")
+    return Response(content, headers=HEADERS, media_type=MEDIA_TYPES[Path(name).suffix])
+
+
 @cache
-def page_file(name: str, folder: str = "page") -> bytes:
-    """Return the contents of one of a page's files."""
-    return resources.files("turtleact.web").joinpath(folder, name).read_bytes()
+def _files(folder: str) -> dict[str, bytes]:
+    entries = resources.files("turtleact.web").joinpath(folder).iterdir()
+    return {each.name: each.read_bytes() for each in entries}
 
 
 def _path(asked: HTTPConnection) -> str:

@@ -1,54 +1,38 @@
-"""Serves a node on a port: runs uvicorn, with a bridge as the app.
+"""Serves a node, or the metrics of a program, on a port: runs uvicorn with a bridge as the app.
 
 This module needs asyncio or uvloop, because uvicorn does. On trio, serve a bridge with another ASGI
-server. Here, uvicorn is stricter with clients than usual:
+server.
 
-- A client that does not send a whole request in time is disconnected, and the number of connections
-  is limited. Otherwise anybody could use up all connections that the process may open.
-- The app can disconnect a client that does not read. A client that does not answer a ping is
-  disconnected, unless it is still sending a message, because its answer may follow that message.
-
-Source: uvicorn ``h11_impl.py`` and ``websockets_sansio_impl.py``.
+Source: uvicorn ``websockets_sansio_impl.py``; Prometheus, "Exposition formats", text format 0.0.4.
 """
 
 from __future__ import annotations
 
 import asyncio
-import logging
-import time
-from collections.abc import AsyncIterator, Collection
+from collections.abc import AsyncIterator, Callable, Collection
+from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Final, cast
 from urllib.parse import quote
 
 import anyio
 import msgspec
-from uvicorn.protocols.http.h11_impl import H11Protocol
+from starlette.applications import Starlette
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Route
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from turtleact import http_server
 from turtleact.errors import TurtleactError
-from turtleact.http_server import bound, serving, token_for
+from turtleact.http_server import Access, Config, bound, is_loopback, serving, token_for
 from turtleact.node import Node
 from turtleact.tasks.opening import opening
-from turtleact.web.access import RefusalCounter
 from turtleact.web.bridge import Bridge, open_bridge
 from turtleact.web.shared import Limits
 
 if TYPE_CHECKING:
-    from starlette.types import ASGIApp, Message
+    from starlette.requests import Request
+    from starlette.types import Message
 
-__all__ = [
-    "PORT",
-    "READ_AHEAD",
-    "Config",
-    "Http",
-    "Socket",
-    "Web",
-    "address_of",
-    "open_web",
-]
-
-logger = logging.getLogger("turtleact.web")
+__all__ = ["CONTENT_TYPE", "PORT", "Socket", "Web", "open_metrics", "open_web"]
 
 PORT: Final = 9090
 """rosbridge's own port."""
@@ -56,14 +40,14 @@ PORT: Final = 9090
 ROOM: Final = 50
 """How many connections the server accepts beyond `Limits.connections`, for the page."""
 
-READ_AHEAD: Final = 2**14
-"""How much a client may send ahead (bytes). Other clients wait while this is processed."""
-
 LAST_ORDERS: Final = 2
 """When uvicorn ends, it waits this long for requests that are under way (s)."""
 
-REQUEST_WITHIN: Final = 10.0
-"""How long a client may take to send its request (s)."""
+CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
+
+FORBIDDEN: Final = (
+    "only programs on this machine may read this; --metrics 0.0.0.0:PORT lets all in\n"
+)
 
 
 class Web(msgspec.Struct, frozen=True):
@@ -85,7 +69,7 @@ class Web(msgspec.Struct, frozen=True):
     def url(self) -> str:
         """The page's URL. For rosbridge, put ``ws:`` in place of ``http:``."""
         query = f"?token={quote(self.token, safe='')}" if self.token else ""
-        return f"{address_of(self.host, self.port)}{query}"
+        return f"{_address_of(self.host, self.port)}{query}"
 
 
 ANY: Final = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  # told, not bound
@@ -132,7 +116,7 @@ async def open_web(
         )
     limits = limits or Limits()
     token = token_for(host, token)
-    with bound(host, port, read_ahead=READ_AHEAD) as listener:
+    with bound(host, port) as listener:
         async with open_bridge(
             node,
             hosts={host.lower(), *hosts},
@@ -142,119 +126,59 @@ async def open_web(
             cancel_on_disconnect=cancel_on_disconnect,
         ) as bridge:
             address: tuple[str, int] = listener.getsockname()[:2]
-            most = limits.connections + ROOM
-            config = Config(bridge, bridge.refusals, most, limits.message_size)
+            config = Config(
+                bridge,
+                ws=Socket,
+                limit_concurrency=limits.connections + ROOM,
+                ws_max_size=limits.message_size,
+                ws_per_message_deflate=False,
+                timeout_graceful_shutdown=LAST_ORDERS,
+            )
             async with serving(config, listener, bridge.aclose):
                 yield Web(address[0], address[1], token, bridge)
 
 
-class Config(http_server.Config):
-    """uvicorn's configuration, with additional settings for `Http` and `Socket`.
+@asynccontextmanager
+async def open_metrics(text: Callable[[], str], host: str, port: int) -> AsyncIterator[str]:
+    """Serve a text at ``/metrics`` for Prometheus until the ``async with`` block ends.
+
+    The context manager yields the text's URL. If the server listens on a loopback address, only
+    programs on this machine get the text. Otherwise everybody does who can reach the port.
 
     Args:
-        app: The ASGI app to serve.
-        refusals: Counts and logs refused connections.
-        limit_concurrency: How many connections may be open at a time.
-        ws_max_size: The maximum size of a message on a WebSocket (bytes).
+        text: Called at each request. Returns all metrics as text.
+        host: The address or name to bind.
+        port: The port, 1 to 65535, or 0 for any free one.
 
-    Attributes:
-        refusals: Counts and logs refused connections.
-        request_within: How long a client may take to send its request (s).
-        spare: How many connections may be open beyond ``limit_concurrency``. Requests on these
-            extra connections are answered with 503. Any further connection is reset.
+    Raises:
+        InvalidOption: if the host or the port cannot be bound.
     """
+    access = Access(frozenset({host.lower()}))
 
-    request_within: float = REQUEST_WITHIN
-    spare: int = 0
+    async def answer(request: Request) -> Response:
+        headers = request.headers
+        problem = access.problem(host=headers.get("host", ""), origin=headers.get("origin"))
+        if problem and is_loopback(host):
+            return PlainTextResponse(FORBIDDEN, 403)
+        return Response(text(), media_type=CONTENT_TYPE)
 
-    def __init__(
-        self,
-        app: ASGIApp,
-        refusals: RefusalCounter,
-        limit_concurrency: int,
-        ws_max_size: int = READ_AHEAD,
-    ) -> None:
-        self.refusals = refusals
-        super().__init__(
-            app,
-            http=Http,
-            ws=Socket,
-            limit_concurrency=limit_concurrency,
-            ws_max_size=ws_max_size,
-            ws_per_message_deflate=False,
-            timeout_graceful_shutdown=LAST_ORDERS,
-        )
-
-
-class _Log(logging.Logger):
-    """The logger of uvicorn's protocols for one connection.
-
-    The protocols log a warning for each request that they refuse. Each such warning counts as a
-    refusal in `RefusalCounter`, and is not logged individually. Errors are logged unchanged,
-    because they show bugs.
-    """
-
-    def __init__(self, refusals: RefusalCounter) -> None:
-        super().__init__("turtleact.web", logging.WARNING)
-        self.parent = logger
-        self._refusals = refusals
-
-    def handle(self, record: logging.LogRecord) -> None:
-        """Count a refusal if the record is a warning; log the record if it is an error."""
-        if record.levelno < logging.ERROR:
-            self._refusals.note(record.getMessage(), time.monotonic())
-        else:
-            super().handle(record)
-
-
-class Http(H11Protocol):
-    """An HTTP connection, which serves one request.
-
-    At most ``limit_concurrency + spare`` connections are open, including those that have become a
-    `Socket`.
-    """
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
-        """Accept a new connection, or reset it if too many are open."""
-        config = cast("Config", self.config)
-        self.logger = _Log(config.refusals)
-        super().connection_made(transport)
-        most = (self.limit_concurrency or 0) + config.spare
-        if len(self.connections) > most:
-            self.logger.warning("%d connections are open", most)
-            transport.abort()
-        else:
-            self.loop.call_later(config.request_within, self._give_up)
-
-    def _give_up(self) -> None:
-        is_asked: bool = self.cycle is not None or self.transport.get_protocol() is not self
-        if not is_asked:
-            self.transport.abort()
+    app = Starlette(routes=[Route("/metrics", answer)])
+    with bound(host, port) as listener:
+        async with serving(Config(app, timeout_graceful_shutdown=LAST_ORDERS), listener):
+            yield f"{_address_of(host, listener.getsockname()[1])}metrics"
 
 
 class Socket(WebSocketsSansIOProtocol):
     """The WebSocket of one client."""
 
-    _heard_at = 0.0
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take over a connection from `Http`."""
-        self.logger = self.conn.logger = _Log(cast("Config", self.config).refusals)
-        super().connection_made(transport)
-
     async def run_asgi(self) -> None:
         """Run the app for the connection.
 
-        The extension ``turtleact.abort`` lets the app disconnect the client.
+        The extension ``turtleact.abort`` lets the app disconnect a client that does not read.
         """
         extensions = cast("dict[str, object]", self.scope["extensions"])
         extensions["turtleact.abort"] = self.transport.abort
         await super().run_asgi()
-
-    def data_received(self, data: bytes) -> None:
-        """Handle data that has arrived."""
-        self._heard_at = self.loop.time()
-        super().data_received(data)
 
     async def send(self, message: Message) -> None:  # type: ignore[override]  # uvicorn's types are private
         """Send an ASGI message from the app to the client."""
@@ -264,20 +188,8 @@ class Socket(WebSocketsSansIOProtocol):
             # would log an error for each.
             self.handshake_complete = True
 
-    def keepalive_timeout(self) -> None:
-        """Disconnect a client that has not answered a ping in time.
 
-        A client that has sent other data since the ping stays connected, because its answer may
-        follow.
-        """
-        if self._heard_at > self.ping_sent_at:
-            self.pong_timer = None
-            self.schedule_ping()
-        else:
-            super().keepalive_timeout()
-
-
-def address_of(host: str, port: int) -> str:
+def _address_of(host: str, port: int) -> str:
     """Return the URL with which a browser on this machine reaches a server."""
     host = ANY.get(host, host)
     return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"

@@ -8,7 +8,8 @@ Source: rosbridge_library ``capabilities/advertise_{service,action}.py``.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, Final, Protocol, cast
 
@@ -21,7 +22,7 @@ from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import Message
 from turtleact.node import Node, ServerGoalHandle
 from turtleact.node.services import ServiceType
-from turtleact.tasks import Signal, current_tasks
+from turtleact.tasks import current_tasks
 from turtleact.transports.base import REQUEST_NOTE
 from turtleact.web.message_conversion import json_values, read_message, request
 from turtleact.web.name_lookup import absolute, action_class, service_class
@@ -37,6 +38,8 @@ __all__ = ["Serving"]
 
 CANCEL_WITHIN: Final = 30.0
 """How long a client may take to end a goal that it was asked to cancel (s)."""
+
+Handle = ServerGoalHandle[Any, Any, Any]
 
 
 class Server(Protocol):
@@ -62,27 +65,33 @@ class Serving:
         self._asked: dict[str, _Question] = {}
         self._count = 0
 
-    def serve_service(self, said: AdvertiseService) -> None:
-        """Start to serve a service of the client.
+    def __len__(self) -> int:
+        return len(self._servers)
+
+    def __contains__(self, place: tuple[str, str]) -> bool:
+        """Whether a service or action, given by its kind and name, is served."""
+        return place in self._servers
+
+    def serve(self, said: AdvertiseService | AdvertiseAction) -> None:
+        """Start to serve a service or an action of the client.
 
         Raises:
-            InvalidName: if the service's name breaks ROS 2's rules.
-            UnknownInterface: if the service's type is not known.
+            InvalidName: if the name breaks ROS 2's rules.
+            UnknownInterface: if the type is not known.
         """
-        service_type = cast("ServiceType[Message, Message]", service_class(said.type))
-        handle = partial(self._handle, said, service_type)
-        server = self._node.service(service_type, absolute(said.service), handle)
-        self._servers["service", said.service] = server
-
-    def serve_action(self, said: AdvertiseAction) -> None:
-        """Start to serve an action of the client. The errors are those of `serve_service`."""
+        if isinstance(said, AdvertiseService):
+            service_type = cast("ServiceType[Message, Message]", service_class(said.type))
+            handle = partial(self._handle, said, service_type)
+            service = self._node.service(service_type, absolute(said.service), handle)
+            self._servers["service", said.service] = service
+            return
         action_type = cast("ActionType[Message, Message, Message]", action_class(said.type))
 
-        async def execute(goal: Message, handle: ServerGoalHandle[Any, Any, Any]) -> Message:
+        async def execute(goal: Message, handle: Handle) -> Message:
             return await self._execute(said, action_type, goal, handle)
 
-        server = self._node.action_server(action_type, absolute(said.action), execute)
-        self._servers["action", said.action] = server
+        action = self._node.action_server(action_type, absolute(said.action), execute)
+        self._servers["action", said.action] = action
 
     def withdraw(self, kind: str, name: str) -> Server:
         """Stop waiting for the client's answers for a service or action, and return its server.
@@ -93,14 +102,15 @@ class Serving:
         # First the questions are given up, so that closing the server does not wait for answers.
         for question in self._asked.values():
             if question.about == (kind, name):
-                question.lose()
+                question.over.set()
         return self._servers.pop((kind, name))
 
     def answer(self, said: ServiceResponse | ActionResult) -> bool:
         """Record the client's answer. Return False if it belongs to no request or goal."""
         question = self._asked.get(str(said.id))
         if question is not None:
-            question.answer(said)
+            question.said = question.said or said  # any later answer is ignored
+            question.over.set()
         return question is not None
 
     async def take_feedback(self, said: ActionFeedback) -> None:
@@ -110,8 +120,9 @@ class Serving:
             TurtleactError: if the feedback does not fit the action.
         """
         question = self._asked.get(str(said.id))
-        if question is not None:
-            await question.take_feedback(said.values)
+        if question is not None and question.handle is not None:
+            feedback = await read_message(question.feedback_type, said.values, root="feedback")
+            question.handle.publish_feedback(feedback)
 
     async def aclose(self) -> None:
         """Close all servers, because the client has gone."""
@@ -120,11 +131,16 @@ class Serving:
         for kind, name in list(self._servers):
             await self.withdraw(kind, name).aclose()
 
-    def _ask(self, kind: str, name: str, prefix: str) -> _Question:
+    @contextmanager
+    def _asking(self, kind: str, name: str, prefix: str) -> Iterator[_Question]:
+        """Wait for the client's answer to one question for the length of a block."""
         self._count += 1
-        question = _Question(f"{prefix}:{name}:{self._count}", (kind, name), self._tasks.signal())
+        question = _Question(f"{prefix}:{name}:{self._count}", (kind, name))
         self._asked[question.id] = question
-        return question
+        try:
+            yield question
+        finally:
+            del self._asked[question.id]
 
     async def _handle(
         self,
@@ -134,15 +150,11 @@ class Serving:
     ) -> Message:
         """Send a service request to the client, and return the client's response."""
         name = said.service
-        question = self._ask("service", name, "service_request")
-        try:
+        with self._asking("service", name, "service_request") as question:
             values = json_values(message)
             self._keep(request("call_service", id=question.id, service=name, args=values))
-            await question.wait()
-        finally:
-            del self._asked[question.id]
+            await question.over.wait()
         answer = question.said
-        # `said` stays None only if `lose` has ended the wait.
         if answer is None:
             raise ServiceError(name, "its server has gone")
         if not answer.result:
@@ -155,20 +167,13 @@ class Serving:
         said: AdvertiseAction,
         action_type: ActionType[Message, Message, Message],
         goal: Message,
-        handle: ServerGoalHandle[Any, Any, Any],
+        handle: Handle,
     ) -> Message:
         """Send a goal to the client, and return the result. This is the body of the action."""
-        name = said.action
-        question = self._ask("action", name, "action_goal")
-        feedback_type = cast("type[Message]", action_type.Feedback)
-
-        async def publish(values: object) -> None:
-            handle.publish_feedback(await read_message(feedback_type, values, root="feedback"))
-
-        question.take_feedback = publish
-        members = {"id": question.id, "action": name}
-        result_type = cast("type[Message]", action_type.Result)
-        try:
+        with self._asking("action", said.action, "action_goal") as question:
+            question.handle = handle
+            question.feedback_type = cast("type[Message]", action_type.Feedback)
+            members = {"id": question.id, "action": said.action}
             self._keep(
                 request(
                     "send_action_goal",
@@ -180,22 +185,23 @@ class Serving:
                 )
             )
             try:
-                await question.wait()
+                await question.over.wait()
             except self._tasks.cancelled:
                 # The goal is being canceled, or its server closed. The client is asked to end it
                 # and decides how: its goal may be done by now. If it is gone, nobody is left to
                 # ask.
-                if question.is_lost:
+                if question.over.is_set() and question.said is None:
                     raise
                 self._keep(request("cancel_action_goal", **members))
                 with anyio.move_on_after(CANCEL_WITHIN, shield=True):
-                    await question.wait()
+                    await question.over.wait()
                 if question.said is None:
                     raise
-        finally:
-            del self._asked[question.id]
         try:
-            return await _result(question.said, result_type)
+            return await _result(
+                cast("ActionResult | None", question.said),
+                cast("type[Message]", action_type.Result),
+            )
         except Cancel as verdict:
             # In ROS 2 a goal ends CANCELED only if somebody asked for that.
             if handle.is_cancel_requested:
@@ -217,43 +223,22 @@ class _Question:
         id: The id of the request or goal in frames.
         about: The kind (``service`` or ``action``) and the name of the service or action.
         said: The client's answer; None until the answer has come.
-        is_lost: Whether no answer will come.
-        take_feedback: Called with the values of each feedback message of a goal. For a service
-            request, this function does nothing.
+        over: Set when the answer has come, or when none will come.
+        handle: The handle of a goal; None for a request.
+        feedback_type: The class of a goal's feedback.
     """
 
-    def __init__(self, id: str, about: tuple[str, str], changed: Signal) -> None:
+    feedback_type: type[Message]
+
+    def __init__(self, id: str, about: tuple[str, str]) -> None:
         self.id = id
         self.about = about
         self.said: ServiceResponse | ActionResult | None = None
-        self.take_feedback: Callable[[object], Awaitable[None]] = _no_feedback
-        self.is_lost = False
-        self._changed = changed
-
-    def answer(self, said: ServiceResponse | ActionResult) -> None:
-        """Record the client's answer. Any later answer is ignored."""
-        if self.said is None:
-            self.said = said
-        self._changed.fire()
-
-    def lose(self) -> None:
-        """Record that no answer will come."""
-        self.is_lost = True
-        self._changed.fire()
-
-    async def wait(self) -> None:
-        """Wait until the answer has come or `lose` has been called. Cancelling: safe."""
-        while self.said is None and not self.is_lost:
-            await self._changed.wait()
+        self.over = anyio.Event()
+        self.handle: Handle | None = None
 
 
-async def _no_feedback(_values: object) -> None:
-    """Ignore feedback, because a service has none."""
-
-
-async def _result(
-    said: ServiceResponse | ActionResult | None, result_type: type[Message]
-) -> Message:
+async def _result(said: ActionResult | None, result_type: type[Message]) -> Message:
     """Return the goal's result from the client's answer, or raise the error that ends the goal.
 
     Raises:
@@ -263,8 +248,6 @@ async def _result(
     """
     if said is None:
         raise Abort("the client that serves it has gone")
-    if not isinstance(said, ActionResult):
-        raise Abort("the client answered a goal with a service_response")
     status = said.status or GoalStatus.SUCCEEDED if said.result else GoalStatus.ABORTED
     values = said.values if said.result else None
     try:

@@ -17,7 +17,6 @@ Source: rosbridge_library ``capabilities/action_*.py``; its issues 1003, 1013, 1
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from typing import Final, Protocol, TypeAlias, TypeVar, cast
 
@@ -33,7 +32,6 @@ from turtleact.node import Node
 from turtleact.node.services import ServiceClient, ServiceType
 from turtleact.node.topics import Subscription
 from turtleact.tasks import Background, current_tasks
-from turtleact.tasks.failures import summary
 from turtleact.transports import QoS
 from turtleact.transports.base import REQUEST_NOTE
 from turtleact.web.message_conversion import Rendering, json_values, read_message, reply
@@ -51,8 +49,6 @@ __all__ = [
     "Limits",
     "TopicHub",
 ]
-
-logger = logging.getLogger("turtleact.web")
 
 Req = TypeVar("Req", bound=Message)
 Res = TypeVar("Res", bound=Message)
@@ -364,18 +360,16 @@ class Goals:
             sent.fail(NO_SERVER if is_usual else f"{NO_SERVER}: {error.problem}")
         except TurtleactError as error:
             sent.fail(str(error))
-        except Exception as error:
-            logger.exception("goal %s of a web client cannot be followed", sent.said.id)
-            sent.fail(f"the goal cannot be followed: {summary(error)}")
         finally:
             del self._sent[sent.number]
             self._followed.fire()
 
     async def _run(self, sent: _Sent) -> None:
         said = sent.said
-        if isinstance(said.traceparent, str):  # only in the context of this task
-            state = said.tracestate if isinstance(said.tracestate, str) else ""
-            note = GoalMetadata(traceparent=said.traceparent[:TRACE], tracestate=state[:TRACE])
+        if said.traceparent is not None:  # only in the context of this task
+            note = GoalMetadata(
+                traceparent=said.traceparent[:TRACE], tracestate=(said.tracestate or "")[:TRACE]
+            )
             REQUEST_NOTE.set(note.write())
         name = absolute(said.action)
         action_type = class_of_action(self._node, name, said.action_type)

@@ -22,18 +22,12 @@ from __future__ import annotations
 import math
 import secrets
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
 from typing import Any, Final, TypeAlias
 
 import anyio
 
-from turtleact.errors import (
-    InvalidMessage,
-    ServerUnavailable,
-    TurtleactError,
-    UnknownGoal,
-    UnknownInterface,
-)
+from turtleact.errors import InvalidMessage, TurtleactError, UnknownGoal, UnknownInterface
 from turtleact.goals.client import (
     ActionClient,
     ClientGoalHandle,
@@ -52,10 +46,9 @@ from turtleact.node.topics import Subscription
 from turtleact.tasks import Background, current_tasks
 from turtleact.transports import QoS
 from turtleact.transports.base import STATUS_QOS
-from turtleact.web.goal_history import REJECTED, GoalHistory, GoalRecord
 from turtleact.web.name_lookup import absolute, class_of_action, message_class
+from turtleact.web.page_history import REJECTED, GoalHistory, GoalRecord, Pen, PenTrails
 from turtleact.web.page_values import Plain, excerpt, form, hues
-from turtleact.web.pen_trails import Pen, PenTrails
 
 __all__ = [
     "MOST_ACTIONS",
@@ -93,8 +86,8 @@ MOST_REQUESTS: Final = 64
 STATUSES_QOS: Final = QoS(depth=8, durability="transient_local")
 """The QoS of subscriptions to status topics.
 
-The depth is above 1, because an action may have several types, and the server of each type
-publishes its own statuses on the same topic."""
+The depth is above 1, because an action such as ``/fibonacci`` has several types, and the server of
+each type publishes its own statuses on the same topic."""
 
 FORGOTTEN: Final = "its server has forgotten it"
 
@@ -414,9 +407,13 @@ class Watch:
         """
         for id in ids - self._following.keys():
             record = self.history.find(id)
-            if record is not None and not record.has_ended:
-                record.reason = reason
-                self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
+            if record is not None:
+                self._lose_one(record, reason)
+
+    def _lose_one(self, record: GoalRecord, reason: str) -> None:
+        if not record.has_ended:
+            record.reason = reason
+            self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
 
     def _new_record(
         self, id: str, action: tuple[str, str], stamp: float, status: GoalStatus
@@ -446,72 +443,31 @@ class Watch:
             )
 
     async def _follow(self, record: GoalRecord) -> None:
-        """Follow a goal to its end.
-
-        If the action has several types, try one type after another until one fits the goal.
-        """
-        problems: list[TurtleactError] = []
+        """Follow a goal to its end, with the first type of its action whose server knows it."""
+        errors: list[TurtleactError] = []
         try:
-            for type in self._types(record.action, record.type):
-                problem = await self._follow_as(record, type)
-                if problem is None:
+            for type in self._node.graph().actions.get(record.action, (record.type,)):
+                try:
+                    await self._follow_as(record, type)
+                except TurtleactError as error:
+                    errors.append(error)
+                else:
                     return
-                problems.append(problem)
-            self._give_up(record, problems)
-        except TurtleactError as error:
-            self._give_up(record, [error])
+            if not any(isinstance(each, UnknownInterface) for each in errors):
+                reasons = [str(each) for each in errors if not isinstance(each, UnknownGoal)]
+                self._lose_one(record, reasons[0] if reasons else FORGOTTEN)
         finally:
             del self._following[record.id]
 
-    async def _follow_as(self, record: GoalRecord, type: str) -> TurtleactError | None:
-        """Follow a goal as a goal of the type ``type``, and return None when the goal has ended.
-
-        If the goal cannot be followed with this type, return the error that says why.
-        """
-        known = record.type
-        try:
-            action_type = class_of_action(self._node, record.action, type)
-        except UnknownInterface as error:
-            return error
+    async def _follow_as(self, record: GoalRecord, type: str) -> None:
+        action_type = class_of_action(self._node, record.action, type)
         client = self._open_client(record.action, action_type)
-        try:
-            # A client that was opened just now may need a moment until it can reach a server in
-            # another process.
-            await client.wait_for_server(REACHED_WITHIN)
-            handle = await client.attach(bytes.fromhex(record.id))
-        except (UnknownGoal, ServerUnavailable) as error:
-            return error
+        # A client that was opened just now may need a moment until it can reach a server in another
+        # process.
+        await client.wait_for_server(REACHED_WITHIN)
+        handle = await client.attach(bytes.fromhex(record.id))
         record.type = type
-        try:
-            await self._read(record, handle, is_late=record.has_ended)
-        except UnknownGoal as error:
-            # All types of an action share the status topic. So a client in another process can
-            # attach to a goal of another type, until the server does not know the goal.
-            record.type = known
-            self.history.change(record)
-            return error
-        return None
-
-    def _give_up(self, record: GoalRecord, problems: list[TurtleactError]) -> None:
-        """Record a goal's final status as unknown, unless the status topic can still tell it.
-
-        Args:
-            record: The record of the goal.
-            problems: For each type of the action, the error that says why the goal cannot be
-                followed.
-        """
-        if record.has_ended or any(isinstance(each, UnknownInterface) for each in problems):
-            return
-        reasons = [str(each) for each in problems if not isinstance(each, UnknownGoal)]
-        record.reason = reasons[0] if reasons else FORGOTTEN
-        self.history.end(record, GoalStatus.UNKNOWN.name, self._now())
-
-    def _types(self, action: str, known: str) -> Iterator[str]:
-        """Yield the types that a goal may have: first ``known``, then the action's other types."""
-        yield known
-        for type in self._node.graph().actions.get(action, ()):
-            if type != known:
-                yield type
+        await self._read(record, handle, is_late=record.has_ended)
 
     async def _read(self, record: GoalRecord, handle: Handle, *, is_late: bool) -> None:
         if record.request is None and handle.request is not None:
