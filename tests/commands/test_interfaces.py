@@ -77,12 +77,6 @@ def test_everything_is_listed_by_its_kind(turtleact):
     assert "    turtleact_interfaces/action/GoTo" in lines[lines.index("Actions:") :]
 
 
-def test_a_package_is_listed(turtleact):
-    assert turtleact("interface", "package", "std_srvs").out == (
-        "std_srvs/srv/Empty\nstd_srvs/srv/SetBool\nstd_srvs/srv/Trigger\n"
-    )
-
-
 def test_an_unknown_package_is_an_error_that_names_the_nearest(turtleact):
     ran = turtleact("interface", "package", "turtlesin")
     assert (ran.status, ran.out) == (1, "")
@@ -170,27 +164,7 @@ def test_the_type_may_come_from_a_pipe(turtleact, stdin_of):
     assert turtleact("interface", "show", "-").out == "string data\n"
 
 
-def test_an_empty_pipe_is_a_usage_error(turtleact, stdin_of):
-    stdin_of(b"")
-    ran = turtleact("interface", "show", "-")
-    assert (ran.status, ran.err) == (
-        2,
-        "turtleact: stdin: is empty; expected a type such as std_msgs/msg/String\n",
-    )
-
-
 # --- proto ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("type_name", "out"),
-    [
-        ("turtlesim/srv/Kill", "\"name: ''\n\"\n"),
-        ("turtlesim/srv/TeleportRelative", '"linear: 0.0\nangular: 0.0\n"\n'),
-    ],
-)
-def test_a_prototype_is_what_is_sent_first(turtleact, type_name, out):
-    assert turtleact("interface", "proto", type_name).out == out
 
 
 # --- what is known --------------------------------------------------------------------------

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import signal
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
 import pytest
 
@@ -24,18 +22,6 @@ def here(tmp_path, monkeypatch):
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     with REGISTRY.isolated():
         yield tmp_path
-
-
-def test_the_files_are_named_with_what_to_do_next(turtleact):
-    ran = turtleact("pkg", "create", "lab")
-    assert (ran.status, ran.err) == (0, "")
-    files, steps = ran.out.split("\n\n")
-    assert all(Path(file).is_file() for file in files.splitlines())
-    assert steps.splitlines() == [
-        "run it:   turtleact run lab server",
-        "use it:   turtleact send-goal /countdown lab/action/Countdown 'start: 3'",
-        "test it:  pytest lab",
-    ]
 
 
 @pytest.mark.parametrize(
@@ -69,33 +55,12 @@ def test_an_unbuilt_package_runs_from_beginning_to_end(turtleact, here, program,
 
 
 def test_what_the_options_say_is_in_the_files(turtleact, here):
-    options = {
-        "--description": "Turtles & 'more'",
-        "--license": "MIT",
-        "--maintainer-name": "Ada <A>",
-        "--maintainer-email": "ada@example.com",
-        "--destination-directory": "src",
-    }
-    turtleact(
-        *("pkg", "create", "--dependencies", "rclpy", "std_msgs", "--build-type", "ament_python"),
-        *(word for pair in options.items() for word in pair),
-        "lab",
-    )
-    tree = ET.parse(here / "src" / "lab" / "package.xml")
-    said = {each.tag: (each.text or "").strip() for each in tree.getroot()}
-    assert said["description"] == "Turtles & 'more'"
-    assert (said["maintainer"], said["license"]) == ("Ada <A>", "MIT")
+    options = ("--build-type", "ament_python", "--license", "MIT & 'more'")
+    turtleact("pkg", "create", "--dependencies", "rclpy", "std_msgs", *options, "lab")
+    tree = ET.parse(here / "lab" / "package.xml")
+    assert tree.findtext("license") == "MIT & 'more'"
     assert [each.text for each in tree.findall("depend")] == ["rclpy", "std_msgs"]
-    setup = ast.unparse(ast.parse((here / "src" / "lab" / "setup.py").read_text()))
-    assert """description="Turtles & 'more'", license='MIT'""" in setup
-
-
-def test_the_steps_lead_to_another_folder(turtleact, here):
-    (here / "other place").mkdir()
-    ran = turtleact("pkg", "create", "lab", "--destination-directory", "other place")
-    lines = ran.out.splitlines()[-3:]
-    assert lines[0] == "run it:   cd 'other place' && turtleact run lab server"
-    assert lines[2] == "test it:  cd 'other place' && pytest lab"
+    assert """license="MIT & 'more'",""" in (here / "lab" / "setup.py").read_text()
 
 
 @pytest.mark.parametrize(
@@ -124,14 +89,6 @@ def test_a_folder_that_exists_stays_as_it_is(turtleact, here):
     assert list((here / "lab").iterdir()) == []
 
 
-def test_a_place_that_cannot_be_written_is_named(turtleact, here):
-    (here / "file").touch()
-    ran = turtleact("pkg", "create", "lab", "--destination-directory", "file")
-    assert ran.status == 1
-    assert "turtleact: file/lab" in ran.err
-    assert "cannot be written: Not a directory" in ran.err
-
-
 # --- list and executables -------------------------------------------------------------------
 
 
@@ -143,20 +100,3 @@ def test_packages_and_executables_are_listed(turtleact):
     assert turtleact("pkg", "executables", "lab").out == "lab server\n"
     lines = turtleact("pkg", "executables").out.splitlines()
     assert {"lab server", "turtlesim turtlesim_node"} <= {*lines}
-
-
-def test_the_help_of_run_lists_what_can_be_run(turtleact, here):
-    turtleact("pkg", "create", "lab")
-    out = turtleact("run", "--help").out
-    assert "What can be run here" in out
-    assert " lab server " in out
-    assert " turtlesim turtlesim_node " in out
-
-
-def test_the_help_of_run_does_not_list_hundreds(turtleact, here):
-    scripts = "".join(f"go{number} = 'lab:main'\n" for number in range(100))
-    (here / "lab").mkdir()
-    (here / "lab" / "pyproject.toml").write_text(f"[project.scripts]\n{scripts}")
-    out = turtleact("run", "--help").out
-    assert out.count(" lab go") < 40
-    assert "more: see 'turtleact pkg executables'" in out

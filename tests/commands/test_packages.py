@@ -61,10 +61,8 @@ def test_entry_points_of_setup_py_are_read_not_executed(
 @pytest.mark.parametrize(
     ("name", "text", "expected"),
     [
-        ("setup_cfg", "[options.entry_points]\nconsole_scripts =\n    go = lab.go:main\n", ["go"]),
         ("pyproject_toml", "[project.scripts]\ngo = 'lab.go:main'\n", ["go"]),
         ("setup_py", "setup(", []),
-        ("setup_cfg", "console_scripts", []),
         ("pyproject_toml", "[project", []),
     ],
 )

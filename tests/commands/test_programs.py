@@ -65,15 +65,6 @@ def test_an_error_of_turtleact_is_named_with_its_line(run):
     assert err.startswith("turtleact: go.py:3: unknown interface 'lab/action/Gone'")
 
 
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [("", "is go:main, but there is no 'main'"), ("main = 1", "is go:main, not a function")],
-)
-def test_a_missing_function_is_named(run, text, problem):
-    status, _, err = run(text, "main")
-    assert (status, problem in err) == (2, True)
-
-
 def test_machine_code_takes_over_the_process(tmp_path):
     places = {
         "share/ament_index/resource_index/packages/lab": "",
@@ -99,26 +90,3 @@ def test_machine_code_takes_over_the_process(tmp_path):
     with start([*line, "bad"]) as program:
         _, err = program.communicate(timeout=30)
     assert (program.returncode, "lib/lab/bad cannot be run: No such file" in err) == (1, True)
-
-
-LAB = """
-import turtleact
-from turtleact.interfaces.standard import Fibonacci
-
-@turtleact.action(Fibonacci, "mine")
-async def mine(goal):
-    yield Fibonacci.Result(sequence=[goal.order])
-"""
-
-
-def test_a_file_that_only_declares_actions_is_told_how_to_serve_them(run):
-    told = "turtleact: go.py declares action mine, but runs nothing: use 'turtleact serve go.py'\n"
-    assert run(f"{LAB}NUMBER = 3\n") == (0, "", told)
-
-
-@pytest.mark.parametrize(
-    "text", [f"{LAB}print(mine)\n", "from turtleact.actions.fibonacci import fibonacci\n"]
-)
-def test_another_program_is_told_nothing(run, text):
-    status, _, err = run(text)
-    assert (status, err) == (0, "")

@@ -90,7 +90,7 @@ USAGE = [
         ["send-goal", "x", "--embedded", "--connect", "tcp/[::1]:1"],
         "one of --embedded and --connect",
     ),
-    (["run"], "what to run is missing: 'turtleact run --help' lists what can be run"),
+    (["run"], "what to run is missing: 'turtleact pkg executables' lists what can be run"),
     (
         ["run", "turtlesim"],
         "say which executable of package 'turtlesim' to run: it has turtlesim_n",
@@ -432,7 +432,7 @@ def test_programs_of_ros2_are_services_here(turtleact, monkeypatch, program, tar
         return 0
 
     monkeypatch.setattr(serving, "run", run)
-    assert turtleact("run", *program, "--domain", "3").status == 0
+    assert turtleact("run", "--domain", "3", *program).status == 0
     [service] = ran
     fleet = Fleet() if has_world else None
     assert (service.targets, service.fleet, service.reach) == (

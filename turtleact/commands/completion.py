@@ -9,10 +9,9 @@ function fails, it offers no values, because an error message would disturb the 
 
 from __future__ import annotations
 
-import ast
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -68,23 +67,20 @@ EMBEDDED: Final = {
 """The actions, with their types, of the world that ``send-goal`` starts if it finds no graph."""
 
 LARGEST: Final = 100_000
-"""Only this many characters of a module are searched for actions."""
+"""Only this many characters of a file are searched for turtleact."""
 
 _DECLARING: Final = re.compile(r"\bturtleact\b")
 _FOR_BASH: Final = str.maketrans({each: f"\\{each}" for each in '"\\$`'})
 
 
 def _silent(complete: Complete) -> Complete:
-    """Wrap a completion function, so that it offers nothing if it raises an error.
-
-    `SystemExit` counts as an error, because a module may call `sys.exit` while it is imported.
-    """
+    """Wrap a completion function, so that it offers nothing if it raises an error."""
 
     @wraps(complete)
     def offer(ctx: typer.Context, incomplete: str) -> Candidates:
         try:
             return complete(ctx, incomplete)
-        except (Exception, SystemExit):
+        except Exception:
             return []
 
     return offer
@@ -201,7 +197,7 @@ def packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001
 @_silent
 def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
     """Offer one message, with default values, of the type given earlier on the command line."""
-    from turtleact.commands.interface_search import first_message, make_found, make_known
+    from turtleact.commands.interface import first_message, make_found, make_known
     from turtleact.interfaces import get_interface, to_dict
     from turtleact.interfaces.text import flow
 
@@ -225,18 +221,8 @@ def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
 
 
 @_silent
-def targets(ctx: typer.Context, incomplete: str) -> Candidates:
-    """Offer the Python files that mention turtleact; after a file and a colon, the file's actions.
-
-    A file in the working directory is offered as a module, without ``.py``. No file is imported:
-    every function with a decorator called ``action`` counts as an action.
-    """
-    given = list(ctx.params.get("targets") or ())
-    if len(given) > 1 and given[-1] == ":":  # bash splits words at a colon
-        return list(_actions(given[-2]))
-    name, separator, _ = incomplete.partition(":")
-    if separator:
-        return [f"{name}:{each}" for each in _actions(name)]
+def targets(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
+    """Offer the Python files that mention turtleact, those of the working directory as modules."""
     folder, slash, begun = incomplete.rpartition("/")
     files = [each for each in sorted(Path(folder or slash).glob("*.py")) if _mentions_us(each)]
     if slash or "." in begun:
@@ -244,23 +230,9 @@ def targets(ctx: typer.Context, incomplete: str) -> Candidates:
     return [each.stem if each.stem.isidentifier() else each.name for each in files]
 
 
-def _actions(target: str) -> Iterator[str]:
-    path = Path(target if target.endswith(".py") or "/" in target else target.replace(".", "/"))
-    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-    for statement in ast.parse(_text(file)).body:
-        if isinstance(statement, ast.AsyncFunctionDef | ast.FunctionDef) and any(
-            re.search(r"\baction\(", ast.unparse(each)) for each in statement.decorator_list
-        ):
-            yield statement.name
-
-
 def _mentions_us(file: Path) -> bool:
-    return bool(_DECLARING.search(_text(file)))
-
-
-def _text(path: Path) -> str:
-    with path.open(encoding="utf-8", errors="replace") as file:
-        return file.read(LARGEST)
+    with file.open(encoding="utf-8", errors="replace") as opened:
+        return bool(_DECLARING.search(opened.read(LARGEST)))
 
 
 # programs
@@ -269,7 +241,7 @@ def _text(path: Path) -> str:
 @_silent
 def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the packages with something to run, and the Python files in the working directory."""
-    from turtleact.commands.programs import runnable_here
+    from turtleact.commands.run import runnable_here
 
     known = runnable_here()
     files = sorted(each.name for each in Path().glob("*.py"))
@@ -279,7 +251,7 @@ def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noq
 @_silent
 def executables(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the executables of the package given earlier on the command line."""
-    from turtleact.commands.programs import runnable_here
+    from turtleact.commands.run import runnable_here
 
     return list(runnable_here().get(ctx.params["package"], ()))
 
@@ -315,7 +287,7 @@ def _as_begun(names: Iterable[str], begun: str) -> list[str]:
 
 def _interfaces(ctx: typer.Context, kind: str | None = None) -> list[str]:
     """Return the names of all interfaces; with a ``kind``, such as ``"msg"``, only of that kind."""
-    from turtleact.commands.interface_search import make_known
+    from turtleact.commands.interface import make_known
     from turtleact.interfaces import known_interfaces
 
     make_known(_folder(ctx), is_silent=True)

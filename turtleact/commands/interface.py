@@ -1,50 +1,68 @@
-"""The verbs of ``interface``, which list and show interfaces and print prototypes.
+"""The verbs of ``interface``, and the search for the interfaces that any verb may need.
 
 Only ``fetch``, and ``show`` for the name of an action or with ``--connect``, need a graph. The
 others know the interfaces that ship with turtleact, and those in the folder of ``--interfaces``, in
 the sourced ROS workspace, and near the working directory.
 
-Source: ros2cli ``ros2interface/verb/*.py`` (Jazzy), for the printed text.
+Source: ros2cli ``ros2interface/verb/*.py`` (Jazzy), for the printed text;
+``rosidl_default_generators`` for the files of an interface package.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 from turtleact.commands import completion
 from turtleact.commands.app import new_group, verb
-from turtleact.commands.interface_search import first_message
 from turtleact.commands.options import argument, flag, only_one, value
-from turtleact.commands.output import say
+from turtleact.commands.output import note, say, write_file
 from turtleact.commands.settings import WrongOptions
 from turtleact.errors import TurtleactError, UnknownInterface, UsageError
-from turtleact.interfaces import Action, known_interfaces, to_dict, to_yaml
+from turtleact.interfaces import (
+    Action,
+    Message,
+    Service,
+    get_interface,
+    interface_text,
+    known_interfaces,
+    load_interfaces,
+    load_workspace,
+    offer_interfaces,
+    to_dict,
+    to_yaml,
+    type_hash,
+)
 from turtleact.interfaces.comments import commented_text
 from turtleact.interfaces.definition import did_you_mean
-from turtleact.interfaces.loading import find_interface
+from turtleact.interfaces.loading import authored_text, find_interface
 from turtleact.interfaces.parse import Line, parse_member, without_comment
 from turtleact.interfaces.text import flow
+from turtleact.interfaces.type_hash import referenced
+from turtleact.interfaces.types import REGISTRY, nested_classes
+from turtleact.interfaces.workspace import find_interfaces
 
 if TYPE_CHECKING:
     from turtleact.commands.settings import ConnectOptions
     from turtleact.interfaces.types import Interface
     from turtleact.node import Node
+    from turtleact.transports.graph import Kind
 
-__all__ = ["app"]
+__all__ = ["app", "first_message", "make_found", "make_known"]
 
 KINDS: Final = {"msg": "Messages", "srv": "Services", "action": "Actions"}
 """The kinds of interfaces with their headings, in the order in which they are listed."""
 
 _CONTROL: Final = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f]")
 """The characters of a file that could change the terminal's state."""
-
-LONGEST_LINE: Final = 2**12
-"""At most this many bytes of an interface name are read from a pipe. No such name is longer."""
 
 
 Messages = Annotated[bool, flag("--only-msgs", "-m", text="Messages only.")]
@@ -69,15 +87,15 @@ def list_(
 ) -> None:
     """List all interfaces."""
     if learned:
-        from turtleact.commands.interface_fetch import print_learned
+        from turtleact.node.type_cache import cached_types
 
-        print_learned()
+        for each in cached_types():
+            say(f"{each.interface.type_name} {each.type_hash} {each.node}\n")
         return
     for kind in _kinds(msgs=msgs, srvs=srvs, actions=actions):
         names = [name for name in known_interfaces() if name.split("/")[1] == kind]
-        say(
-            "".join(f"{line}\n" for line in (f"{KINDS[kind]}:", *(f"    {each}" for each in names)))
-        )
+        say(f"{KINDS[kind]}:\n")
+        say("".join(f"    {each}\n" for each in names))
 
 
 @verb(app, knows=True)
@@ -132,11 +150,24 @@ async def fetch(
     ],
 ) -> int:
     """Write the interfaces that only nodes have as packages for a workspace."""
-    from turtleact.commands import interface_fetch
-
     if everything == bool(names):
         raise WrongOptions("give the names of nodes, or --all")
-    return await interface_fetch.fetch(node, names or [], output, is_all=everything)
+    wanted = {name if name.startswith("/") else f"/{name}" for name in names or ()}
+    if missing := wanted - {*node.transport.nodes()}:
+        raise TurtleactError(f"there is no node {', '.join(sorted(missing))}")
+    ends = [each for each in node.transport.endpoints() if everything or each.node in wanted]
+    used = {each.name.partition("/_action/")[0] for each in ends}
+    node.learner.note = note
+
+    def wants(_: Kind, name: str) -> bool:
+        return name in used
+
+    await node.learner.learn_all(wants)
+    files = dict(_learned_files())
+    for path, text in sorted({**files, **dict(_packages(files))}.items()):
+        write_file(output / path, text)
+        say(f"{output / path}\n")
+    return 0
 
 
 @verb(app, "python", knows=True)
@@ -176,44 +207,79 @@ def show(
 ) -> int:
     """Print the definition of an interface."""
     only_one("what to do with comments", all_comments=all_comments, no_comments=no_comments)
-    name = _type_of_pipe() if type_name == "-" else type_name
-
-    def print_lines(type_name: str) -> None:
-        lines = _lines(type_name, depth=0, comments=not no_comments, nested_comments=all_comments)
-        say("".join(f"{line}\n" for line in lines))
-
-    async def print_action(node: Node) -> int:
-        from turtleact.commands.graph import chosen_class
-        from turtleact.names import resolve_name
-
-        action = await chosen_class(node, "action", Action, resolve_name(name), None)
-        print_lines(action.type_name)
-        goal = flow(to_dict(action.Goal()))
-        say(f"\nTo send it:  turtleact send-goal {name} {shlex.quote(goal)}\n")
-        return 0
-
-    if name.startswith("/") or "/" not in name:  # otherwise it is a type
-        from turtleact.commands import graph
-
-        return graph.run(reach, print_action)
-
-    async def learn_and_print(node: Node) -> int:
-        from turtleact.commands.interface_fetch import find_shown
-
-        await node.learner.learn_type(name)
-        find_shown(name)
-        print_lines(name)
-        return 0
-
+    name = sys.stdin.readline().strip() if type_name == "-" else type_name
+    print_type = partial(_print_type, comments=not no_comments, nested_comments=all_comments)
+    is_type = "/" in name[1:]  # otherwise it is the name of an action
     try:
-        print_lines(name)
+        if is_type:
+            print_type(name)
+            return 0
     except UnknownInterface:
         if not (reach.connect and reach.learns):
             raise
-        from turtleact.commands import graph
+    from turtleact.commands import graph
 
-        return graph.run(reach, learn_and_print)
-    return 0
+    look = _print_learned if is_type else _print_action
+    return graph.run(reach, lambda node: look(node, name, print_type))
+
+
+# searching
+
+
+def make_known(folder: str | None, *, is_silent: bool = False) -> None:
+    """Register turtleact's own interfaces, and those that `make_found` registers.
+
+    Args:
+        folder: A folder with interface files, or None.
+        is_silent: Whether to leave out the note on stderr.
+
+    Raises:
+        InvalidInterface: if the folder does not exist.
+    """
+    for module in ("actions", "sim.world_services"):  # they declare interfaces
+        import_module(f"turtleact.{module}")
+    make_found(folder, is_silent=is_silent)
+
+
+def make_found(folder: str | None, *, is_silent: bool = False) -> None:
+    """Find and register interfaces in ``folder``, in the workspace and near the working directory.
+
+    If an interface has several definitions, the search order decides: first ``folder``, then the
+    sourced workspace, the folders near the working directory, and turtleact itself. When the first
+    interface near the working directory is used, a note on stderr says where that interface was
+    found.
+
+    Args:
+        folder: The folder to search, or None; see `turtleact.interfaces.load_interfaces`.
+        is_silent: Whether to leave out the note on stderr.
+
+    Raises:
+        InvalidInterface: if the folder does not exist.
+    """
+    told: list[str] = []
+
+    def tell(type_name: str, file: str) -> None:
+        if not told:
+            note(f"found {type_name} in {Path(file).absolute().parents[1]}")
+        told.append(type_name)
+
+    load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    if found := find_interfaces(Path()):
+        offer_interfaces(found, None if is_silent else tell)
+    if folder is not None:
+        load_interfaces(folder)
+
+
+def first_message(type_name: str) -> Message:
+    """Return an action's goal, a service's request or a message, with default values.
+
+    Raises:
+        UnknownInterface: if the name is unknown. The error suggests the nearest name.
+    """
+    interface = find_interface(type_name)
+    if issubclass(interface, Action):
+        return interface.Goal()
+    return interface.Request() if issubclass(interface, Service) else interface()
 
 
 def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
@@ -222,18 +288,92 @@ def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:
     return [kind for kind, is_wanted in given.items() if is_wanted] or [*KINDS]
 
 
-def _type_of_pipe() -> str:
-    """Return the first line of stdin.
+def _check_package(package: str) -> None:
+    """Raise an error if no interface of a package is known. The error suggests the nearest name."""
+    packages = _by_package([*KINDS])
+    if package not in packages:
+        hint = did_you_mean(package, packages)
+        raise TurtleactError(f"unknown package '{package}'{hint}")
 
-    Raises:
-        UsageError: if there is nothing to read.
-    """
-    if sys.stdin.isatty():
-        raise UsageError("'-' reads the type from a pipe, but stdin is not a pipe")
-    line = sys.stdin.readline(LONGEST_LINE).strip()
-    if not line:
-        raise UsageError("stdin: is empty; expected a type such as std_msgs/msg/String")
-    return line
+
+def _by_package(kinds: Sequence[str]) -> dict[str, list[str]]:
+    """Return the names of the interfaces of these kinds, by package."""
+    packages: dict[str, list[str]] = {}
+    for name in known_interfaces():
+        package, kind, _ = name.split("/")
+        if kind in kinds:
+            packages.setdefault(package, []).append(name)
+    return packages
+
+
+# showing
+
+
+async def _print_action(node: Node, name: str, print_type: Callable[[str], None]) -> int:
+    """Print the definition of an action on the graph, and a goal to copy."""
+    from turtleact.commands.graph import chosen_class
+    from turtleact.names import resolve_name
+
+    action = await chosen_class(node, "action", Action, resolve_name(name), None)
+    print_type(action.type_name)
+    goal = flow(to_dict(action.Goal()))
+    say(f"\nTo send it:  turtleact send-goal {name} {shlex.quote(goal)}\n")
+    return 0
+
+
+async def _print_learned(node: Node, name: str, print_type: Callable[[str], None]) -> int:
+    """Print the definition of a type after asking the nodes that use it."""
+    await node.learner.learn_type(name)
+    _find_learned(name)
+    print_type(name)
+    return 0
+
+
+def _print_type(type_name: str, *, comments: bool, nested_comments: bool) -> None:
+    lines = _lines(type_name, depth=0, comments=comments, nested_comments=nested_comments)
+    say("".join(f"{line}\n" for line in lines))
+
+
+def _lines(type_name: str, *, depth: int, comments: bool, nested_comments: bool) -> Iterator[str]:
+    """Yield the lines of a definition, with those of the messages in it."""
+    try:
+        interface = find_interface(type_name)
+    except UnknownInterface:
+        if not _find_learned(type_name):
+            raise
+        interface = find_interface(type_name)
+    package = interface.type_name.partition("/")[0]
+    for number, text in enumerate(commented_text(interface).splitlines(), 1):
+        shown = _CONTROL.sub("", text).rstrip()
+        said = without_comment(shown).strip()
+        if comments or said:
+            kept = shown if comments else said
+            yield f"{depth * chr(9)}{kept}" if kept else ""
+        if not said or said == "---":
+            continue
+        member, _ = parse_member(Line(type_name, number, text), without_comment(text), package)
+        if member.type.is_nested:
+            yield from _lines(
+                member.type.name,
+                depth=depth + 1,
+                comments=nested_comments,
+                nested_comments=nested_comments,
+            )
+
+
+def _find_learned(type_name: str) -> bool:
+    """Find a type that no file here has in the cache, and say where it came from."""
+    from turtleact.node.type_cache import cached, remember
+
+    found = list(cached(type_name))
+    for each in found:
+        note(f"{type_name} was learned from node {each.node} ({each.type_hash})")
+    for each in reversed(found):  # the newest is found first
+        remember(each)
+    return bool(found)
+
+
+# writing Python
 
 
 def _write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> int:
@@ -260,97 +400,100 @@ def _write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> i
 
     for package in packages:
         _check_package(package)
-    wanted: dict[Path, str | None] = {
-        folder / path: text for path, text in generate(package_texts(*packages)).items()
-    }
-    for place in {path.parent for path in wanted}:
-        stale = (place / f"{kind}.py" for kind in KINDS)
-        wanted.update({path: None for path in stale if path not in wanted and path.is_file()})
+    files = generate(package_texts(*packages)).items()
+    wanted = {folder / path: text for path, text in files}
     init = folder / "__init__.py"
     if not init.exists():
         wanted[init] = f"{MARK} PACKAGE -o DIR`.\n"
-    changed = [path for path in sorted(wanted) if _read(path) != wanted[path]]
+    held = {path: path.read_text("utf-8") for path in wanted if path.exists()}
+    changed = [path for path in sorted(wanted) if held.get(path) != wanted[path]]
     for path in changed:
-        held = _read(path)
-        if held is not None and not held.startswith(MARK):
+        if not held.get(path, MARK).startswith(MARK):
             raise UsageError(f"{path} was not generated: choose another folder, or remove it")
-    if not is_check:
-        for path in changed:
-            _replace(path, wanted[path])
-    said = "would change " if is_check else ""
-    say("".join(f"{said}{path}\n" for path in changed))
+    for path in changed:
+        if not is_check:
+            write_file(path, wanted[path])
+        say(f"{'would change ' if is_check else ''}{path}\n")
     return int(is_check and bool(changed))
 
 
-def _read(path: Path) -> str | None:
-    """Return the text of a file; None if the file does not exist."""
+# writing packages
+
+_PACKAGE_XML: Final = """\
+<?xml version="1.0"?>
+<package format="3">
+  <name>{name}</name>
+  <version>0.0.0</version>
+  <description>Interfaces that were fetched from a robot.</description>
+  <maintainer email="todo@todo.todo">todo</maintainer>
+  <license>unknown</license>
+
+  <buildtool_depend>ament_cmake</buildtool_depend>
+  <build_depend>rosidl_default_generators</build_depend>
+  <exec_depend>rosidl_default_runtime</exec_depend>
+{depends}  <member_of_group>rosidl_interface_packages</member_of_group>
+  <export>
+    <build_type>ament_cmake</build_type>
+  </export>
+</package>
+"""
+
+_CMAKE: Final = """\
+cmake_minimum_required(VERSION 3.8)
+project({name})
+find_package(ament_cmake REQUIRED)
+find_package(rosidl_default_generators REQUIRED)
+{finds}
+rosidl_generate_interfaces(${{PROJECT_NAME}}
+{files}{uses})
+ament_package()
+"""
+
+
+def _learned_files() -> Iterator[tuple[Path, str]]:
+    """Yield the path and the text of each interface that was learned now."""
+    from turtleact.node.type_cache import cached
+
+    for held, _ in REGISTRY.learned.values():
+        versions = [each for each in cached(held.type_name) if each.type_hash == type_hash(held)]
+        sources = {source.type_name: source for each in versions for source in each.sources}
+        for cls in (held, *referenced(held).values()):
+            name = cls.type_name
+            package, kind, last = name.split("/")
+            if "_" in last or _is_known(cls):  # ROS derives it, or it is not the robot's own
+                continue
+            source = sources.get(name)
+            if source is not None and source.encoding == "idl":
+                yield Path(package, kind, f"{last}.idl"), source.raw_file_contents
+            else:
+                text = authored_text(cls) or interface_text(cls)
+                yield Path(package, kind, f"{last}.{kind}"), f"{text.rstrip()}\n"
+
+
+def _packages(files: Iterable[Path]) -> Iterator[tuple[Path, str]]:
+    """Yield the files that make packages of the interface files."""
+    packages = defaultdict[str, list[str]](list)
+    for path in files:
+        packages[path.parts[0]].append("/".join(path.parts[1:]))
+    uses = defaultdict[str, set[str]](set)
+    for held, _ in REGISTRY.learned.values():
+        for cls in (held, *referenced(held).values()):
+            package = cls.type_name.partition("/")[0]
+            nested = nested_classes(cls) if issubclass(cls, Message) else ()
+            uses[package] |= {each.type_name.partition("/")[0] for each in nested if each}
+    for package, paths in packages.items():
+        used = sorted(uses[package] - {package})
+        depends = "".join(f"  <depend>{each}</depend>\n" for each in used)
+        finds = "".join(f"find_package({each} REQUIRED)\n" for each in used)
+        listed = "".join(f'  "{each}"\n' for each in sorted(paths))
+        words = {"name": package, "depends": depends, "finds": finds, "files": listed}
+        words["uses"] = f"  DEPENDENCIES {' '.join(used)}\n" if used else ""
+        yield Path(package, "package.xml"), _PACKAGE_XML.format(**words)
+        yield Path(package, "CMakeLists.txt"), _CMAKE.format(**words)
+
+
+def _is_known(cls: Interface) -> bool:
     try:
-        return path.read_text("utf-8")
-    except FileNotFoundError:
-        return None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path} cannot be read: {error}") from error
-
-
-def _replace(path: Path, text: str | None) -> None:
-    """Write ``text`` to a file. If ``text`` is None, remove the file."""
-    try:
-        if text is None:
-            path.unlink()
-        else:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, "utf-8")
-    except OSError as error:
-        raise UsageError(f"{path} cannot be written: {error.strerror}") from error
-
-
-def _check_package(package: str) -> None:
-    """Raise an error if no interface of a package is known. The error suggests the nearest name."""
-    packages = _by_package([*KINDS])
-    if package not in packages:
-        hint = did_you_mean(package, packages)
-        raise TurtleactError(f"unknown package '{package}'{hint}")
-
-
-def _by_package(kinds: Sequence[str]) -> dict[str, list[str]]:
-    """Return the names of the interfaces of these kinds, by package."""
-    packages: dict[str, list[str]] = {}
-    for name in known_interfaces():
-        package, kind, _ = name.split("/")
-        if kind in kinds:
-            packages.setdefault(package, []).append(name)
-    return packages
-
-
-def _find(type_name: str) -> Interface:
-    """Return the class of an interface, if necessary one that was learned before."""
-    try:
-        return find_interface(type_name)
-    except UnknownInterface:
-        from turtleact.commands.interface_fetch import find_shown
-
-        if not find_shown(type_name):
-            raise
-        return find_interface(type_name)
-
-
-def _lines(type_name: str, *, depth: int, comments: bool, nested_comments: bool) -> Iterator[str]:
-    """Yield the lines that `print_definition` prints."""
-    interface = _find(type_name)
-    package = interface.type_name.partition("/")[0]
-    for number, text in enumerate(commented_text(interface).splitlines(), 1):
-        shown = _CONTROL.sub("", text).rstrip()
-        said = without_comment(shown).strip()
-        if comments or said:
-            kept = shown if comments else said
-            yield f"{depth * chr(9)}{kept}" if kept else ""
-        if not said or said == "---":
-            continue
-        member, _ = parse_member(Line(type_name, number, text), without_comment(text), package)
-        if member.type.is_nested:
-            yield from _lines(
-                member.type.name,
-                depth=depth + 1,
-                comments=nested_comments,
-                nested_comments=nested_comments,
-            )
+        return get_interface(cls.type_name) is cls
+    except TurtleactError:
+        return False

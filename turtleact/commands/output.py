@@ -10,7 +10,10 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import NoReturn, TextIO
+
+from turtleact.errors import UsageError
 
 __all__ = [
     "ELSEWHERE",
@@ -24,6 +27,7 @@ __all__ = [
     "say_message",
     "say_names",
     "say_table",
+    "write_file",
 ]
 
 ELSEWHERE = (
@@ -97,6 +101,19 @@ def leave(status: int) -> NoReturn:
         if stream is not None:
             stream.flush()
     os._exit(status)
+
+
+def write_file(path: Path, text: str) -> None:
+    """Write a file, and create the folders that it needs.
+
+    Raises:
+        UsageError: if the file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, "utf-8")
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def printable(text: str) -> str:

@@ -1,7 +1,7 @@
 """Finds what ``serve`` serves: the user's modules, and the actions and parameters in them.
 
 A target is a module (``lab``, ``lab.robot``), a file (``lab.py``, ``./src/lab.py``), or one object
-in a module or file (``lab:fibonacci``, ``lab.py:Robot.drive``). To import a file as a module, the
+in a module or file (``lab:fibonacci``, ``lab.py:fibonacci``). To import a file as a module, the
 folder of the file is put at the beginning of ``sys.path``. For a file in a package, the folder that
 contains the package is put there instead.
 
@@ -12,21 +12,15 @@ from __future__ import annotations
 
 import asyncio
 import importlib
-import logging
 import os
 import sys
-import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from functools import wraps
-from inspect import iscoroutine
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-import anyio
-
-from turtleact.commands.programs import nearby, place_of
+from turtleact.commands.run import nearby, place_of
 from turtleact.errors import TurtleactError, UsageError
 from turtleact.goals.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.interfaces.definition import did_you_mean, names_like
@@ -34,8 +28,6 @@ from turtleact.node.parameter_rules import ParameterDeclaration
 from turtleact.tasks.failures import summary, syntax_hint
 
 __all__ = ["Found", "Modules", "Target", "read_target"]
-
-logger = logging.getLogger("turtleact.serve")
 
 OURS = Path(__file__).parents[1]
 """The folder of turtleact's own modules."""
@@ -63,13 +55,13 @@ class Target(NamedTuple):
     Attributes:
         text: The target as the user wrote it.
         module: The name of the module to import.
-        path: The dotted path of an action in the module; empty for all actions of the module.
+        name: The name of an action in the module; empty for all actions of the module.
         file: The file that the target names; None if the target names a module.
     """
 
     text: str
     module: str
-    path: str
+    name: str
     file: Path | None
 
     @property
@@ -87,23 +79,16 @@ def read_target(text: str) -> Target:
     Raises:
         UsageError: if the text is not a target, or names a file that does not exist.
     """
-    name, separator, path = text.rpartition(":") if _has_object(text) else (text, "", "")
-    if separator and not all(part.isidentifier() for part in path.split(".")):
+    name, colon, action = text.rpartition(":")
+    if not colon or action.startswith(("/", "\\")):  # the colon of a drive, as in C:\lab.py
+        name, colon, action = text, "", ""
+    if colon and not action.isidentifier():
         raise UsageError(f"'{text}' is not a target: after the colon comes the name of an action")
     if file := _file_of(name):
-        return Target(text, _module_name(file), path, file)
+        return Target(text, _module_name(file), action, file)
     if all(part.isidentifier() for part in name.split(".")):
-        return Target(text, name, path, None)
+        return Target(text, name, action, None)
     raise UsageError(f"'{text}' is not a target such as lab.py, lab or lab.robot:drive")
-
-
-def _has_object(text: str) -> bool:
-    r"""Whether a text names an object after a colon.
-
-    The colon after a drive's letter, as in ``C:\lab.py``, does not count.
-    """
-    _, colon, after = text.rpartition(":")
-    return bool(colon) and after[:1] not in ("/", "\\")
 
 
 def _file_of(name: str) -> Path | None:
@@ -135,8 +120,6 @@ def _module_name(file: Path) -> str:
     while (folder / "__init__.py").is_file():
         names.insert(0, folder.name)
         folder = folder.parent
-    if any("." in each for each in names):
-        raise UsageError(f"'{file.name}' cannot be imported: take the dots out of its name")
     return ".".join(names)
 
 
@@ -220,7 +203,7 @@ def _file(module: ModuleType) -> Path | None:
 def _actions_of(target: Target) -> list[ActionDeclaration[..., object]]:
     module = _import_module(target)
     declared = [each for each in vars(module).values() if isinstance(each, ActionDeclaration)]
-    if not target.path:
+    if not target.name:
         own = [each for each in declared if each.execute.__module__ == module.__name__]
         kinds = {type(each) for each in vars(module).values()}
         if not own and BackgroundDeclaration not in kinds:
@@ -229,25 +212,12 @@ def _actions_of(target: Target) -> list[ActionDeclaration[..., object]]:
                 "body, or run it as a program: turtleact run FILE"
             )
         return own
-    found = _look_up(module, target)
+    named = {each.execute.__name__: each for each in declared}
+    found = vars(module).get(target.name)
     if not isinstance(found, ActionDeclaration):
-        problem = f"is of type {type(found).__name__}, not an action; see turtleact.action"
-        there = ", ".join(each.execute.__name__ for each in declared)
-        raise UsageError(f"'{target.text}' {problem} (there are: {there or 'none'})")
+        hint = names_like(target.name, named)
+        raise UsageError(f"'{target.text}': no action {target.name} is there{hint}")
     return [found]
-
-
-def _look_up(module: ModuleType, target: Target) -> object:
-    """The object at a dotted path in a module."""
-    found: object = module
-    for attribute in target.path.split("."):
-        if not hasattr(found, attribute):
-            members = vars(found).items() if hasattr(found, "__dict__") else ()
-            names = [name for name, each in members if isinstance(each, ActionDeclaration)]
-            hint = names_like(attribute, names)
-            raise UsageError(f"'{target.text}': no {attribute} is there{hint}")
-        found = getattr(found, attribute)
-    return found
 
 
 def _import_module(target: Target) -> ModuleType:
@@ -256,8 +226,8 @@ def _import_module(target: Target) -> ModuleType:
             sys.path.insert(0, folder)
     name = target.module
     try:
-        with _programs_skipped():
-            module = importlib.import_module(name)
+        with closing(asyncio.new_event_loop()) as loop:
+            module = loop.run_until_complete(_import(name))
     except Exception as error:
         missing = (isinstance(error, ModuleNotFoundError) and error.name) or ""
         if missing and f"{name}.".startswith(f"{missing}."):
@@ -272,42 +242,14 @@ def _import_module(target: Target) -> ModuleType:
     return module
 
 
-@contextmanager
-def _programs_skipped() -> Iterator[None]:
-    """During a block, make ``asyncio.run`` and ``anyio.run`` log a warning and do nothing else.
+async def _import(name: str) -> ModuleType:
+    """Import a module inside an event loop.
 
-    A file with actions often ends with ``asyncio.run(main())``. Without this function, importing
-    the file would start ``main``, which might never return.
+    A file with actions often ends with ``asyncio.run(main())``, which might never return. Inside a
+    loop, such a call is an error, like ``anyio.run`` and ``uvloop.run``. The loop is not that of
+    ``asyncio.run``, whose first Ctrl-C would only cancel a task, and not interrupt the import.
     """
-    is_importing = True
-
-    def skipping(run: Callable[..., object]) -> Callable[..., object]:
-        @wraps(run)
-        def skip(main: object, *args: object, **options: object) -> object:
-            if not is_importing:  # a module may have imported this function by name
-                return run(main, *args, **options)
-            if iscoroutine(main):
-                main.close()  # else Python warns that nobody has awaited it
-            caller = traceback.extract_stack(limit=2)[0]
-            logger.warning(
-                "%s:%s: the program is skipped, because serve runs the actions itself; put "
-                "it below 'if __name__ == \"__main__\":'",
-                nearby(caller.filename),
-                caller.lineno,
-            )
-            return None
-
-        return skip
-
-    before = {module: module.run for module in (asyncio, anyio)}
-    for module, run in before.items():
-        setattr(module, "run", skipping(run))  # noqa: B010  # mypy allows no assignment
-    try:
-        yield
-    finally:
-        is_importing = False
-        for module, run in before.items():
-            setattr(module, "run", run)  # noqa: B010  # as above
+    return importlib.import_module(name)
 
 
 def _import_error(target: Target, error: Exception) -> TurtleactError:
@@ -318,6 +260,8 @@ def _import_error(target: Target, error: Exception) -> TurtleactError:
     what = f"SyntaxError: {error.msg}" if isinstance(error, SyntaxError) else summary(error)
     if hint := syntax_hint(error):
         what += f": {hint}"
+    if isinstance(error, RuntimeError) and "running" in str(error):
+        what += """; put it below 'if __name__ == "__main__":'"""
     if isinstance(error, ModuleNotFoundError) and error.name == "rclpy":
         file = nearby(str(target.file)) if target.file else f"{target.module.replace('.', '/')}.py"
         what += f"; to run a program with rclpy: turtleact run {file}"

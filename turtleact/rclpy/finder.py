@@ -80,8 +80,8 @@ MISSING: Final = {
     "tf2_ros": "tf2 is not part of turtleact",
     "tf2_py": "tf2 is not part of turtleact",
     "tf2_geometry_msgs": "tf2 is not part of turtleact",
-    "launch": "start each program by itself; 'turtleact run --help' lists what can be run",
-    "launch_ros": "start each program by itself; 'turtleact run --help' lists what can be run",
+    "launch": "start each program by itself; 'turtleact pkg executables' lists what can be run",
+    "launch_ros": "start each program by itself; 'turtleact pkg executables' lists what can be run",
     "rclpy.experimental": "use a SingleThreadedExecutor or a MultiThreadedExecutor",
     "rclpy.type_adapter": "turtleact has no type adapters",
 }
