@@ -20,7 +20,7 @@ from turtleact.interfaces import (
 from turtleact.interfaces.standard.type_description_interfaces.srv import GetTypeDescription
 from turtleact.interfaces.types import REGISTRY
 from turtleact.node.type_descriptions import describe
-from turtleact.transports import MemoryTransport
+from turtleact.transports import Transport
 from turtleact.transports.base import Endpoint, Reply, ServiceHandler
 
 FILES = {
@@ -53,7 +53,7 @@ class Robot(ServiceHandler):
         answer: Takes a request and the true answer, and returns what is sent; None never answers.
     """
 
-    def __init__(self, transport: MemoryTransport, folder: Path, node: str = "/robot") -> None:
+    def __init__(self, transport: Transport, folder: Path, node: str = "/robot") -> None:
         self.asked: list[str] = []
         self.notes: list[str] = []
         self.answer: Callable[[Any, Any], Any] = lambda request, truth: truth

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -18,6 +19,7 @@ from turtleact import (
     get_interface,
     learn_interface,
     open_node,
+    open_zenoh,
 )
 from turtleact.interfaces import type_hash
 from turtleact.interfaces.comments import comments
@@ -267,6 +269,26 @@ async def test_a_text_that_is_too_long_or_does_not_fit_is_not_used(package):
             f"the constants and comments of {BATTERY} are missing: its description has more than "
             "1,000,000 characters of text"
         ]
+
+
+@pytest.mark.loops("asyncio")
+async def test_an_answer_that_is_too_large_is_refused(package, monkeypatch):
+    monkeypatch.setattr("turtleact.node.learning.LARGEST", 4_000)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        at = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    async with (
+        open_zenoh([], listen=[at], mode="router", config={}) as there,
+        open_zenoh([at], mode="client", config={}) as here,
+        open_node("here", transport=here) as node,
+    ):
+        robot = Robot(there, package)
+        robot.open("publisher", "/battery", BATTERY)
+        robot.answer = lambda request, truth: type(truth)(failure_reason="x" * 4_000)
+        with pytest.raises(
+            NotLearned, match=r"node /robot: .*the answer has 4,0\d\d bytes, over 4"
+        ):
+            await learn_interface(node, "battery", timeout=20)
 
 
 async def test_a_node_without_a_hash_is_named(package):
