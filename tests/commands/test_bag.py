@@ -231,7 +231,7 @@ def test_a_recording_names_what_was_lost(on_graph, monkeypatch, tmp_path):
     monkeypatch.setattr(recording.Recording, "lost_by_topic", lost)
     ran = on_graph(interrupted(talking), "bag", "record", "-a", "-o", str(tmp_path / "run"))
     assert "lost: 8 messages of topic '/8'\n" in ran.err
-    assert ran.err.endswith("lost in all: 36 messages of 8 topics\n")
+    assert "lost: 1 message of topic '/1'\n" in ran.err
 
 
 def test_a_disk_that_is_full_is_named(on_graph, monkeypatch, tmp_path):
@@ -277,14 +277,11 @@ async def counting(transport, introspection="contents"):
 @pytest.fixture
 def goals(tmp_path):
     """A bag with two goals, and a message of ``/said``."""
-    return record_goals(tmp_path)
 
-
-def record_goals(tmp_path, introspection="contents"):
     async def main():
         transport = MemoryTransport(VirtualClock())  # it stands still
         async with (
-            counting(transport, introspection),
+            counting(transport),
             open_node("asker", transport=transport) as node,
         ):
             client = node.action_client(Fibonacci, "fibonacci")
@@ -296,12 +293,6 @@ def record_goals(tmp_path, introspection="contents"):
 
     anyio.run(main)
     return str(tmp_path / "goals")
-
-
-def test_info_says_that_events_have_no_contents(turtleact, tmp_path):
-    ran = turtleact("bag", "info", record_goals(tmp_path, "metadata"))
-    missing = "Missing: the goals and results of /fibonacci. Their service events have no contents"
-    assert missing in ran.out
 
 
 def test_goals_are_listed(turtleact, goals):

@@ -23,13 +23,12 @@ import typer
 from turtleact.commands import completion
 from turtleact.commands.app import ManyVerb, new_group, verb
 from turtleact.commands.options import Json, argument, bag_seconds, flag, hertz, value, whole
-from turtleact.commands.output import counted, note, printable, say
+from turtleact.commands.output import counted, note, say
 from turtleact.commands.output import duration as told_duration
 from turtleact.commands.settings import WrongOptions, quoted
 from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.commands.settings import ConnectOptions
     from turtleact.node import Node
     from turtleact.recording import Played, Recording, Selection
@@ -38,21 +37,8 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-SHORT = {
-    "--max-size": "--max-bag-size",
-    "--max-duration": "--max-bag-duration",
-    "--output-options": "--output",
-}
-"""Maps alternative names of options to the names that ``--help`` shows."""
-
 FREQUENCY = "40"
 """How often ``--clock`` publishes (Hz), as in ``ros2 bag play``."""
-
-MOST_NAMED = 5
-"""A note about lost messages names at most this many topics."""
-
-TELL = 2.0
-"""After a signal, this much time separates two notes on the number of unwritten messages (s)."""
 
 FAILED = 1
 """The exit status if nothing could be played, or a topic could not be recorded."""
@@ -67,7 +53,7 @@ class BagVerb(ManyVerb):
         """Parse the arguments, with the default frequency of ``ros2 bag play`` for ``--clock``."""
         found: list[str] = []
         for arg, following in pairwise([*args, ""]):
-            found.append(SHORT.get(arg, arg))
+            found.append(arg)
             if arg == "--clock" and not following[:1].isdigit():
                 found.append(FREQUENCY)
         return super().parse_args(ctx, found)
@@ -334,7 +320,7 @@ def convert(
     output: Annotated[
         Path,
         value(
-            *("--output", "-o"),
+            *("--output", "-o", "--output-options"),
             metavar="NAME",
             text="The folder to create, or a YAML file of 'ros2 bag convert'.",
         ),
@@ -470,11 +456,8 @@ def _record(reach: ConnectOptions, path: Path, overrides: Path | None, **options
     """
     from turtleact import recording
     from turtleact.commands import graph
-    from turtleact.commands.interrupts import Interrupts
     from turtleact.recording.metadata import read_qos_overrides
-    from turtleact.tasks import Background
 
-    interrupts = Interrupts()
     recorded: list[Recording] = []
     qos = {} if overrides is None else read_qos_overrides(overrides)
 
@@ -482,42 +465,19 @@ def _record(reach: ConnectOptions, path: Path, overrides: Path | None, **options
         try:
             async with recording.record(node, path, qos=qos, **options) as run:
                 recorded.append(run)
-                interrupts.last_words = partial(_last_words, run)
-                watch = Background(_watch_closing(run, interrupts), "closing the bag")
                 note(f"recording to {path}; Ctrl-C ends it")
                 await _tell_topics(run)
         finally:
             if recorded:
-                await watch.aclose()
-                interrupts.last_words = str
                 _sum_up_recording(recorded[0])
         return 0
 
-    status = graph.run(reach, record_on, interrupts)
+    status = graph.run(reach, record_on)
     if not recorded:
         return status
     if recorded[0].error is not None:  # not raised yet if a signal came before it was noticed
         raise recorded[0].error
     return FAILED if recorded[0].unrecorded else 0
-
-
-async def _watch_closing(recording: Recording, interrupts: Interrupts) -> None:
-    """After a signal, print a note about the number of unwritten messages at intervals."""
-    await interrupts.wait()
-    while True:
-        await asyncio.sleep(TELL)
-        waiting = counted(recording.waiting, "message")
-        note(f"closing {recording.path}: {waiting} still to write; Ctrl-C gives them up")
-
-
-def _last_words(recording: Recording) -> str:
-    """Return the text to print if a second signal ends the process before the bag is closed."""
-    lost = counted(recording.waiting + recording.lost, "message")
-    path = printable(str(recording.path))
-    return (
-        f"turtleact: {path} was not closed, because a second signal came: {lost} lost; "
-        f"'turtleact bag info {path}' counts the others and says that the file was not closed\n"
-    )
 
 
 async def _tell_topics(recording: Recording) -> None:
@@ -534,22 +494,19 @@ def _sum_up_recording(recording: Recording) -> None:
     from turtleact.commands.bag_contents import messages_told, missing_goals
     from turtleact.recording import Bag, BagError
 
-    lost = recording.lost_by_topic
     if not recording.path.exists():
         return
-    told, missing = counted(recording.count, "message"), list[str]()
+    told, missing = counted(recording.count, "message"), ""
     if recording.error is None:
         with suppress(BagError), closing(Bag(recording.path)) as bag:
-            told, missing = messages_told(bag.info), missing_goals(bag)
+            told, missing = messages_told(bag.info), missing_goals(bag.info)
     note(f"{told} recorded in {recording.path}")
-    for sentence in missing:
-        note(f"missing: {sentence}")
-    for topic, count in sorted(lost.items(), key=lambda each: -each[1])[:MOST_NAMED]:
+    if missing:
+        note(f"missing: {missing}")
+    for topic, count in sorted(recording.lost_by_topic.items()):
         note(f"lost: {counted(count, 'message')} of topic '{topic}'")
     for topic, reason in sorted(recording.unrecorded.items()):
         note(f"not recorded: topic '{topic}': {reason}")
-    if len(lost) > MOST_NAMED:
-        note(f"lost in all: {counted(sum(lost.values()), 'message')} of {len(lost)} topics")
 
 
 # playing

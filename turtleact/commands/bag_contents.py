@@ -12,7 +12,8 @@ import json
 import time
 from collections import Counter
 from collections.abc import Iterable
-from itertools import islice
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,7 +23,7 @@ from turtleact.interfaces.conversion import to_dict
 from turtleact.interfaces.text import flow
 from turtleact.names import EVENT_SUFFIX, resolve_name
 from turtleact.recording.bag import Bag
-from turtleact.recording.metadata import BagError, BagInfo, BagTopic
+from turtleact.recording.metadata import BagInfo, BagTopic
 from turtleact.recording.selection import REQUESTS, owner_of, part_of
 from turtleact.recording.storage import Range
 
@@ -38,18 +39,12 @@ _SIZES = ("B", "KiB", "MiB", "GiB", "TiB")
 
 HEADINGS = ("id", "action", "state", "took", "feedback", "goal", "result", "reason")
 
-FIRST = 8
-"""How many service events of an action are checked for requests and responses."""
-
-EMPTY_EVENT = 52
-"""The length of a service event without request and response (bytes), as CDR."""
-
 LONGEST = 40
 """In a table, a goal or result is cut after this many characters."""
 
 
-def print_info(path: Path, *, verbose: bool, names_only: bool) -> int:
-    """Print what is in a bag, and return the exit status.
+def print_info(path: Path, *, verbose: bool, names_only: bool) -> None:
+    """Print what is in a bag.
 
     With ``verbose``, requests and responses are counted separately. With ``names_only``, only the
     names of the topics are printed.
@@ -59,24 +54,20 @@ def print_info(path: Path, *, verbose: bool, names_only: bool) -> int:
     Raises:
         BagError: if there is no bag, or one of its files cannot be opened.
     """
-    bag = Bag(path)
-    try:
+    with closing(Bag(path)) as bag:
         info = bag.info
         if names_only:
             say_names("".join(f"{name}\n" for name in sorted({each.name for each in info.topics})))
-            return 0
+            return
         reading = _Reading(bag) if verbose else None
         lines = [*_head(info), *_topics(info), *_services(info, reading), *_actions(info, reading)]
-        say_names("\n" + "".join(f"{line}\n" for line in [*lines, *_remarks(bag)]))
+        say_names("\n" + "".join(f"{line}\n" for line in [*lines, *_remarks(info)]))
         if info.is_closed:  # metadata.yaml does not show that a file was cut off later
             bag.check()
-        return 0
-    finally:
-        bag.close()
 
 
-def print_goals(path: Path, name: str | None, *, as_json: bool) -> int:
-    """Print the goals in a bag, and return the exit status.
+def print_goals(path: Path, name: str | None, *, as_json: bool) -> None:
+    """Print the goals in a bag.
 
     Raises:
         BagError: if there is no bag, or a part of the bag is damaged.
@@ -88,17 +79,13 @@ def print_goals(path: Path, name: str | None, *, as_json: bool) -> int:
 
     actions = None if name is None else [resolve_name(name)]
 
-    async def gather() -> list[RecordedGoal]:
-        return await goals(path, actions=actions)
-
-    found = anyio.run(gather)
+    found = anyio.run(partial(goals, path, actions=actions))
     if as_json:
         say("".join(f"{_json_line(each)}\n" for each in found))
     elif found:
         say_table([HEADINGS, *map(_goal_row, found)])
     else:
         note("the bag has no goals")
-    return 0
 
 
 def messages_told(info: BagInfo) -> str:
@@ -113,31 +100,16 @@ def messages_told(info: BagInfo) -> str:
     return f"{counted(info.count, 'message')} ({split})"
 
 
-def missing_goals(bag: Bag) -> list[str]:
-    """List the actions whose goals and results are missing from a bag, and explain why.
-
-    The list has one sentence for each reason.
-    """
-    actions, sentences = _actions_of(bag.info), list[str]()
-    silent = [each.name for each in actions if _lacks_goals(each)]
-    if silent:
-        sentences.append(
-            f"the goals and results of {', '.join(silent)}. No service events were published; "
-            f"{SERVE_WITH_CONTENTS}."
-        )
-    empty = [each.name for each in actions if _lacks_contents(bag, each)]
-    if empty:
-        sentences.append(
-            f"the goals and results of {', '.join(empty)}. Their service events have no contents; "
-            f"{SERVE_WITH_CONTENTS}."
-        )
-    return sentences
-
-
-SERVE_WITH_CONTENTS = (
-    "to record them, serve the actions with 'turtleact serve --introspection contents', or call "
-    "configure_introspection on rclpy's ActionServer"
-)
+def missing_goals(info: BagInfo) -> str:
+    """Name the actions whose goals and results are missing from a bag, and explain why."""
+    silent = [each.name for each in _actions_of(info) if _lacks_goals(each)]
+    if not silent:
+        return ""
+    return (
+        f"the goals and results of {', '.join(silent)}. No service events were published; "
+        "to record them, serve the actions with 'turtleact serve --introspection contents', or "
+        "call configure_introspection on rclpy's ActionServer."
+    )
 
 
 class _Action(NamedTuple):
@@ -252,9 +224,9 @@ def _actions_of(info: BagInfo) -> list[_Action]:
     return [_Action(name, types[name], found[name]) for name in sorted(found)]
 
 
-def _remarks(bag: Bag) -> list[str]:
+def _remarks(info: BagInfo) -> list[str]:
     """Return sentences about what is missing in the bag."""
-    info, remarks = bag.info, list[str]()
+    remarks = list[str]()
     if not info.is_closed:
         remarks.append(
             "The file was not closed: the recorder was killed, or the disk was full. "
@@ -264,20 +236,9 @@ def _remarks(bag: Bag) -> list[str]:
         kind, _, topic = key.partition(":")
         if kind == "lost":
             remarks.append(f"Lost: {count} messages of {topic} were not recorded.")
-    remarks += [f"Missing: {sentence}" for sentence in missing_goals(bag)]
+    if missing := missing_goals(info):
+        remarks.append(f"Missing: {missing}")
     return ["", *remarks] if remarks else []
-
-
-def _lacks_contents(bag: Bag, action: _Action) -> bool:
-    """Return whether the first ``send_goal`` events of an action have no contents."""
-    topic = action.parts.get("send_goal")
-    if topic is None or not topic.count:
-        return False
-    try:
-        first = list(islice(bag.messages(Range(wants=topic.name.__eq__)), FIRST))
-    except BagError:  # a damaged chunk
-        return False
-    return bool(first) and all(len(raw.data) <= EMPTY_EVENT for raw in first)
 
 
 def _lacks_goals(action: _Action) -> bool:
