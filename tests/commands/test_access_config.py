@@ -78,7 +78,7 @@ def test_a_file_says_all_there_is(tmp_path: Path):
         ("[tls]\nmutual = 1", "Expected `bool`, got `int` - at `$.tls.mutual`"),
         ('[tls]\nca = "nowhere.pem"', "tls.ca: there is no file"),
         ('[login]\nusers = "nowhere.txt"', "login.users: there is no file"),
-        ('[login]\nuser = "a"', "login.password: is not given, but login.user is"),
+        ('[login]\nuser = "a"', "login: give both user and password, or neither"),
     ],
 )
 def test_a_file_that_is_wrong_is_refused(tmp_path: Path, text, problem):

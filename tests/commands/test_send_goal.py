@@ -100,11 +100,11 @@ def test_a_rejection_without_a_reason_says_that_there_is_none(on_stage, stage, m
 @pytest.mark.parametrize(
     ("name", "hint"),
     [
-        ("fibonaci", "did you mean '/fibonacci'?"),
+        ("fibonaci", ", did you mean '/fibonacci'?"),
         (
             "zzz",
-            "it serves /command_turtle, /fibonacci, /go_to, /patrol, /turtle1/rotate_absolute, "
-            "/world/simulate_steps;",
+            " (there are: /command_turtle, /fibonacci, /go_to, /patrol, /turtle1/rotate_absolute, "
+            "/world/simulate_steps)",
         ),
     ],
 )
@@ -114,7 +114,7 @@ def test_an_action_that_the_embedded_world_lacks_is_an_error_that_names_the_near
     ran = turtleact("send-goal", name, "--speed", "max")
     assert ran.status == 1
     assert ran.err.splitlines()[-1] == (
-        f"turtleact: action '/{name}': the embedded world does not serve it; {hint} "
+        f"turtleact: action '/{name}': the embedded world does not serve it{hint}; "
         "--embedded, --speed and --seed use no other server"
     )
 

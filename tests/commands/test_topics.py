@@ -595,7 +595,10 @@ def test_a_service_that_is_not_there_is_waited_for(on_graph, graphs):
 def test_a_wait_for_a_typing_error_is_told(on_graph, graphs):
     nodes = graphs.in_turn(graphs.turtlesim, graphs.interrupted(3))
     ran = on_graph(nodes, "service", "call", "/claer", "std_srvs/srv/Empty")
-    assert (ran.status, ran.err) == (130, "turtleact: did you mean '/clear'?\n")
+    assert (ran.status, ran.err) == (
+        130,
+        "turtleact: nobody has '/claer' yet, did you mean '/clear'?\n",
+    )
 
 
 def test_a_type_with_which_a_service_is_not_there_is_named_with_the_one_it_is(on_graph, graphs):

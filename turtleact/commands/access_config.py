@@ -33,6 +33,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
+from msgspec.structs import replace
 
 from turtleact.errors import UsageError
 from turtleact.names import resolve_name
@@ -93,24 +94,23 @@ class AccessConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         found: dict[str, object] = {}
         if self.tls is not None:
             tls = self.tls
-            for path, value in (
-                ("root_ca_certificate", tls.ca),
-                ("listen_certificate", tls.certificate),
-                ("listen_private_key", tls.key),
-                ("connect_certificate", tls.certificate if tls.mutual else ""),
-                ("connect_private_key", tls.key if tls.mutual else ""),
-                ("enable_mtls", tls.mutual),
-            ):
-                if value:
-                    found[f"transport/link/tls/{path}"] = value
+            values = {
+                "root_ca_certificate": tls.ca,
+                "listen_certificate": tls.certificate,
+                "listen_private_key": tls.key,
+                "connect_certificate": tls.certificate if tls.mutual else "",
+                "connect_private_key": tls.key if tls.mutual else "",
+                "enable_mtls": tls.mutual,
+            }
+            found |= {f"transport/link/tls/{key}": each for key, each in values.items() if each}
         if self.login is not None:
-            for path, text in (
-                ("user", self.login.user),
-                ("password", self.login.password),
-                ("dictionary_file", self.login.users),
-            ):
-                if text:
-                    found[f"transport/auth/usrpwd/{path}"] = text
+            login = self.login
+            texts = {
+                "user": login.user,
+                "password": login.password,
+                "dictionary_file": login.users,
+            }
+            found |= {f"transport/auth/usrpwd/{key}": each for key, each in texts.items() if each}
         if self.access is not None:
             found["access_control"] = _access_control(self.access)
         return found
@@ -183,18 +183,13 @@ def _with_paths(access: AccessConfig, file: Path) -> AccessConfig:
 
     tls, login = access.tls, access.login
     if tls is not None:
-        tls = Tls(
-            resolve("tls.ca", tls.ca),
-            resolve("tls.certificate", tls.certificate),
-            resolve("tls.key", tls.key),
-            tls.mutual,
-        )
+        files = ("ca", "certificate", "key")
+        tls = replace(tls, **{each: resolve(f"tls.{each}", getattr(tls, each)) for each in files})
     if login is not None:
         if bool(login.user) != bool(login.password):
-            given, left = ("user", "password") if login.user else ("password", "user")
-            raise UsageError(f"--config {file}: login.{left}: is not given, but login.{given} is")
-        login = Login(login.user, login.password, resolve("login.users", login.users))
-    return AccessConfig(tls, login, access.access)
+            raise UsageError(f"--config {file}: login: give both user and password, or neither")
+        login = replace(login, users=resolve("login.users", login.users))
+    return replace(access, tls=tls, login=login)
 
 
 _DECLARED: Final = [

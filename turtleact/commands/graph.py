@@ -35,7 +35,7 @@ from turtleact.errors import (
     UsageError,
 )
 from turtleact.interfaces import get_interface, type_hash
-from turtleact.interfaces.definition import names_like, nearest
+from turtleact.interfaces.definition import did_you_mean, names_like
 from turtleact.names import action_names, resolve_name
 from turtleact.node import Node, open_node
 from turtleact.transports.graph import Kind, is_hidden_node, types_by_name
@@ -57,7 +57,6 @@ __all__ = [
     "interface_class",
     "no_router",
     "none_in_domain",
-    "not_in_world",
     "not_served",
     "note_differing",
     "note_empty",
@@ -94,9 +93,6 @@ RESUMES = """'turtleact service call /world/set_simulation_state "state: {state:
 
 PATIENCE = 5.0
 """How long to wait for the world's answer (s, by the clock of the graph)."""
-
-MOST_SHOWN = 10
-"""How many names an error lists if none of them resembles the unknown name."""
 
 
 @asynccontextmanager
@@ -295,8 +291,8 @@ def suggest(node: Node, kind: EndpointKind, name: str, type_name: str) -> None:
     """Suggest a similar name on the graph, because the user may have mistyped ``name``."""
     endpoints = node.transport.endpoints()
     known = {each.name for each in endpoints if (each.kind, each.type_name) == (kind, type_name)}
-    if near := nearest(name, known):
-        note(f"did you mean '{near}'?")
+    if hint := did_you_mean(name, known):
+        note(f"nobody has '{name}' yet{hint}")
 
 
 def no_router(reach: ConnectOptions) -> str:
@@ -342,19 +338,21 @@ def world_started(why: str = "") -> str:
     return f"started an embedded world, which ends with this command{reason}"
 
 
-def not_served(name: str, served: Iterable[str], where: str = "in reach") -> ServerUnavailable:
+def not_served(
+    name: str,
+    served: Iterable[str],
+    problem: str = "nobody serves it",
+    hint: str = "is your server running?",
+) -> ServerUnavailable:
     """Return the error for an action that nobody serves. The error suggests other actions.
 
     Args:
         name: The full name of the action.
         served: The names of the actions that are served.
-        where: A phrase that says where these actions are served, such as ``"in reach"``.
+        problem: What is wrong, without those names.
+        hint: What to check next.
     """
-    if near := nearest(name, served := sorted(set(served))):
-        hint = f"is your server running, or did you mean '{near}'?"
-    else:
-        hint = f"is your server running? The actions {where}: {_some(served)}"
-    return ServerUnavailable(name, "nobody serves it", hint=hint)
+    return ServerUnavailable(name, f"{problem}{names_like(name, served)}", hint=hint)
 
 
 def is_served(node: Node, name: str, type_name: str) -> bool:
@@ -362,23 +360,6 @@ def is_served(node: Node, name: str, type_name: str) -> bool:
     return type_name in types_by_name(node.transport.endpoints(), "action", hidden=True).get(
         name, ()
     )
-
-
-def not_in_world(name: str, served: Iterable[str]) -> ServerUnavailable:
-    """Return the error for an action that the embedded world lacks.
-
-    The user has selected this world with ``--embedded``, ``--speed`` or ``--seed``, so the error
-    names these options.
-    """
-    near = nearest(name, served := sorted(set(served)))
-    there = f"did you mean '{near}'?" if near else f"it serves {_some(served)};"
-    hint = f"{there} --embedded, --speed and --seed use no other server"
-    return ServerUnavailable(name, "the embedded world does not serve it", hint=hint)
-
-
-def _some(names: list[str]) -> str:
-    shown = [*names[:MOST_SHOWN], "…"] if len(names) > MOST_SHOWN else names
-    return ", ".join(shown) or "none"
 
 
 # what exists
@@ -438,8 +419,8 @@ async def print_action_info(node: Node, name: str, *, types: bool, count: bool) 
         if not count:
             _say_lines(f"    {_with_types(who, known if types else ())}" for who, known in nodes)
     served = types_by_name(node.transport.endpoints(), "action", "service", hidden=True)
-    if full_name not in served and (near := nearest(full_name, served)):
-        note(f"nobody serves '{full_name}', did you mean '{near}'?")
+    if full_name not in served and (hint := did_you_mean(full_name, served)):
+        note(f"nobody serves '{full_name}'{hint}")
     return FOUND
 
 

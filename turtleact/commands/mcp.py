@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import anyio
 import typer
@@ -101,105 +101,76 @@ def mcp(
     if http is None and (token is not None or allow_host is not None):
         raise WrongOptions("--token and --allow-host need --http")
     address = None if http is None else host_and_port("--http", http)
-    everything = all or (read_only and actions is None)
-    order = OfferOptions(
-        None if embedded else reach,
-        None if everything else _names(actions),
-        _names(services),
-        None if all else _names(topics),
-        address,
-        token,
-        _names(allow_host),
-        read_only=read_only,
-        confirm=confirm,
-    )
-    return _run(order)
+    offered = {
+        "actions": "all" if all or (read_only and actions is None) else _names(actions),
+        "services": _names(services),
+        "topics": "all" if all else _names(topics),
+        "read_only": read_only,
+        "confirm": confirm,
+    }
+    return _run(None if embedded else reach, offered, address, token, _names(allow_host))
+
+
+def _run(
+    reach: ConnectOptions | None,
+    offered: dict[str, Any],
+    address: tuple[str, int] | None,
+    token: str | None,
+    hosts: tuple[str, ...],
+) -> int:
+    """Serve until the client leaves or a signal comes, and return the exit status.
+
+    Args:
+        reach: The graph to offer; None for an embedded world.
+        offered: What to offer, as arguments of `turtleact.mcp.open_mcp`.
+        address: The host and port of HTTP; None for stdin and stdout.
+        token: The token that HTTP clients must send; None for the default of `open_http`.
+        hosts: Host names that HTTP clients may use for this machine.
+
+    Raises:
+        UsageError: if there is nothing to offer. The message lists the existing actions.
+        TurtleactError: if the MCP SDK is not installed, or no graph can be reached.
+    """
+    from turtleact.commands import graph
+    from turtleact.commands.interrupts import Interrupts
+
+    is_empty = not any(offered[each] for each in ("actions", "services", "topics"))
+    if not is_empty and find_spec("mcp") is None:
+        problem = "turtleact mcp needs one more package: pip install 'mcp>=2.3,<3'"
+        raise TurtleactError(problem)
+
+    async def serve(node: Node) -> int:
+        if is_empty:
+            raise UsageError(await _what_there_is(node))
+        if address is None and sys.stdin.isatty():
+            note("waiting for an MCP client on stdin; a client starts this command. Ctrl-C ends it")
+        async with _open_server(node, offered) as server:
+            if address is not None:
+                await _serve_http(server, address, token, hosts)
+            else:
+                from turtleact.mcp.serving import serve_stdio
+
+                await serve_stdio(server)
+        return 0
+
+    return Interrupts().run(graph.use(_open_node(reach), serve))
 
 
 def _names(text: str | None) -> tuple[str, ...]:
     return () if text is None else tuple(each.strip() for each in text.split(",") if each.strip())
 
 
-class OfferOptions(NamedTuple):
-    """What to offer to language models, and to whom.
-
-    Attributes:
-        reach: The graph to offer; None for an embedded world.
-        actions: The actions to offer; None for all.
-        services: The services to offer.
-        topics: The topics to offer; None for all.
-        address: The host and port of HTTP; None for stdin and stdout.
-        token: The token that HTTP clients must send; None for the default of `open_http`.
-        hosts: Host names that HTTP clients may use for this machine.
-        read_only: Whether to offer only tools that change nothing.
-        confirm: Whether to ask the user before each goal.
-    """
-
-    reach: ConnectOptions | None
-    actions: tuple[str, ...] | None
-    services: tuple[str, ...]
-    topics: tuple[str, ...] | None
-    address: tuple[str, int] | None
-    token: str | None
-    hosts: tuple[str, ...]
-    read_only: bool
-    confirm: bool
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether the user has named no actions, services or topics to offer."""
-        names = self.actions, self.services, self.topics
-        return not self.read_only and all(each is not None and not each for each in names)
-
-
-def _run(order: OfferOptions) -> int:
-    """Serve until the client leaves or a signal comes, and return the exit status.
-
-    Raises:
-        UsageError: if the user has named no actions, services or topics to offer. The message lists
-            the existing actions.
-        TurtleactError: if the MCP SDK is not installed, or no graph can be reached.
-    """
-    from turtleact.commands import graph
-    from turtleact.commands.interrupts import Interrupts
-
-    if not order.is_empty and find_spec("mcp") is None:
-        problem = "turtleact mcp needs one more package: pip install 'mcp>=2.3,<3'"
-        raise TurtleactError(problem)
-
-    async def serve(node: Node) -> int:
-        if order.is_empty:
-            raise UsageError(await _what_there_is(node))
-        if order.address is None and sys.stdin.isatty():
-            note("waiting for an MCP client on stdin; a client starts this command. Ctrl-C ends it")
-        return await _serve(order, node)
-
-    return Interrupts().run(graph.use(_open_node(order.reach), serve))
-
-
-async def _serve(order: OfferOptions, node: Node) -> int:
+@asynccontextmanager
+async def _open_server(node: Node, offered: dict[str, Any]) -> AsyncIterator[McpServer]:
+    """Open a server, and warn about actions that nobody serves yet."""
     from turtleact.mcp import open_mcp
     from turtleact.tasks import Background
 
-    opened = open_mcp(
-        node,
-        actions="all" if order.actions is None else order.actions,
-        services=order.services,
-        topics="all" if order.topics is None else order.topics,
-        read_only=order.read_only,
-        confirm=order.confirm,
-    )
-    async with AsyncExitStack() as stack:
-        server = await stack.enter_async_context(opened)
-        warning = Background(_warn_of_missing(node, order.actions or ()), "looking for actions")
-        stack.push_async_callback(warning.aclose)
-        if order.address is not None:
-            await _serve_http(server, order.address, order.token, order.hosts)
-        else:
-            from turtleact.mcp.serving import serve_stdio
-
-            await serve_stdio(server)
-    return 0
+    named = () if offered["actions"] == "all" else offered["actions"]
+    async with open_mcp(node, **offered) as server:
+        warning = Background(_warn_of_missing(node, named), "looking for actions")
+        async with aclosing(warning):
+            yield server
 
 
 async def _serve_http(

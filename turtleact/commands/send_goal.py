@@ -284,9 +284,11 @@ class GoalSender:
         if self._name in actions:
             return await _find_class(node, self._name, self._request)
         if self._request.reach is None:
-            raise graph.not_in_world(self._name, actions)
-        where = "in the embedded world" if self._is_embedded else "in reach"
-        raise graph.not_served(self._name, actions, where)
+            hint = "--embedded, --speed and --seed use no other server"
+            raise graph.not_served(
+                self._name, actions, "the embedded world does not serve it", hint
+            )
+        raise graph.not_served(self._name, actions)
 
     async def _send(self, node: Node, action_type: type[Action], goal: Message) -> int:
         self._printer.sending(goal)
