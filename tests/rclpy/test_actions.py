@@ -228,7 +228,7 @@ def test_wrong_types_are_refused(node, client):
 
 
 def test_a_thread_may_block_until_the_result(node, context):
-    from turtleact.rclpy.callback_groups import ReentrantCallbackGroup
+    from turtleact.rclpy.impl.entity import ReentrantCallbackGroup
 
     group = ReentrantCallbackGroup()
     ActionServer(node, Fibonacci, "fibonacci", succeed, callback_group=group)
@@ -441,8 +441,8 @@ def test_an_answer_to_a_cancelled_future_is_dropped(node, executor):
 
 
 def test_a_blocking_call_whose_answer_nobody_handles_says_why(node, context, monkeypatch, capsys):
-    monkeypatch.setattr("turtleact.rclpy.impl.waiting.PATIENCE", 0.01)
-    monkeypatch.setattr("turtleact.rclpy.impl.waiting.BLOCKED_AFTER", 0.02)
+    monkeypatch.setattr("turtleact.rclpy.impl.entity.PATIENCE", 0.01)
+    monkeypatch.setattr("turtleact.rclpy.impl.entity.BLOCKED_AFTER", 0.02)
     other = rclpy.create_node("server", context=context)
     ActionServer(other, Fibonacci, "fibonacci", succeed)
     serving = SingleThreadedExecutor(context=context)

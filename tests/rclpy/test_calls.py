@@ -16,16 +16,16 @@ from turtleact.interfaces import get_service
 from turtleact.interfaces.standard import ExampleFibonacci
 from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.action import ActionClient, ActionServer
-from turtleact.rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.exceptions import ROSInterruptException
 from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.connection import RequestHandler
+from turtleact.rclpy.impl.entity import MutuallyExclusiveCallbackGroup
 from turtleact.rclpy.impl.process import PROCESS
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.messages.codec import hash_of
 from turtleact.rclpy.qos import QoSProfile
-from turtleact.rclpy.service_introspection import ServiceIntrospectionState
+from turtleact.rclpy.services import ServiceIntrospectionState
 
 AddTwoInts = interface_class("example_interfaces/srv/AddTwoInts")
 Fibonacci = interface_class("example_interfaces/action/Fibonacci")
@@ -187,7 +187,7 @@ def test_a_request_of_another_class_is_refused(node):
 
 
 def test_a_shutdown_ends_a_call(node, context, monkeypatch):
-    monkeypatch.setattr("turtleact.rclpy.impl.waiting.PATIENCE", 0.01)
+    monkeypatch.setattr("turtleact.rclpy.impl.entity.PATIENCE", 0.01)
     client = node.create_client(AddTwoInts, "nothing")
     threading.Timer(0.02, context.shutdown).start()
     with pytest.raises(ROSInterruptException):
@@ -196,8 +196,8 @@ def test_a_shutdown_ends_a_call(node, context, monkeypatch):
 
 @pytest.mark.parametrize("is_held", [False, True])
 def test_a_call_whose_answer_nobody_handles_says_why(node, context, monkeypatch, capsys, is_held):
-    monkeypatch.setattr("turtleact.rclpy.impl.waiting.PATIENCE", 0.01)
-    monkeypatch.setattr("turtleact.rclpy.impl.waiting.BLOCKED_AFTER", 0.02)
+    monkeypatch.setattr("turtleact.rclpy.impl.entity.PATIENCE", 0.01)
+    monkeypatch.setattr("turtleact.rclpy.impl.entity.BLOCKED_AFTER", 0.02)
     server = rclpy.create_node("server", context=context)
     server.create_service(AddTwoInts, "add", add)
     group = MutuallyExclusiveCallbackGroup()

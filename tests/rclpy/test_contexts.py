@@ -13,13 +13,13 @@ from typing import Any
 
 import pytest
 
-from turtleact.rclpy import finder, signals, utilities
+from turtleact.rclpy import context as context_module
+from turtleact.rclpy import finder
 from turtleact.rclpy import toplevel as rclpy
-from turtleact.rclpy.context import Context
+from turtleact.rclpy.context import Context, SignalHandlerOptions
 from turtleact.rclpy.exceptions import NotInitializedException
 from turtleact.rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from turtleact.rclpy.impl.event_loop import EventLoop
-from turtleact.rclpy.signals import SignalHandlerOptions
+from turtleact.rclpy.impl.connection import EventLoop
 from turtleact.rclpy.task import Future
 
 
@@ -58,7 +58,7 @@ def test_an_early_context_has_no_domain_and_no_graph():
         _ = context.connection
     with pytest.raises(RuntimeError, match="should not be lower than zero"):
         context.init([], domain_id=-1)
-    context.destroy()
+    context.try_shutdown()
 
 
 def test_the_domain_comes_from_the_call_or_the_environment(monkeypatch):
@@ -98,7 +98,7 @@ def test_a_node_that_cannot_be_destroyed_does_not_stop_a_shutdown(context):
             raise ValueError("broken")
 
     node = Broken()
-    context.track_node(node)
+    context.nodes.add(node)
     context.shutdown()
     assert not context.ok()
 
@@ -145,8 +145,8 @@ def imports(monkeypatch):
 @pytest.mark.usefixtures("imports")
 def test_modules_of_rclpy_are_attributes():
     finder.install()
-    module: Any = rclpy.qos
-    assert module.QoSProfile(depth=1).depth == 1
+    module: Any = rclpy.parameter_client
+    assert module.WhenDone is not None
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = rclpy.nonsense
     for name in ("_x", "__x__"):
@@ -156,16 +156,16 @@ def test_modules_of_rclpy_are_attributes():
 
 def test_arguments_for_ros_can_be_removed(monkeypatch):
     given = ["program", "a", "--ros-args", "-p", "x:=1", "--", "b"]
-    assert utilities.remove_ros_args(given) == ["program", "a", "b"]
+    assert context_module.remove_ros_args(given) == ["program", "a", "b"]
     monkeypatch.setattr("sys.argv", given)
-    assert utilities.remove_ros_args() == ["program", "a", "b"]
-    assert utilities.timeout_sec_to_nsec(None) == utilities.timeout_sec_to_nsec(-1) == -1
-    assert utilities.timeout_sec_to_nsec(0.5) == 500_000_000
-    assert utilities.get_available_rmw_implementations() == {"rmw_zenoh_cpp"}
+    assert context_module.remove_ros_args() == ["program", "a", "b"]
+    assert context_module.timeout_sec_to_nsec(None) == context_module.timeout_sec_to_nsec(-1) == -1
+    assert context_module.timeout_sec_to_nsec(0.5) == 500_000_000
+    assert context_module.get_available_rmw_implementations() == {"rmw_zenoh_cpp"}
     own = Context()
     own.init([])
-    utilities.shutdown(context=own)
-    utilities.try_shutdown(context=own)
+    context_module.shutdown(context=own)
+    context_module.try_shutdown(context=own)
 
 
 # --- signals -------------------------------------------------------------------------------------
@@ -174,9 +174,9 @@ def test_arguments_for_ros_can_be_removed(monkeypatch):
 @pytest.fixture
 def handled():
     """The handlers of signals as they were before, afterwards."""
-    before = {number: signal.getsignal(number) for number in signals.SIGNALS.values()}
+    before = {number: signal.getsignal(number) for number in context_module.SIGNALS.values()}
     yield before
-    signals.uninstall_signal_handlers()
+    context_module.uninstall_signal_handlers()
     for number, handler in before.items():
         signal.signal(number, handler)
 
@@ -186,7 +186,7 @@ def test_a_signal_shuts_contexts_down_and_reaches_the_former_handler(handled):
     received: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: received.append(number))
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.SIGTERM)
-    assert signals.get_current_signal_handlers_options() is SignalHandlerOptions.SIGTERM
+    assert context_module.get_current_signal_handlers_options() is SignalHandlerOptions.SIGTERM
     executor = SingleThreadedExecutor()
     threading.Timer(0.01, os.kill, [os.getpid(), signal.SIGTERM]).start()
     with suppress(ExternalShutdownException):  # `spin` just returns between two rounds
@@ -197,20 +197,23 @@ def test_a_signal_shuts_contexts_down_and_reaches_the_former_handler(handled):
 
 
 def test_handlers_are_restored_unless_somebody_has_replaced_them(handled):
-    signals.install_signal_handlers()
-    signals.install_signal_handlers()
+    context_module.install_signal_handlers()
+    context_module.install_signal_handlers()
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    signals.uninstall_signal_handlers()
+    context_module.uninstall_signal_handlers()
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_IGN
     assert signal.getsignal(signal.SIGINT) == handled[signal.SIGINT]
 
 
 def test_handlers_are_left_alone_in_other_threads(handled):
-    for change in (signals.install_signal_handlers, signals.uninstall_signal_handlers):
+    for change in (
+        context_module.install_signal_handlers,
+        context_module.uninstall_signal_handlers,
+    ):
         thread = threading.Thread(target=change)
         thread.start()
         thread.join()
-        assert signals.get_current_signal_handlers_options() is SignalHandlerOptions.NO
+        assert context_module.get_current_signal_handlers_options() is SignalHandlerOptions.NO
 
 
 # --- the event loop ------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from turtleact.rclpy import event_handler
-from turtleact.rclpy.duration import Duration
 from turtleact.rclpy.event_handler import (
     IncompatibleTypeInfo,
     PublisherEventCallbacks,
@@ -28,6 +27,7 @@ from turtleact.rclpy.qos import (
     QoSProfile,
     ReliabilityPolicy,
 )
+from turtleact.rclpy.time import Duration
 
 String = interface_class("std_msgs/msg/String")
 Bool = interface_class("std_msgs/msg/Bool")

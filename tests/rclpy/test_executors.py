@@ -7,10 +7,6 @@ from contextlib import nullcontext
 import pytest
 
 from turtleact.rclpy import toplevel as rclpy
-from turtleact.rclpy.callback_groups import (
-    MutuallyExclusiveCallbackGroup,
-    ReentrantCallbackGroup,
-)
 from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
 from turtleact.rclpy.executors import (
     ConditionReachedException,
@@ -20,6 +16,10 @@ from turtleact.rclpy.executors import (
     ShutdownException,
     SingleThreadedExecutor,
     TimeoutException,
+)
+from turtleact.rclpy.impl.entity import (
+    MutuallyExclusiveCallbackGroup,
+    ReentrantCallbackGroup,
 )
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.task import Future
@@ -222,7 +222,7 @@ def test_a_nested_spin_gives_the_node_back_to_its_executor(node, executor):
 
 def test_a_blocked_callback_is_reported_after_two_seconds(node, executor, monkeypatch, capsys):
     now = [100.0]
-    monkeypatch.setattr("turtleact.rclpy.impl.waiting.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("turtleact.rclpy.impl.entity.time.monotonic", lambda: now[0])
     never = Future()
 
     async def wait():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from turtleact.rclpy import context as context_module
 from turtleact.rclpy import toplevel as rclpy
-from turtleact.rclpy import utilities
 from turtleact.rclpy.exceptions import (
     InvalidNamespaceException,
     InvalidNodeNameException,
@@ -94,8 +94,8 @@ def test_a_name_is_expanded():
 
 def test_facts_of_the_installation_are_told():
     assert rclpy.get_rmw_implementation_identifier() == "rmw_zenoh_cpp"
-    assert utilities.get_available_rmw_implementations() == {"rmw_zenoh_cpp"}
-    assert [utilities.timeout_sec_to_nsec(each) for each in (None, -1, 0.5, 1e12)] == [
+    assert context_module.get_available_rmw_implementations() == {"rmw_zenoh_cpp"}
+    assert [context_module.timeout_sec_to_nsec(each) for each in (None, -1, 0.5, 1e12)] == [
         -1,
         -1,
         500_000_000,

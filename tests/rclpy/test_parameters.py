@@ -20,8 +20,7 @@ from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import (
     Parameter,
 )
-from turtleact.rclpy.parameter_client import AsyncParameterClient
-from turtleact.rclpy.parameter_event_handler import ParameterEventHandler
+from turtleact.rclpy.parameter_client import AsyncParameterClient, ParameterEventHandler
 
 Descriptor = interface_class("rcl_interfaces/msg/ParameterDescriptor")
 IntegerRange = interface_class("rcl_interfaces/msg/IntegerRange")

@@ -8,7 +8,7 @@ from turtleact.rclpy.action import ActionClient, ActionServer
 from turtleact.rclpy.exceptions import InvalidHandle
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.qos import QoSProfile, qos_profile_system_default
-from turtleact.rclpy.service_introspection import ServiceIntrospectionState
+from turtleact.rclpy.services import ServiceIntrospectionState
 
 AddTwoInts = interface_class("example_interfaces/srv/AddTwoInts")
 Fibonacci = interface_class("example_interfaces/action/Fibonacci")
@@ -106,7 +106,7 @@ def test_a_destroyed_entity_cannot_publish_events(node, ends, index):
 
 def test_an_event_that_cannot_be_published_fails_no_call(node, executor, ends, events, capsys):
     class Broken:
-        def now(self):
+        def now_ns(self):
             raise ValueError("no time")
 
     ends[1].configure_introspection(

@@ -18,11 +18,11 @@ import pytest
 
 from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.action import ActionClient, ActionServer, CancelResponse
-from turtleact.rclpy.callback_groups import ReentrantCallbackGroup
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
 from turtleact.rclpy.executors import MultiThreadedExecutor
 from turtleact.rclpy.face import SETTINGS, JoinOptions
+from turtleact.rclpy.impl.entity import ReentrantCallbackGroup
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
 

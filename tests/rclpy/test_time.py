@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from turtleact.rclpy.clock import Clock, ClockChange, JumpThreshold, ROSClock
-from turtleact.rclpy.duration import Duration
+from turtleact.rclpy.clock import Clock, ClockChange, JumpThreshold, ROSClock, TimeSource
 from turtleact.rclpy.exceptions import (
     InvalidHandle,
     NotInitializedException,
@@ -18,8 +17,7 @@ from turtleact.rclpy.exceptions import (
 )
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
-from turtleact.rclpy.time import ClockType, Time
-from turtleact.rclpy.time_source import TimeSource
+from turtleact.rclpy.time import ClockType, Duration, Time
 from turtleact.rclpy.timer import TimerInfo
 
 ClockMessage = interface_class("rosgraph_msgs/msg/Clock")

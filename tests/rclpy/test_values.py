@@ -8,7 +8,12 @@ import operator
 import pytest
 
 from turtleact.rclpy.clock import ClockChange, JumpThreshold, TimeJump
-from turtleact.rclpy.duration import Duration, Infinite
+from turtleact.rclpy.graph import (
+    TopicEndpointInfo,
+    TopicEndpointTypeEnum,
+    TypeHash,
+    info_of,
+)
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import (
     Parameter,
@@ -32,13 +37,7 @@ from turtleact.rclpy.qos import (
     qos_profile_default,
     qos_profile_sensor_data,
 )
-from turtleact.rclpy.time import ClockType, Time
-from turtleact.rclpy.topic_endpoint_info import (
-    TopicEndpointInfo,
-    TopicEndpointTypeEnum,
-    TypeHash,
-    info_of,
-)
+from turtleact.rclpy.time import ClockType, Duration, Infinite, Time
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint, TimePolicies
 

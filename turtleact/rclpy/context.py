@@ -1,47 +1,77 @@
-"""Contexts, which ``init`` starts and ``shutdown`` ends."""
+"""Contexts, which ``init`` starts and ``shutdown`` ends, the default context, and signals.
+
+SIGINT and SIGTERM shut every context down. Python may call a signal handler anywhere in the
+program, even while the program holds a lock. The handler therefore only wakes a thread, which shuts
+the contexts down. The handler then calls the previously installed handler. For SIGINT, the previous
+handler is usually Python's own handler, which raises KeyboardInterrupt.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import queue
+import signal
+import sys
 import threading
 import weakref
 from collections.abc import Callable, Sequence
+from enum import IntFlag
 from inspect import ismethod
-from types import TracebackType
-from typing import Self
+from types import FrameType
+from typing import Self, TypeAlias
 
 from turtleact.rclpy.exceptions import NotInitializedException
-from turtleact.rclpy.impl.arguments import Arguments, parse_arguments
+from turtleact.rclpy.impl.arguments import Arguments, parse_arguments, without_ros_arguments
 from turtleact.rclpy.impl.connection import Connection
-from turtleact.rclpy.impl.entity import Handle
+from turtleact.rclpy.impl.entity import Block, Handle
 from turtleact.rclpy.impl.process import PROCESS
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.transports.rmw_zenoh.config import domain_of
 
-__all__ = ["Context"]
+__all__ = [
+    "Context",
+    "SignalHandlerOptions",
+    "get_available_rmw_implementations",
+    "get_current_signal_handlers_options",
+    "get_default_context",
+    "get_rmw_implementation_identifier",
+    "install_signal_handlers",
+    "ok",
+    "remove_ros_args",
+    "shutdown",
+    "timeout_sec_to_nsec",
+    "try_shutdown",
+    "uninstall_signal_handlers",
+]
+
+RMW = "rmw_zenoh_cpp"
+"""The middleware with the protocol that turtleact speaks."""
+
+LONGEST = 2**63 // 1_000_000_000 // 2
+"""Timeouts longer than this (s) count as no timeout."""
 
 
-class Context:
+class Context(Block):
     """The context of nodes and executors, which work only between `init` and `shutdown`.
 
     The shutdown destroys the nodes, and then calls the callbacks of `on_shutdown`.
+
+    Attributes:
+        handle: Shows whether the context may be used; None before `init`.
+        arguments: The ROS arguments of the program.
+        nodes: The nodes that the shutdown destroys.
     """
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._callbacks: list[Callable[[], Callable[[], object] | None]] = []
-        self._nodes: weakref.WeakSet[Anything] = weakref.WeakSet()
-        self._handle: Handle | None = None
+        self.nodes: weakref.WeakSet[Anything] = weakref.WeakSet()
+        self.handle: Handle | None = None
         self._is_ok = False
         self._domain: int | None = None
         self._connection: Connection | None = None
         self.arguments = Arguments()
-
-    @property
-    def handle(self) -> Handle | None:
-        """The handle, which shows whether the context may be used; None before `init`."""
-        return self._handle
 
     def init(
         self,
@@ -66,11 +96,11 @@ class Context:
         with self._lock:
             if domain_id is not None and domain_id < 0:
                 raise RuntimeError(f"Domain id ({domain_id}) should not be lower than zero.")
-            if self._handle is not None:
+            if self.handle is not None:
                 raise RuntimeError("Context.init() must only be called once")
             arguments = parse_arguments(args)
             self._domain = domain_of(os.environ) if domain_id is None else domain_id
-            self._handle = Handle()
+            self.handle = Handle()
             self.arguments = arguments
             self._is_ok = True
             PROCESS.contexts.add(self)
@@ -91,20 +121,11 @@ class Context:
             NotInitializedException: if the context is not `ok`.
         """
         with self._lock:
-            self.check()
+            if not self._is_ok:
+                raise NotInitializedException
             if self._connection is None:
-                assert self._domain is not None  # noqa: S101  # `check`
-                self._connection = PROCESS.join(self._domain, self)
+                self._connection = PROCESS.join(self.get_domain_id(), self)
             return self._connection
-
-    def check(self) -> None:
-        """Check that the context is initialised and not shut down.
-
-        Raises:
-            NotInitializedException: if the context is not `ok`.
-        """
-        if not self._is_ok:
-            raise NotInitializedException
 
     def get_domain_id(self) -> int:
         """Return the ROS domain.
@@ -116,22 +137,23 @@ class Context:
             raise RuntimeError("Context must be initialized before it can have a domain id")
         return self._domain
 
-    def destroy(self) -> None:
-        """Shut down the context if it is initialised and not shut down yet."""
-        self._shut_down()
-
     def shutdown(self) -> None:
         """Shut down the context.
 
         Raises:
             RuntimeError: if the context is not initialised, or was shut down before.
         """
-        if not self._shut_down():
+        if not self.try_shutdown():
             raise RuntimeError("Context must be initialized before it can be shutdown")
 
-    def try_shutdown(self) -> None:
-        """Shut down the context if it is initialised and not shut down yet."""
-        self._shut_down()
+    def try_shutdown(self) -> bool:
+        """Shut down the context and return True. If the context is not `ok`, return False."""
+        with PROCESS.ending():
+            return self._end()
+
+    def destroy(self) -> None:
+        """Shut down the context, unless it is already shut down."""
+        self.try_shutdown()
 
     def on_shutdown(self, callback: Callable[[], object]) -> None:
         """Call ``callback()`` at the shutdown, or at once if the context is shut down already.
@@ -142,7 +164,7 @@ class Context:
         if not callable(callback):
             raise TypeError("callback should be a callable, got {}", type(callback))
         with self._lock:
-            if self._handle is None or self._is_ok:
+            if self.handle is None or self._is_ok:
                 # A bound method must not keep its object alive.
                 is_bound = ismethod(callback)
                 held = weakref.WeakMethod(callback) if is_bound else (lambda: callback)
@@ -150,26 +172,13 @@ class Context:
                 return
         callback()
 
-    def track_node(self, node: Anything) -> None:
-        """Remember a node, so that the shutdown of the context destroys the node."""
-        self._nodes.add(node)
-
-    def untrack_node(self, node: Anything) -> None:
-        """Forget a node, so that the shutdown of the context does not destroy the node."""
-        self._nodes.discard(node)
-
-    def _shut_down(self) -> bool:
-        """Shut down and return True. If the context is not `ok`, do nothing and return False."""
-        with PROCESS.ending():
-            return self._end()
-
     def _end(self) -> bool:
         with self._lock:
             if not self._is_ok:
                 return False
             self._is_ok = False
             callbacks, self._callbacks = self._callbacks, []
-            nodes = list(self._nodes)
+            nodes = list(self.nodes)
         # From now on no node can be made, and no spin goes on. The lock is free: a callback of the
         # program may use the context in any way, and a node that is being destroyed does.
         PROCESS.contexts.discard(self)
@@ -180,21 +189,171 @@ class Context:
             callback = held()
             if callback is not None:
                 callback()
-        if self._handle is not None:
-            self._handle.destroy_when_not_in_use()
+        if self.handle is not None:
+            self.handle.destroy_when_not_in_use()
         self._connection = None
         PROCESS.leave(self)
         return True
 
     def __enter__(self) -> Self:
-        if self._handle is None:
+        if self.handle is None:
             self.init()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def _leave(self) -> None:
         self.try_shutdown()
+
+
+class _Default:
+    """Holds the default context."""
+
+    def __init__(self) -> None:
+        self.context: Context | None = None
+        self.lock = threading.Lock()
+
+
+DEFAULT = _Default()
+
+
+def get_default_context(*, shutting_down: bool = False) -> Context:
+    """Return the default context, which is used if no context is given.
+
+    Args:
+        shutting_down: Whether the context is about to be shut down. If true, the next call returns
+            a new context.
+    """
+    with DEFAULT.lock:
+        context = DEFAULT.context
+        if context is None:
+            context = DEFAULT.context = Context()
+        if shutting_down:
+            DEFAULT.context = None
+        return context
+
+
+def ok(*, context: Context | None = None) -> bool:
+    """Whether a context, or the default one, is initialised and not shut down."""
+    return (get_default_context() if context is None else context).ok()
+
+
+def shutdown(*, context: Context | None = None) -> None:
+    """Shut down a context, or the default one. `Context.shutdown` lists the errors."""
+    (get_default_context(shutting_down=True) if context is None else context).shutdown()
+
+
+def try_shutdown(*, context: Context | None = None) -> None:
+    """Shut down a context, or the default one, unless it is already shut down."""
+    given = get_default_context() if context is None else context
+    if context is None and given.handle is not None:  # it may also have been shut down by a signal
+        get_default_context(shutting_down=True)
+    given.try_shutdown()
+
+
+def remove_ros_args(args: Sequence[str] | None = None) -> list[str]:
+    """Return ``args``, by default ``sys.argv``, without the part from ``--ros-args`` to ``--``."""
+    return without_ros_arguments(list(sys.argv if args is None else args))
+
+
+def timeout_sec_to_nsec(timeout_sec: float | None) -> int:
+    """Return a timeout in nanoseconds; -1 if it is None, negative or above `LONGEST`."""
+    if timeout_sec is None or timeout_sec < 0 or timeout_sec > LONGEST:
+        return -1
+    return int(float(timeout_sec) * 1_000_000_000)
+
+
+def get_rmw_implementation_identifier() -> str:
+    """Return the name of the middleware."""
+    return RMW
+
+
+def get_available_rmw_implementations() -> set[str]:
+    """Return the names of the middlewares that can be chosen."""
+    return {RMW}
+
+
+# --- signals ------------------------------------------------------------------------------------
+
+Handler: TypeAlias = Callable[[int, FrameType | None], object] | int | None
+
+
+class SignalHandlerOptions(IntFlag):
+    """Which signals shut contexts down."""
+
+    NO = 0
+    SIGINT = 1
+    SIGTERM = 2
+    ALL = 3
+
+
+SIGNALS = {
+    SignalHandlerOptions.SIGINT: signal.SIGINT,
+    SignalHandlerOptions.SIGTERM: signal.SIGTERM,
+}
+
+
+class _Handlers:
+    """Installs and restores signal handlers, and owns the thread that shuts contexts down."""
+
+    def __init__(self) -> None:
+        self.installed = SignalHandlerOptions.NO
+        self._before: dict[int, Handler] = {}
+        self._received: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+
+    def install(self, options: SignalHandlerOptions) -> None:
+        """Install handlers for the given signals.
+
+        Python allows this only in the main thread. In other threads, this method does nothing.
+        """
+        if threading.current_thread() is not threading.main_thread():
+            return
+        if self._thread is None:
+            self._thread = threading.Thread(
+                target=self._work, name="turtleact-signals", daemon=True
+            )
+            self._thread.start()
+        for option, number in SIGNALS.items():
+            if option in options and option not in self.installed:
+                # Known before the signal can come: it must reach the former handler, too.
+                self._before[number] = signal.getsignal(number)
+                signal.signal(number, self._receive)
+                self.installed |= option
+
+    def uninstall(self) -> None:
+        """Restore the earlier handlers, unless other code has replaced turtleact's handlers."""
+        if threading.current_thread() is not threading.main_thread():
+            return
+        for option, number in SIGNALS.items():
+            if option in self.installed:
+                if signal.getsignal(number) == self._receive:
+                    signal.signal(number, self._before.pop(number))
+                self.installed &= ~option
+
+    def _receive(self, number: int, frame: FrameType | None) -> None:
+        self._received.put(number)  # safe even if it interrupts another `put`
+        before = self._before.get(number)
+        if callable(before):
+            before(number, frame)
+
+    def _work(self) -> None:
+        while True:
+            self._received.get()
+            PROCESS.shut_down()
+
+
+HANDLERS = _Handlers()
+
+
+def install_signal_handlers(options: SignalHandlerOptions = SignalHandlerOptions.ALL) -> None:
+    """Install handlers for the given signals. `rclpy.init` calls this function."""
+    HANDLERS.install(options)
+
+
+def get_current_signal_handlers_options() -> SignalHandlerOptions:
+    """Return which signals shut contexts down."""
+    return HANDLERS.installed
+
+
+def uninstall_signal_handlers() -> None:
+    """Restore the signal handlers that were set before `install_signal_handlers` was called."""
+    HANDLERS.uninstall()

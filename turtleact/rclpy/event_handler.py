@@ -15,24 +15,18 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
 from enum import IntEnum
-from functools import partial
-from typing import Final, Protocol, TypeAlias
+from typing import Final, NamedTuple
 
-import msgspec
-
-from turtleact.rclpy.callback_groups import CallbackGroup
-from turtleact.rclpy.executors import await_or_execute
 from turtleact.rclpy.impl.connection import Connection
-from turtleact.rclpy.impl.entity import NOTHING
+from turtleact.rclpy.impl.entity import NOTHING, CallbackGroup, Waitable, await_or_execute
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.qos import QoSPolicyKind
-from turtleact.rclpy.waitable import Waitable
 from turtleact.transports.base import Endpoint
 from turtleact.transports.graph import Policy, misfits
 
 __all__ = [
+    "EventCallbacks",
     "EventHandler",
     "IncompatibleTypeInfo",
     "PublisherEventCallbacks",
@@ -50,7 +44,6 @@ __all__ = [
     "SubscriptionEventCallbacks",
     "UnsupportedEventTypeError",
 ]
-
 
 KINDS: Final[dict[Policy, QoSPolicyKind]] = {
     "durability": QoSPolicyKind.DURABILITY,
@@ -86,8 +79,8 @@ class QoSSubscriptionEventType(IntEnum):
     RCL_SUBSCRIPTION_MATCHED = 5
 
 
-class _Counted(msgspec.Struct, frozen=True, kw_only=True):
-    """How often an event has happened.
+class QoSOfferedDeadlineMissedInfo(NamedTuple):
+    """Reports an event, such as a deadline without a message.
 
     Attributes:
         total_count: How often the event has happened since the endpoint was opened.
@@ -98,52 +91,37 @@ class _Counted(msgspec.Struct, frozen=True, kw_only=True):
     total_count_change: int = 0
 
 
-class QoSOfferedDeadlineMissedInfo(_Counted, frozen=True):
-    """Reports that the publisher did not publish a message before its deadline."""
-
-
-class QoSRequestedDeadlineMissedInfo(_Counted, frozen=True):
-    """Reports that the subscription got no message before its deadline."""
-
-
-class QoSLivelinessLostInfo(_Counted, frozen=True):
-    """Reports that the publisher did not assert its liveliness in time."""
-
-
-class QoSMessageLostInfo(_Counted, frozen=True):
-    """Reports that messages were lost.
-
-    No callback receives such an object, because turtleact's rclpy never detects lost messages.
-    """
-
-
-class IncompatibleTypeInfo(_Counted, frozen=True):
-    """Reports that endpoints at the other end of the topic have a different message type."""
-
-
-class QoSRequestedIncompatibleQoSInfo(_Counted, frozen=True, kw_only=True):
+class QoSRequestedIncompatibleQoSInfo(NamedTuple):
     """Reports endpoints at the other end of the topic that have an incompatible quality of service.
 
     Attributes:
+        total_count: As in `QoSOfferedDeadlineMissedInfo`.
+        total_count_change: As in `QoSOfferedDeadlineMissedInfo`.
         last_policy_kind: The policy that makes the last of these endpoints incompatible.
     """
 
+    total_count: int = 0
+    total_count_change: int = 0
     last_policy_kind: QoSPolicyKind = QoSPolicyKind.INVALID
 
 
-class QoSPublisherMatchedInfo(_Counted, frozen=True, kw_only=True):
+class QoSPublisherMatchedInfo(NamedTuple):
     """Reports that endpoints at the other end of the topic have come or gone.
 
     Attributes:
+        total_count: How many have come since the endpoint was opened.
+        total_count_change: How many have come since the last callback.
         current_count: How many of these endpoints there are now.
         current_count_change: How much ``current_count`` has changed since the last callback.
     """
 
+    total_count: int = 0
+    total_count_change: int = 0
     current_count: int = 0
     current_count_change: int = 0
 
 
-class QoSLivelinessChangedInfo(msgspec.Struct, frozen=True, kw_only=True):
+class QoSLivelinessChangedInfo(NamedTuple):
     """Reports that publishers of the topic have come or gone.
 
     Attributes:
@@ -159,152 +137,12 @@ class QoSLivelinessChangedInfo(msgspec.Struct, frozen=True, kw_only=True):
     not_alive_count_change: int = 0
 
 
+QoSRequestedDeadlineMissedInfo = QoSOfferedDeadlineMissedInfo
+QoSLivelinessLostInfo = QoSOfferedDeadlineMissedInfo
+QoSMessageLostInfo = QoSOfferedDeadlineMissedInfo
+IncompatibleTypeInfo = QoSOfferedDeadlineMissedInfo
 QoSOfferedIncompatibleQoSInfo = QoSRequestedIncompatibleQoSInfo
 QoSSubscriptionMatchedInfo = QoSPublisherMatchedInfo
-
-
-class Event(Protocol):
-    """Notices one kind of event.
-
-    Any thread may call `noted`. Only one thread at a time calls the other methods.
-    """
-
-    def poll(self) -> object | None:
-        """If an event has happened since the last call, return its info object; otherwise None."""
-
-    def due_in(self) -> float | None:
-        """Return the time until a time limit is exceeded (s); None if no limit applies."""
-
-    def noted(self, *, is_message: bool) -> None:
-        """Record a message, or an assertion of liveliness if ``is_message`` is false."""
-
-
-class _Late(Event):
-    """Notices when no message comes for longer than a limit.
-
-    The limit does not apply before the first message.
-
-    Args:
-        limit: The longest time without a message (ns); None for no limit.
-        info: The class of the info object.
-        repeats: Whether to count each further period of ``limit`` without a message. If false, only
-            the first period is counted, and an assertion of liveliness counts as a message.
-    """
-
-    def __init__(self, limit: int | None, info: type[_Counted], *, repeats: bool) -> None:
-        self._limit = limit
-        self._info = info
-        self._repeats = repeats
-        self._last: int | None = None
-        self._total = 0
-
-    def poll(self) -> object | None:
-        last, now = self._last, time.monotonic_ns()
-        if self._limit is None or last is None or now < last + self._limit:
-            return None
-        missed = (now - last) // self._limit if self._repeats else 1
-        self._last = last + missed * self._limit if self._repeats else None
-        self._total += missed
-        return self._info(total_count=self._total, total_count_change=missed)
-
-    def due_in(self) -> float | None:
-        last = self._last
-        if self._limit is None or last is None:
-            return None
-        return max(0.0, (last + self._limit - time.monotonic_ns()) / 1e9)
-
-    def noted(self, *, is_message: bool) -> None:
-        if is_message or not self._repeats:
-            self._last = time.monotonic_ns()
-
-
-Found: TypeAlias = "Counter[Endpoint]"
-"""The endpoints at the other end of the topic.
-
-The counter says how many endpoints share each description.
-"""
-
-Tell: TypeAlias = "Callable[[Found, Found, Found], object | None]"
-"""Makes an event's info object from the endpoints that are present, new and gone."""
-
-
-class _Seen(Event):
-    """Detects endpoints at the other end of the topic that appear or disappear.
-
-    Args:
-        connection: The connection to the graph.
-        own: The publisher or subscription that has the callbacks.
-        wanted: A function that returns whether to watch an endpoint at the other end of the topic.
-        tell: A function that returns the info object of the event, or None if there is no event.
-    """
-
-    def __init__(
-        self,
-        connection: Connection,
-        own: Endpoint,
-        wanted: Callable[[Endpoint], bool],
-        tell: Tell,
-    ) -> None:
-        self._connection = connection
-        self._own = own
-        self._wanted = wanted
-        self._tell = tell
-        self._there: Found = Counter()
-        self._seen = -1
-
-    def poll(self) -> object | None:
-        changes = self._connection.changes
-        if changes == self._seen:
-            return None
-        self._seen = changes
-        other = "subscription" if self._own.kind == "publisher" else "publisher"
-        ends = self._connection.endpoints(self._own.name)
-        now = Counter(each for each in ends if each.kind == other and self._wanted(each))
-        before, self._there = self._there, now
-        return None if now == before else self._tell(now, now - before, before - now)
-
-    def due_in(self) -> None:
-        """Return None: these events have no time limit, because only graph changes cause them."""
-
-    def noted(self, *, is_message: bool) -> None:
-        """Do nothing, because messages do not cause these events."""
-
-
-class _Totals:
-    """Makes the info objects of events, and counts the endpoints that have caused these events."""
-
-    def __init__(self) -> None:
-        self._total = 0
-
-    def _counted(self, come: Found) -> dict[str, int]:
-        self._total += come.total()
-        return {"total_count": self._total, "total_count_change": come.total()}
-
-    def matched(self, now: Found, come: Found, gone: Found) -> object:
-        change = come.total() - gone.total()
-        counts = {"current_count": now.total(), "current_count_change": change}
-        return QoSPublisherMatchedInfo(**self._counted(come), **counts)
-
-    def of_other_type(self, now: Found, come: Found, gone: Found) -> object | None:
-        del now, gone
-        return IncompatibleTypeInfo(**self._counted(come)) if come else None
-
-    def incompatible(self, own: Endpoint, now: Found, come: Found, gone: Found) -> object | None:
-        del now, gone
-        # As in DDS, one endpoint counts once, by the first policy that does not fit.
-        first = [next(misfits(own, each), None) for each in come.elements()]
-        kinds = [KINDS[policy] for policy in first if policy is not None]
-        if not kinds:
-            return None
-        self._total += len(kinds)
-        return QoSRequestedIncompatibleQoSInfo(
-            total_count=self._total, total_count_change=len(kinds), last_policy_kind=kinds[-1]
-        )
-
-
-def _alive(now: Found, come: Found, gone: Found) -> object:
-    change = come.total() - gone.total()
-    return QoSLivelinessChangedInfo(alive_count=now.total(), alive_count_change=change)
 
 
 class EventHandler(Waitable):
@@ -313,40 +151,32 @@ class EventHandler(Waitable):
     Args:
         callback_group: Decides when the callback may run.
         callback: Called with the info object of each event.
-        event: The source of the events.
         connection: Tells the handler when the graph has changed.
     """
 
     def __init__(
-        self,
-        callback_group: CallbackGroup,
-        callback: Anything,
-        event: Event,
-        connection: Connection,
+        self, callback_group: CallbackGroup, callback: Anything, connection: Connection
     ) -> None:
         super().__init__(callback_group)
         self.callback = callback
-        self._event = event
-        self._info: object | None = None
         self._connection = connection
+        self._info: object | None = None
         connection.watch(self.wake)
 
-    def noted(self, *, is_message: bool = True) -> None:
+    def _poll(self) -> object | None:
+        """If an event has happened since the last call, return its info object; otherwise None."""
+
+    def noted(self, *, is_message: bool = True) -> None:  # noqa: ARG002  # for the class below
         """Record a message, or an assertion of liveliness if ``is_message`` is false."""
-        self._event.noted(is_message=is_message)
         self.wake()  # the executor sleeps until the next event that was due
 
     def is_ready_now(self) -> bool:
         """Whether an event has happened."""
-        if self._handle.is_destroyed:
+        if self.handle.is_destroyed:
             return False
         if self._info is None:
-            self._info = self._event.poll()
+            self._info = self._poll()
         return self._info is not None
-
-    def due_in(self) -> float | None:
-        """Return the time until a time limit is exceeded (s); None if no limit applies."""
-        return None if self._handle.is_destroyed else self._event.due_in()
 
     def take(self) -> object:
         """Return the info object of the event, and forget it."""
@@ -363,7 +193,108 @@ class EventHandler(Waitable):
         super().destroy()
 
 
-class _EventCallbacks:
+class _Late(EventHandler):
+    """Notices when no message comes for longer than a limit.
+
+    The limit does not apply before the first message. Deadlines count each further period without a
+    message. Liveliness counts only the first one, and an assertion of liveliness is as good as a
+    message.
+    """
+
+    def __init__(
+        self,
+        callback_group: CallbackGroup,
+        callback: Anything,
+        connection: Connection,
+        limit: int | None,
+        *,
+        repeats: bool,
+    ) -> None:
+        super().__init__(callback_group, callback, connection)
+        self._limit = limit
+        self._repeats = repeats
+        self._last: int | None = None
+        self._total = 0
+
+    def _poll(self) -> object | None:
+        last, now = self._last, time.monotonic_ns()
+        if self._limit is None or last is None or now < last + self._limit:
+            return None
+        missed = (now - last) // self._limit if self._repeats else 1
+        self._last = last + missed * self._limit if self._repeats else None
+        self._total += missed
+        return QoSOfferedDeadlineMissedInfo(self._total, missed)
+
+    def due_in(self) -> float | None:
+        """Return the time until a time limit is exceeded (s); None if no limit applies."""
+        last = self._last
+        if self._limit is None or last is None or self.handle.is_destroyed:
+            return None
+        return max(0.0, (last + self._limit - time.monotonic_ns()) / 1e9)
+
+    def noted(self, *, is_message: bool = True) -> None:
+        """Record a message, or an assertion of liveliness if ``is_message`` is false."""
+        if is_message or not self._repeats:
+            self._last = time.monotonic_ns()
+        super().noted(is_message=is_message)
+
+
+class _Seen(EventHandler):
+    """Notices endpoints at the other end of the topic that appear or disappear."""
+
+    def __init__(
+        self,
+        callback_group: CallbackGroup,
+        callback: Anything,
+        connection: Connection,
+        own: Endpoint,
+        name: str,
+    ) -> None:
+        super().__init__(callback_group, callback, connection)
+        self._own = own
+        self._name = name
+        self._there: Counter[Endpoint] = Counter()
+        self._changes = -1
+        self._total = 0
+
+    def _poll(self) -> object | None:
+        changes = self._connection.changes
+        if changes == self._changes:
+            return None
+        self._changes = changes
+        other = "subscription" if self._own.kind == "publisher" else "publisher"
+        wants_same_type = self._name != "incompatible_type"
+        before = self._there
+        now = self._there = Counter(
+            each
+            for each in self._connection.endpoints(self._own.name)
+            if each.kind == other and (each.type_name == self._own.type_name) == wants_same_type
+        )
+        return None if now == before else self._tell(now.total(), now - before, before - now)
+
+    def _tell(self, now: int, come: Counter[Endpoint], gone: Counter[Endpoint]) -> object | None:
+        """Return the info object for endpoints that have come or gone; ``now`` are there."""
+        if self._name == "liveliness":
+            return QoSLivelinessChangedInfo(now, 0, come.total() - gone.total(), 0)
+        if self._name == "incompatible_qos":
+            return self._tell_misfits(come)
+        added = come.total()
+        self._total += added
+        if self._name == "matched":
+            return QoSPublisherMatchedInfo(self._total, added, now, added - gone.total())
+        return IncompatibleTypeInfo(self._total, added) if added else None
+
+    def _tell_misfits(self, come: Counter[Endpoint]) -> object | None:
+        # As in DDS, one endpoint counts once, by the first policy that does not fit.
+        first = [next(misfits(self._own, each), None) for each in come.elements()]
+        kinds = [KINDS[policy] for policy in first if policy is not None]
+        self._total += len(kinds)
+        if not kinds:
+            return None
+        return QoSRequestedIncompatibleQoSInfo(self._total, len(kinds), kinds[-1])
+
+
+class EventCallbacks:
     """The callbacks for the events of an endpoint.
 
     Args:
@@ -395,46 +326,33 @@ class _EventCallbacks:
         """
         given = ((name, getattr(self, name)) for name in self.NAMES)
         return [
-            EventHandler(callback_group, callback, _event(name, connection, own), connection)
+            _handler(name, (callback_group, callback, connection), own)
             for name, callback in given
             if callback is not None
         ]
 
 
-class PublisherEventCallbacks(_EventCallbacks):
+class PublisherEventCallbacks(EventCallbacks):
     """Callbacks for a publisher's events. Each keyword argument is named after its event."""
 
     NAMES = ("deadline", "liveliness", "incompatible_qos", "incompatible_type", "matched")
 
 
-class SubscriptionEventCallbacks(_EventCallbacks):
+class SubscriptionEventCallbacks(EventCallbacks):
     """Callbacks for a subscription's events. Each keyword argument is named after its event."""
 
     NAMES = (*PublisherEventCallbacks.NAMES, "message_lost")
 
 
-def _event(name: str, connection: Connection, own: Endpoint) -> Event:
-    """Return the object that notices an endpoint's events of the kind ``name``."""
-    is_publisher = own.kind == "publisher"
-    totals = _Totals()
-    if name == "deadline":
-        info = QoSOfferedDeadlineMissedInfo if is_publisher else QoSRequestedDeadlineMissedInfo
-        return _Late(own.times.deadline, info, repeats=True)
+def _handler(
+    name: str, given: tuple[CallbackGroup, Anything, Connection], own: Endpoint
+) -> EventHandler:
+    """Return the handler of an endpoint's events of the kind ``name``."""
     if name == "message_lost":
-        return _Late(None, QoSMessageLostInfo, repeats=True)
-    if name == "liveliness" and is_publisher:
+        return EventHandler(*given)
+    if name == "deadline":
+        return _Late(*given, own.times.deadline, repeats=True)
+    if name == "liveliness" and own.kind == "publisher":
         is_manual = own.times.liveliness == "manual_by_topic"
-        limit = own.times.lease if is_manual else None
-        return _Late(limit, QoSLivelinessLostInfo, repeats=False)
-    if name == "incompatible_type":
-        return _Seen(connection, own, lambda each: not _fits(own, each), totals.of_other_type)
-    tells: dict[str, Tell] = {
-        "matched": totals.matched,
-        "liveliness": _alive,
-        "incompatible_qos": partial(totals.incompatible, own),
-    }
-    return _Seen(connection, own, lambda each: _fits(own, each), tells[name])
-
-
-def _fits(own: Endpoint, other: Endpoint) -> bool:
-    return own.type_name == other.type_name
+        return _Late(*given, own.times.lease if is_manual else None, repeats=False)
+    return _Seen(*given, own, name)

@@ -16,28 +16,28 @@ locks. A thread that holds one of these locks runs no callback and takes no seco
 
 from __future__ import annotations
 
-import inspect
 import os
-import sys
 import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
-from turtleact.rclpy.callback_groups import CallbackGroup
+from turtleact.rclpy.context import Context, get_default_context
 from turtleact.rclpy.exceptions import InvalidHandle
-from turtleact.rclpy.impl.entity import NOTHING, Block, Entity
+from turtleact.rclpy.impl.entity import (
+    BLOCKED_AFTER,
+    NOTHING,
+    Block,
+    CallbackGroup,
+    Entity,
+    note_blocked,
+)
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.impl.waiting import BLOCKED_AFTER, note_blocked
 from turtleact.rclpy.task import Future, Task
-from turtleact.rclpy.utilities import get_default_context
-
-if TYPE_CHECKING:
-    from turtleact.rclpy.context import Context
 
 __all__ = [
     "ConditionReachedException",
@@ -47,19 +47,16 @@ __all__ = [
     "ShutdownException",
     "SingleThreadedExecutor",
     "TimeoutException",
-    "TimeoutObject",
-    "await_or_execute",
 ]
 
 Work: TypeAlias = tuple[Task, object, object]
 """A task to run, with the entity and the node of the task, if any."""
 
-LONGEST_LOCK = 0.1 if sys.platform == "win32" else 1.0
+LONGEST_LOCK = 0.5
 """The maximum duration of a single wait for a lock (s).
 
-On Windows, a signal cannot interrupt a wait for a lock. On other systems, a signal interrupts the
-wait, unless the signal arrives right before the wait. In that case, Python calls the signal handler
-only after the wait.
+A signal interrupts the wait, unless the signal arrives right before the wait, or the system is
+Windows. In these cases, Python calls the signal handler only after the wait.
 """
 
 
@@ -77,26 +74,6 @@ class ExternalShutdownException(Exception):
 
 class ConditionReachedException(Exception):
     """The condition that was passed to `Executor.wait_for_ready_callbacks` is true."""
-
-
-class TimeoutObject:
-    """A timeout that can change.
-
-    Attributes:
-        timeout: How long to wait (s). A negative number means for ever.
-    """
-
-    def __init__(self, timeout: float) -> None:
-        self.timeout = timeout
-
-
-async def await_or_execute(callback: Anything, *args: Anything) -> Anything:
-    """Call a function, and return its result.
-
-    If the function returns a coroutine, await the coroutine, and return the coroutine's result.
-    """
-    result = callback(*args)
-    return await result if inspect.iscoroutine(result) else result
 
 
 def _never() -> bool:
@@ -211,16 +188,11 @@ class Executor(Block):
                 ever.
         """
         future.add_done_callback(self._future_done)
-        is_endless = timeout_sec is None or timeout_sec < 0
-        end = 0.0 if timeout_sec is None else time.monotonic() + timeout_sec
-        left = None if timeout_sec is None or is_endless else TimeoutObject(timeout_sec)
+        end = _end_of(timeout_sec)
         while self._context.ok() and not self._is_shutdown and not _is_over(future):
-            self._spin_once(left, future)
-            if left is not None:
-                now = time.monotonic()
-                if now >= end:
-                    return
-                left.timeout = end - now
+            self._spin_once(None if end is None else max(0.0, end - time.monotonic()), future)
+            if end is not None and time.monotonic() >= end:
+                return
 
     def _future_done(self, _: Future) -> None:
         self.wake()
@@ -234,15 +206,13 @@ class Executor(Block):
         self._spin_once(timeout_sec)
 
     def spin_once_until_future_complete(
-        self, future: Future, timeout_sec: float | TimeoutObject | None = None
+        self, future: Future, timeout_sec: float | None = None
     ) -> None:
         """Wait until a callback is ready, and run it, unless a future is done first."""
         future.add_done_callback(self._future_done)
         self._spin_once(timeout_sec, future)
 
-    def _spin_once(
-        self, timeout_sec: float | TimeoutObject | None, future: Future | None = None
-    ) -> None:
+    def _spin_once(self, timeout_sec: float | None, future: Future | None = None) -> None:
         raise NotImplementedError
 
     def can_execute(self, entity: Entity) -> bool:
@@ -251,7 +221,7 @@ class Executor(Block):
 
     def wait_for_ready_callbacks(
         self,
-        timeout_sec: float | TimeoutObject | None = None,
+        timeout_sec: float | None = None,
         nodes: list[Anything] | None = None,
         condition: Callable[[], bool] = _never,
     ) -> Work:
@@ -265,8 +235,7 @@ class Executor(Block):
             ExternalShutdownException: if the context is shut down.
             ConditionReachedException: if ``condition()`` is true.
         """
-        limit = timeout_sec.timeout if isinstance(timeout_sec, TimeoutObject) else timeout_sec
-        end = None if limit is None or limit < 0 else time.monotonic() + limit
+        end = _end_of(timeout_sec)
         while True:
             if self._is_shutdown:
                 raise ShutdownException
@@ -284,15 +253,10 @@ class Executor(Block):
                 raise TimeoutException
             self._sleep(seen, end, nodes)
 
-    def _wait_for_ready_callbacks(
-        self,
-        timeout_sec: float | TimeoutObject | None = None,
-        nodes: list[Anything] | None = None,
-        condition: Callable[[], bool] = _never,
-    ) -> Generator[Work, None, None]:
+    def _wait_for_ready_callbacks(self, **options: Anything) -> Iterator[Work]:
         """Call `wait_for_ready_callbacks` again and again, and yield each result."""
         while True:
-            yield self.wait_for_ready_callbacks(timeout_sec, nodes, condition)
+            yield self.wait_for_ready_callbacks(**options)
 
     def _next_work(self, nodes: list[Anything] | None) -> Work | None:
         """Return a task that can continue, or else a task for the next ready entity, if any."""
@@ -394,9 +358,7 @@ class Executor(Block):
 class SingleThreadedExecutor(Executor):
     """Runs callbacks in the thread that spins."""
 
-    def _spin_once(
-        self, timeout_sec: float | TimeoutObject | None, future: Future | None = None
-    ) -> None:
+    def _spin_once(self, timeout_sec: float | None, future: Future | None = None) -> None:
         condition = _never if future is None else lambda: _is_over(future)
         try:
             task, _, _ = self.wait_for_ready_callbacks(timeout_sec, None, condition)
@@ -423,7 +385,7 @@ class MultiThreadedExecutor(Executor):
     def __init__(self, num_threads: int | None = None, *, context: Context | None = None) -> None:
         super().__init__(context=context)
         if num_threads is None:
-            num_threads = max(2, _cores())
+            num_threads = max(2, os.cpu_count() or 0)
         if num_threads == 1:
             warnings.warn(
                 "a MultiThreadedExecutor with one thread: use a SingleThreadedExecutor instead",
@@ -452,9 +414,7 @@ class MultiThreadedExecutor(Executor):
     def _is_own_thread(self) -> bool:
         return threading.current_thread().name.startswith("rclpy_")
 
-    def _spin_once(
-        self, timeout_sec: float | TimeoutObject | None, future: Future | None = None
-    ) -> None:
+    def _spin_once(self, timeout_sec: float | None, future: Future | None = None) -> None:
         def condition() -> bool:
             return bool(self._failed) or (future is not None and _is_over(future))
 
@@ -535,7 +495,7 @@ def _is_over(future: Future) -> bool:
     return future.done() or future.cancelled()
 
 
-def _cores() -> int:
-    """How many cores this process may use."""
-    count = getattr(os, "sched_getaffinity", None)
-    return len(count(0)) if count is not None else os.cpu_count() or 1
+def _end_of(timeout_sec: float | None) -> float | None:
+    """Return when a timeout ends (s, `time.monotonic`). None or less than 0 means never."""
+    is_endless = timeout_sec is None or timeout_sec < 0
+    return None if timeout_sec is None or is_endless else time.monotonic() + timeout_sec

@@ -50,18 +50,23 @@ ALIASES: Final = {
         ),
         "names",
     ),
-    "action.graph": "impl.node_graph",
-    "clock_type": "time",
-    "constants": "duration",
-    "guard_condition": "waitable",
-    "handle": "impl.entity",
+    **dict.fromkeys(("callback_groups", "guard_condition", "handle", "waitable"), "impl.entity"),
+    **dict.fromkeys(("client", "service", "service_introspection"), "services"),
+    **dict.fromkeys(
+        ("publisher", "subscription", "qos_overriding_options", "wait_for_message"), "topics"
+    ),
+    **dict.fromkeys(
+        ("logging_service", "parameter_service", "type_description_service"), "node_services"
+    ),
+    **dict.fromkeys(("action.graph", "topic_endpoint_info", "type_hash"), "graph"),
+    **dict.fromkeys(("clock_type", "constants", "duration"), "time"),
+    **dict.fromkeys(("signals", "utilities"), "context"),
+    "impl.implementation_singleton": "toplevel",
     "impl.logging_severity": "impl.rcutils_logger",
-    "logging_service": "node_services",
-    "parameter_service": "node_services",
+    "parameter_event_handler": "parameter_client",
     "qos_event": "event_handler",
     "serialization": "messages.codec",
-    "type_hash": "topic_endpoint_info",
-    "type_description_service": "node_services",
+    "time_source": "clock",
     "type_support": "messages.classes",
 }
 """Modules of rclpy, each with the module of turtleact's rclpy that contains its names."""

@@ -15,13 +15,13 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-from turtleact.rclpy.callback_groups import CallbackGroup
 from turtleact.rclpy.exceptions import RCLError
+from turtleact.rclpy.impl.entity import CallbackGroup
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.node import Node as PlainNode
-from turtleact.rclpy.publisher import Publisher as PlainPublisher
 from turtleact.rclpy.qos import QoSProfile
+from turtleact.rclpy.topics import Publisher as PlainPublisher
 
 __all__ = [
     "LifecycleNode",
@@ -205,7 +205,7 @@ class LifecyclePublisher(SimpleManagedEntity, PlainPublisher):
 
     @SimpleManagedEntity.when_enabled
     def publish(self, msg: Anything) -> None:
-        """Send a message if the node is active; see `turtleact.rclpy.publisher.Publisher`."""
+        """Send a message if the node is active; see `turtleact.rclpy.topics.Publisher`."""
         PlainPublisher.publish(self, msg)
 
 

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
-from turtleact.rclpy.callback_groups import (
+from turtleact.rclpy.clock import Clock, ROSClock, TimeSource
+from turtleact.rclpy.context import get_default_context
+from turtleact.rclpy.event_handler import (
+    EventCallbacks,
+    PublisherEventCallbacks,
+    SubscriptionEventCallbacks,
+)
+from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
+from turtleact.rclpy.graph import NodeGraph
+from turtleact.rclpy.impl.arguments import arguments_of
+from turtleact.rclpy.impl.connection import CallEnd, Connection
+from turtleact.rclpy.impl.entity import (
+    Block,
     CallbackGroup,
+    GuardCondition,
+    Handle,
     MutuallyExclusiveCallbackGroup,
     ReentrantCallbackGroup,
+    Waitable,
 )
-from turtleact.rclpy.client import Client
-from turtleact.rclpy.clock import Clock, ROSClock
-from turtleact.rclpy.duration import S_TO_NS
-from turtleact.rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
-from turtleact.rclpy.impl.arguments import arguments_of
-from turtleact.rclpy.impl.connection import CallEnd, Close, Connection, Sender
-from turtleact.rclpy.impl.entity import Block, Handle
-from turtleact.rclpy.impl.node_graph import NodeGraph
 from turtleact.rclpy.impl.node_parameters import NodeParameters
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger, Rosout, logger_named
 from turtleact.rclpy.impl.typing import Anything
@@ -44,7 +50,6 @@ from turtleact.rclpy.node_services import (
     declares_type_descriptions,
 )
 from turtleact.rclpy.parameter import Parameter
-from turtleact.rclpy.publisher import Publisher
 from turtleact.rclpy.qos import (
     QoSProfile,
     profile_of,
@@ -52,14 +57,15 @@ from turtleact.rclpy.qos import (
     qos_profile_rosout_default,
     qos_profile_services_default,
 )
-from turtleact.rclpy.qos_overriding_options import QoSOverridingOptions, declare_qos_parameters
-from turtleact.rclpy.service import Service
-from turtleact.rclpy.service_introspection import SwitchableEvents
-from turtleact.rclpy.subscription import Subscription
-from turtleact.rclpy.time_source import TimeSource
+from turtleact.rclpy.services import Client, Service, SwitchableEvents
+from turtleact.rclpy.time import S_TO_NS
 from turtleact.rclpy.timer import Rate, Timer
-from turtleact.rclpy.utilities import get_default_context
-from turtleact.rclpy.waitable import GuardCondition, Waitable
+from turtleact.rclpy.topics import (
+    Publisher,
+    QoSOverridingOptions,
+    Subscription,
+    declare_qos_parameters,
+)
 from turtleact.transports.base import EVERY_SERVER, Endpoint, EndpointKind, Target
 
 if TYPE_CHECKING:
@@ -98,8 +104,6 @@ class Node(NodeParameters, NodeGraph, Block):
         InvalidNamespaceException: if the namespace is invalid.
     """
 
-    PARAM_REL_TOL = 1e-6
-
     def __init__(
         self,
         node_name: str,
@@ -116,10 +120,10 @@ class Node(NodeParameters, NodeGraph, Block):
         automatically_declare_parameters_from_overrides: bool = False,
         enable_logger_service: bool = False,
     ) -> None:
-        self._context = get_default_context() if context is None else context
-        if not self._context.ok():
+        self.context = get_default_context() if context is None else context
+        if not self.context.ok():
             raise NotInitializedException("cannot create node")
-        arguments = arguments_of(cli_args, self._context.arguments, use_shared=use_global_arguments)
+        arguments = arguments_of(cli_args, self.context.arguments, use_shared=use_global_arguments)
         self._name = arguments.node_name(node_name)
         validate_node_name(self._name)
         self._namespace = f"/{arguments.namespace(namespace or '', node_name).removeprefix('/')}"
@@ -130,14 +134,14 @@ class Node(NodeParameters, NodeGraph, Block):
         }
         self.entities = self._in_order()
         self._executor_ref: weakref.ReferenceType[Executor] | None = None
-        self._default_callback_group = MutuallyExclusiveCallbackGroup()
+        self.default_callback_group: CallbackGroup = MutuallyExclusiveCallbackGroup()
         self._rate_group = ReentrantCallbackGroup()
         self._clock = ROSClock()
-        self._connection = self._context.connection
-        self._handle = Handle(self._connection.enter(self.get_fully_qualified_name()))
+        self._connection = self.context.connection
+        self._closing = ExitStack()
+        self._closing.callback(self._connection.enter(self.get_fully_qualified_name()))
+        self._handle = Handle(self._closing.close)
         self._logger = get_logger(self.get_fully_qualified_name()[1:].replace("/", "."))
-        self._rosout: Sender | None = None
-        self._leave_descriptions: Close | None = None
         if enable_rosout and "--disable-rosout-logs" not in arguments.flags:
             self._start_rosout(profile_of(rosout_qos_profile))
         self._start_parameters(
@@ -150,19 +154,20 @@ class Node(NodeParameters, NodeGraph, Block):
         if start_parameter_services:
             ParameterService(self)
         if declares_type_descriptions(self):
-            self._leave_descriptions = self._connection.describe_types(
-                self.get_fully_qualified_name()
-            )
+            leave = self._connection.describe_types(self.get_fully_qualified_name())
+            self._closing.callback(leave)
         if enable_logger_service:
             LoggingService(self)
-        self._context.track_node(self)
+        self.context.nodes.add(self)
 
     def _start_rosout(self, qos: QoSProfile) -> None:
         """Publish the node's log on ``/rosout``."""
         end = self.endpoint("publisher", "/rosout", "rcl_interfaces/msg/Log", qos)
-        self._rosout = self._connection.advertise(end)
-        self._log_handler = Rosout(self._rosout)
-        logger_named(self._logger.name).addHandler(self._log_handler)
+        sender = self._connection.advertise(end)
+        handler, logger = Rosout(sender), logger_named(self._logger.name)
+        logger.addHandler(handler)
+        self._closing.callback(sender.close)
+        self._closing.callback(logger.removeHandler, handler)
 
     def _start_parameters(
         self, given: list[Parameter], *, allow_undeclared: bool, declares_all: bool
@@ -176,25 +181,16 @@ class Node(NodeParameters, NodeGraph, Block):
             PARAMETER_EVENTS,
             qos_profile_parameter_events,
         )
-        self._init_parameters(
-            overrides, allow_undeclared=allow_undeclared, publish=self._publish_event
-        )
+        self._init_parameters(overrides, allow_undeclared=allow_undeclared)
         if declares_all:
             dynamic: Anything = interface_class("rcl_interfaces/msg/ParameterDescriptor")
             declared = [(name, each.value, dynamic()) for name, each in overrides.items()]
             self.declare_parameters("", declared, ignore_override=True)
 
-    def _publish_event(
-        self, new: list[Anything], changed: list[Anything], deleted: list[Anything]
-    ) -> None:
+    def _publish_event(self, **changes: list[Anything]) -> None:
         made: Anything = interface_class("rcl_interfaces/msg/ParameterEvent")
-        event = made(
-            stamp=self._clock.now().to_msg(),
-            node=self.get_fully_qualified_name(),
-            new_parameters=new,
-            changed_parameters=changed,
-            deleted_parameters=deleted,
-        )
+        stamp = self._clock.now().to_msg()
+        event = made(stamp=stamp, node=self.get_fully_qualified_name(), **changes)
 
         def publish() -> None:
             with suppress(InvalidHandle):  # the node may have been destroyed meanwhile
@@ -257,23 +253,29 @@ class Node(NodeParameters, NodeGraph, Block):
             self._executor_ref = weakref.ref(new_executor)
             new_executor.add_node(self)
 
-    def _wake_executor(self) -> None:
+    def wake_executor(self) -> None:
+        """Make the node's executor, if it has one, check which callbacks are ready."""
         executor = self.executor
         if executor is not None:
             executor.wake()
 
-    def _add(self, kind: type, entity: Anything) -> None:
-        self._held[kind] = [*self._held[kind], entity]
-        self.entities = self._in_order()
-        self._wake_executor()
+    def _add(self, kind: type, entity: Anything) -> Anything:
+        """Serve an entity from now on, and the handlers of its events. Return the entity."""
+        self._hold(kind, [*self._held[kind], entity])
+        for each in getattr(entity, "event_handlers", ()):
+            self.add_waitable(each)
+        return entity
 
     def _remove(self, kind: type, entity: Anything) -> bool:
         """Stop serving an entity. Return False if the node does not have it."""
         was_there = entity in self._held[kind]
-        self._held[kind] = [each for each in self._held[kind] if each is not entity]
-        self.entities = self._in_order()
-        self._wake_executor()
+        self._hold(kind, [each for each in self._held[kind] if each is not entity])
         return was_there
+
+    def _hold(self, kind: type, entities: list[Anything]) -> None:
+        self._held[kind] = entities
+        self.entities = self._in_order()
+        self.wake_executor()
 
     def _destroy(self, kind: type, entity: Anything) -> bool:
         """Destroy an entity and its event handlers. Return False if the node does not have it."""
@@ -292,19 +294,9 @@ class Node(NodeParameters, NodeGraph, Block):
         return tuple(self._held[kind] for kind in ORDER)
 
     @property
-    def context(self) -> Context:
-        """The context of the node."""
-        return self._context
-
-    @property
     def connection(self) -> Connection:
         """The connection to the graph."""
         return self._connection
-
-    @property
-    def default_callback_group(self) -> CallbackGroup:
-        """The callback group of the entities that are created without a callback group."""
-        return self._default_callback_group
 
     @property
     def handle(self) -> Handle:
@@ -391,24 +383,13 @@ class Node(NodeParameters, NodeGraph, Block):
         Raises:
             InvalidTopicNameException: if the name of the topic is invalid.
         """
-        group = callback_group or self._default_callback_group
         end, qos = self._topic_end(Publisher, msg_type, topic, qos_profile, qos_overriding_options)
         if topic != PARAMETER_EVENTS:  # so that even the first message reaches every subscription
             self._connection.wait_until_explored()
-        callbacks = event_callbacks or PublisherEventCallbacks()
-        handlers = callbacks.create_event_handlers(group, self._connection, end)
-        publisher = publisher_class(
-            self._connection,
-            end,
-            msg_type,
-            topic,
-            qos,
-            event_handlers=handlers,
-            callback_group=group,
-        )
+        group = callback_group or self.default_callback_group
+        events: EventCallbacks = event_callbacks or PublisherEventCallbacks()
+        publisher = publisher_class(self, end, (msg_type, topic, qos), group, events)
         self._add(Publisher, publisher)
-        for each in handlers:
-            self.add_waitable(each)
         return publisher
 
     def _topic_end(
@@ -457,27 +438,14 @@ class Node(NodeParameters, NodeGraph, Block):
         Raises:
             InvalidTopicNameException: if the name of the topic is invalid.
         """
-        group = callback_group or self._default_callback_group
         end, qos = self._topic_end(
             Subscription, msg_type, topic, qos_profile, qos_overriding_options
         )
-        callbacks = event_callbacks or SubscriptionEventCallbacks()
-        handlers = callbacks.create_event_handlers(group, self._connection, end)
-        subscription = Subscription(
-            self._connection,
-            end,
-            msg_type,
-            topic,
-            callback,
-            group,
-            qos,
-            raw=raw,
-            event_handlers=handlers,
-            wake=self._wake_executor,
-        )
+        group = callback_group or self.default_callback_group
+        events: EventCallbacks = event_callbacks or SubscriptionEventCallbacks()
+        description = msg_type, topic, qos
+        subscription = Subscription(self, end, description, callback, group, events, raw=raw)
         self._add(Subscription, subscription)
-        for each in handlers:
-            self.add_waitable(each)
         return subscription
 
     def create_client(
@@ -501,17 +469,9 @@ class Node(NodeParameters, NodeGraph, Block):
         """
         check_is_valid_srv_type(srv_type)
         full = self._resolve(srv_name, is_service=True)
-        client = Client(
-            self._context,
-            self.join(full, srv_type),
-            srv_type,
-            srv_name,
-            full,
-            qos_profile,
-            callback_group or self._default_callback_group,
-            get_executor=lambda: self.executor,
-            wake=self._wake_executor,
-        )
+        group = callback_group or self.default_callback_group
+        description = srv_type, srv_name, qos_profile
+        client = Client(self, self.join(full, srv_type), full, description, group)
         self._add(Client, client)
         return client
 
@@ -544,17 +504,10 @@ class Node(NodeParameters, NodeGraph, Block):
         """
         check_is_valid_srv_type(srv_type)
         full = self._resolve(srv_name, is_service=True)
-        service = Service(
-            self._connection,
-            self.endpoint("service", full, type_name_of(srv_type)),
-            srv_type,
-            srv_name,
-            callback,
-            callback_group or self._default_callback_group,
-            qos_profile,
-            SwitchableEvents(self, full, srv_type, is_client=False),
-            wake=self._wake_executor,
-        )
+        end = self.endpoint("service", full, type_name_of(srv_type))
+        events = SwitchableEvents(self, full, srv_type, is_client=False)
+        group = callback_group or self.default_callback_group
+        service = Service(self, end, (srv_type, srv_name, qos_profile), callback, group, events)
         self._add(Service, service)
         return service
 
@@ -581,11 +534,11 @@ class Node(NodeParameters, NodeGraph, Block):
         self._handle.check()
         timer = Timer(
             callback,
-            callback_group or self._default_callback_group,
+            callback_group or self.default_callback_group,
             int(float(timer_period_sec) * S_TO_NS),
             clock or self._clock,
             autostart=autostart,
-            wake=self._wake_executor,
+            wake=self.wake_executor,
         )
         self._add(Timer, timer)
         return timer
@@ -595,8 +548,8 @@ class Node(NodeParameters, NodeGraph, Block):
     ) -> GuardCondition:
         """Create a guard condition. Its `trigger` makes the executor call ``callback``."""
         self._handle.check()
-        group = callback_group or self._default_callback_group
-        guard = GuardCondition(callback, group, self._context, self._wake_executor)
+        group = callback_group or self.default_callback_group
+        guard = GuardCondition(callback, group, self.wake_executor)
         self._add(GuardCondition, guard)
         return guard
 
@@ -613,11 +566,11 @@ class Node(NodeParameters, NodeGraph, Block):
         if frequency <= 0:
             raise ValueError("frequency must be > 0")
         timer = self.create_timer(1.0 / frequency, None, self._rate_group, clock)
-        return Rate(timer, context=self._context)
+        return Rate(timer, context=self.context)
 
     def add_waitable(self, waitable: Waitable) -> None:
         """Add a waitable to the node, so that the node's executor runs it."""
-        waitable.call_on_wake(self._wake_executor)
+        waitable.call_on_wake(self.wake_executor)
         self._add(Waitable, waitable)
 
     def remove_waitable(self, waitable: Waitable) -> None:
@@ -659,13 +612,7 @@ class Node(NodeParameters, NodeGraph, Block):
         """Destroy the node and all its entities. A second call does nothing."""
         if self._handle.is_destroyed:
             return
-        self._context.untrack_node(self)
-        self._time_source.destroy()
-        if self._leave_descriptions is not None:
-            self._leave_descriptions()
-        if self._rosout is not None:
-            logger_named(self._logger.name).removeHandler(self._log_handler)
-            self._rosout.close()
+        self.context.nodes.discard(self)
         for kind in (Waitable, Publisher, *ORDER):
             for entity in self._held[kind]:
                 entity.destroy()

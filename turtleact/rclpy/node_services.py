@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from turtleact.names import PARAMETER_SERVICES
 from turtleact.rclpy.exceptions import ParameterNotDeclaredException
 from turtleact.rclpy.impl.rcutils_logger import LoggingSeverity, logger_named
 from turtleact.rclpy.impl.typing import Anything
@@ -34,19 +35,18 @@ class ParameterService:
 
     def __init__(self, node: Anything) -> None:
         self._parameters = node
-        name = node.get_name()
-        for kind, callback in (
-            ("DescribeParameters", self._describe),
-            ("GetParameters", self._get),
-            ("GetParameterTypes", self._get_types),
-            ("ListParameters", self._list),
-            ("SetParameters", self._set),
-            ("SetParametersAtomically", self._set_atomically),
-        ):
-            snake = "".join(f"_{c.lower()}" if c.isupper() else c for c in kind)[1:]
+        answers = (
+            self._describe,
+            self._get_types,
+            self._get,
+            self._list,
+            self._set,
+            self._set_atomically,
+        )
+        for name, callback in zip(PARAMETER_SERVICES, answers, strict=True):
             node.create_service(
-                interface_class(f"rcl_interfaces/srv/{kind}"),
-                f"{name}/{snake}",
+                interface_class(f"rcl_interfaces/srv/{name.title().replace('_', '')}"),
+                f"{node.get_name()}/{name}",
                 callback,
                 qos_profile=qos_profile_parameters,
             )
@@ -62,13 +62,10 @@ class ParameterService:
         return response
 
     def _get(self, request: Anything, response: Anything) -> Anything:
-        for name in request.names:
-            if self._parameters.get_parameter_or(name).type_ is Parameter.Type.NOT_SET:
-                # One unknown name leaves the answer empty, as in rclpy.
-                response.values = []
-                return response
-            parameter = self._parameters.get_parameter_or(name)
-            response.values.append(parameter.get_parameter_value())
+        found = [self._parameters.get_parameter_or(name) for name in request.names]
+        # One unknown name leaves the answer empty, as in rclpy.
+        if not any(each.type_ is Parameter.Type.NOT_SET for each in found):
+            response.values = [each.get_parameter_value() for each in found]
         return response
 
     def _get_types(self, request: Anything, response: Anything) -> Anything:

@@ -94,50 +94,34 @@ class Parameter(Subscriptable):
             raise TypeError(f"type must be an instance of '{Parameter.Type!r}'")
         if not type_.check(value):
             raise ValueError(f"Type '{type_}' and value '{value}' do not agree")
-        self._name = name
-        self._type = type_
-        self._value = value
-
-    @property
-    def name(self) -> str:
-        """The parameter's name."""
-        return self._name
-
-    @property
-    def type_(self) -> Type:
-        """The parameter's type."""
-        return self._type
-
-    @property
-    def value(self) -> Anything:
-        """The parameter's value."""
-        return self._value
+        self.name = name
+        self.type_ = type_
+        self.value = value
 
     def __repr__(self) -> str:
-        return f"Parameter(name={self._name!r}, type={self._type}, value={self._value!r})"
+        return f"Parameter(name={self.name!r}, type={self.type_}, value={self.value!r})"
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Parameter):
             return NotImplemented
-        own = self._name, self._type, self._value
-        return own == (other._name, other._type, other._value)
+        return vars(self) == vars(other)
 
     def __hash__(self) -> int:
-        return hash((self._name, self._type))
+        return hash((self.name, self.type_))
 
     def get_parameter_value(self) -> Anything:
         """Return the parameter's value as a ``rcl_interfaces.msg.ParameterValue``."""
         made: Anything = interface_class("rcl_interfaces/msg/ParameterValue")
-        message = made(type=self._type.value)
-        field = KINDS[self._type.value].field
+        message = made(type=self.type_.value)
+        field = KINDS[self.type_.value].field
         if field:
-            setattr(message, field, self._value)
+            setattr(message, field, self.value)
         return message
 
     def to_parameter_msg(self) -> Anything:
         """Return the parameter as a ``rcl_interfaces.msg.Parameter``."""
         made: Anything = interface_class("rcl_interfaces/msg/Parameter")
-        return made(name=self._name, value=self.get_parameter_value())
+        return made(name=self.name, value=self.get_parameter_value())
 
 
 def _single(value: object) -> str | None:
@@ -204,18 +188,15 @@ def parameter_dict_from_yaml_file(
         RuntimeError: if the file has no parameters for one of the target nodes.
     """
     rules = read_parameters(Path(parameter_file))
+    wanted = [rule for rule in rules if use_wildcard or rule.pattern != "/**"]
     found: dict[str, object] = {}
-    if target_nodes:
-        wanted = [rule for rule in rules if use_wildcard or rule.pattern != "/**"]
-        for node in target_nodes:
-            full = node if node.startswith("/") else f"/{node}"
-            values = Arguments(parameters=tuple(wanted)).parameters_for(full)
-            if not values:
-                raise RuntimeError(f"Param file does not contain any valid parameters for {node}")
-            found |= values
-    else:
-        for rule in rules:
-            found |= rule.values
+    for node in target_nodes or ():
+        values = Arguments(parameters=tuple(wanted)).parameters_for(f"/{node.removeprefix('/')}")
+        if not values:
+            raise RuntimeError(f"Param file does not contain any valid parameters for {node}")
+        found |= values
+    if not target_nodes:
+        found = {name: value for rule in rules for name, value in rule.values.items()}
     return {
         f"{namespace}{name}": Parameter(f"{namespace}{name}", value=value).to_parameter_msg()
         for name, value in found.items()

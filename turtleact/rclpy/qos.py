@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import warnings
 from enum import Enum, IntEnum
-from typing import Generic, TypeVar
+from typing import TypeVar
 
-from turtleact.rclpy.duration import Duration
 from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.time import Duration
 from turtleact.transports import QoS
 from turtleact.transports.base import TimePolicies
 
@@ -47,7 +47,6 @@ __all__ = [
 ]
 
 P = TypeVar("P", bound="QoSPolicyEnum")
-T = TypeVar("T")
 
 UNSPECIFIED = Duration()
 """The duration of a policy that is not set."""
@@ -144,30 +143,18 @@ QoSDurabilityPolicy = DurabilityPolicy
 QoSLivelinessPolicy = LivelinessPolicy
 
 
-class _Policy(Generic[T]):
-    """An attribute of a QoS profile.
-
-    Setting the attribute converts a number to a policy, and checks the type.
-
-    Args:
-        kind: The type of the attribute.
-    """
-
-    def __init__(self, kind: type[T]) -> None:
-        self._kind = kind
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._slot = f"_{name}"
-
-    def __get__(self, profile: QoSProfile, owner: type | None = None) -> T:
-        value: T = getattr(profile, self._slot)
-        return value
-
-    def __set__(self, profile: QoSProfile, value: T | int) -> None:
-        if issubclass(self._kind, IntEnum) and isinstance(value, int):
-            value = self._kind(value)
-        assert isinstance(value, self._kind)  # noqa: S101  # as in rclpy
-        setattr(profile, self._slot, value)
+DEFAULTS: dict[str, Anything] = {
+    "history": HistoryPolicy.KEEP_LAST,
+    "depth": 0,
+    "reliability": ReliabilityPolicy.RELIABLE,
+    "durability": DurabilityPolicy.VOLATILE,
+    "lifespan": UNSPECIFIED,
+    "deadline": UNSPECIFIED,
+    "liveliness": LivelinessPolicy.SYSTEM_DEFAULT,
+    "liveliness_lease_duration": UNSPECIFIED,
+    "avoid_ros_namespace_conventions": False,
+}
+"""The policies of a profile that are not given; their types are those of all values."""
 
 
 class QoSProfile:
@@ -193,75 +180,57 @@ class QoSProfile:
         avoid_ros_namespace_conventions: Ignored.
     """
 
-    __slots__ = (
-        "_avoid_ros_namespace_conventions",
-        "_deadline",
-        "_depth",
-        "_durability",
-        "_history",
-        "_lifespan",
-        "_liveliness",
-        "_liveliness_lease_duration",
-        "_reliability",
-    )
+    __slots__ = tuple(DEFAULTS)
 
-    history = _Policy(HistoryPolicy)
-    reliability = _Policy(ReliabilityPolicy)
-    durability = _Policy(DurabilityPolicy)
-    lifespan = _Policy(Duration)
-    deadline = _Policy(Duration)
-    liveliness = _Policy(LivelinessPolicy)
-    liveliness_lease_duration = _Policy(Duration)
-    avoid_ros_namespace_conventions = _Policy(bool)
+    history: HistoryPolicy
+    depth: int
+    reliability: ReliabilityPolicy
+    durability: DurabilityPolicy
+    lifespan: Duration
+    deadline: Duration
+    liveliness: LivelinessPolicy
+    liveliness_lease_duration: Duration
+    avoid_ros_namespace_conventions: bool
 
     def __init__(self, **kwargs: Anything) -> None:
-        names = {slot[1:] for slot in self.__slots__}
-        if unknown := kwargs.keys() - names:
+        if unknown := kwargs.keys() - set(self.__slots__):
             raise AssertionError(f"Invalid arguments passed to constructor: {sorted(unknown)}")
-        if "history" not in kwargs:
-            if "depth" not in kwargs:
-                raise InvalidQoSProfileException("History and/or depth settings are required.")
-            kwargs["history"] = HistoryPolicy.KEEP_LAST
-        self.history = kwargs["history"]
-        if self.history == HistoryPolicy.KEEP_LAST and "depth" not in kwargs:
+        if "history" not in kwargs and "depth" not in kwargs:
+            raise InvalidQoSProfileException("History and/or depth settings are required.")
+        if kwargs.get("history") == HistoryPolicy.KEEP_LAST and "depth" not in kwargs:
             raise InvalidQoSProfileException("History set to KEEP_LAST without a depth setting.")
-        self.depth = kwargs.get("depth", 0)
-        self.reliability = kwargs.get("reliability", ReliabilityPolicy.RELIABLE)
-        self.durability = kwargs.get("durability", DurabilityPolicy.VOLATILE)
-        self.lifespan = kwargs.get("lifespan", UNSPECIFIED)
-        self.deadline = kwargs.get("deadline", UNSPECIFIED)
-        self.liveliness = kwargs.get("liveliness", LivelinessPolicy.SYSTEM_DEFAULT)
-        self.liveliness_lease_duration = kwargs.get("liveliness_lease_duration", UNSPECIFIED)
-        self.avoid_ros_namespace_conventions = kwargs.get("avoid_ros_namespace_conventions", False)
+        # The history comes first, because the depth is checked against it.
+        for name, value in (DEFAULTS | kwargs).items():
+            setattr(self, name, value)
 
-    @property
-    def depth(self) -> int:
-        """How many messages are kept with KEEP_LAST."""
-        return self._depth
+    def __setattr__(self, name: str, value: Anything) -> None:
+        """Set a policy. A number is converted to the policy's type, and other types are refused."""
+        kind: Anything = type(DEFAULTS.get(name, value))
+        if issubclass(kind, IntEnum) and isinstance(value, int):
+            value = kind(value)
+        if not isinstance(value, kind):
+            raise AssertionError(f"the {name} must be of type {kind.__name__}, not {value!r}")
+        if name == "depth":
+            self._check_depth(value)
+        super().__setattr__(name, value)
 
-    @depth.setter
-    def depth(self, value: int) -> None:
-        if not isinstance(value, int):
-            raise AssertionError(f"the depth must be an int, not {value!r}")
-        if value < 0:
+    def _check_depth(self, depth: int) -> None:
+        if depth < 0:
             raise ValueError("depth must be greater than or equal to zero")
-        if not value and self.history == HistoryPolicy.KEEP_LAST:
+        if not depth and self.history == HistoryPolicy.KEEP_LAST:
             warnings.warn(
                 "A zero depth with KEEP_LAST doesn't make sense; no data could be stored. "
                 "This will be interpreted as SYSTEM_DEFAULT",
                 stacklevel=2,
             )
-        self._depth = value
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, QoSProfile):
-            return False
-        return all(getattr(self, slot) == getattr(other, slot) for slot in self.__slots__)
+        return isinstance(other, QoSProfile) and self.to_dict() == other.to_dict()
 
     __hash__ = None  # type: ignore[assignment]  # profiles are mutable
 
     def __str__(self) -> str:
-        values = (f"{slot[1:]}={getattr(self, slot)}" for slot in self.__slots__)
+        values = (f"{name}={value}" for name, value in self.to_dict().items())
         return f"{type(self).__name__}({', '.join(values)})"
 
     def get_c_qos_profile(self) -> QoSProfile:
@@ -270,7 +239,7 @@ class QoSProfile:
 
     def to_dict(self) -> dict[str, Anything]:
         """Return the policies by name."""
-        return {slot[1:]: getattr(self, slot) for slot in self.__slots__}
+        return {name: getattr(self, name) for name in self.__slots__}
 
     def for_transport(self) -> QoS:
         """Return the policies that turtleact's transports apply."""
@@ -292,6 +261,19 @@ class QoSProfile:
             lease=_limit(self.liveliness_lease_duration),
         )
 
+    @classmethod
+    def from_transport(cls, qos: QoS, times: TimePolicies) -> QoSProfile:
+        """Return the profile of an endpoint on the graph."""
+        return cls(
+            depth=qos.depth,
+            reliability=ReliabilityPolicy[qos.reliability.upper()],
+            durability=DurabilityPolicy[qos.durability.upper()],
+            lifespan=_duration(times.lifespan),
+            deadline=_duration(times.deadline),
+            liveliness=LivelinessPolicy[times.liveliness.upper()],
+            liveliness_lease_duration=_duration(times.lease),
+        )
+
     @property
     def kept(self) -> int | None:
         """How many unread messages are kept; None if all are kept."""
@@ -309,8 +291,11 @@ SYSTEM_DEPTH = 10
 
 def _limit(duration: Duration) -> int | None:
     """Return a duration in nanoseconds; None if there is no limit."""
-    is_none = duration == UNSPECIFIED or duration == Duration.Infinite
-    return None if is_none else duration.nanoseconds
+    return None if duration in (UNSPECIFIED, Duration.Infinite) else duration.nanoseconds
+
+
+def _duration(limit: int | None) -> Duration:
+    return Duration.Infinite if limit is None else Duration(nanoseconds=limit)
 
 
 def profile_of(given: QoSProfile | int) -> QoSProfile:
@@ -329,10 +314,6 @@ def profile_of(given: QoSProfile | int) -> QoSProfile:
     raise TypeError(f"Expected QoSProfile or int, but received {type(given)}")
 
 
-def _preset(depth: int, **policies: Anything) -> QoSProfile:
-    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=depth, **policies)
-
-
 _UNKNOWN = {
     "reliability": ReliabilityPolicy.UNKNOWN,
     "durability": DurabilityPolicy.UNKNOWN,
@@ -349,18 +330,19 @@ _BEST_AVAILABLE = {
     "liveliness": LivelinessPolicy.BEST_AVAILABLE,
     "liveliness_lease_duration": Duration(nanoseconds=2**63 - 2),
 }
+_LATCHED = DurabilityPolicy.TRANSIENT_LOCAL
 
-qos_profile_unknown = QoSProfile(history=HistoryPolicy.UNKNOWN, depth=0, **_UNKNOWN)
-qos_profile_default = _preset(10)
-qos_profile_system_default = QoSProfile(history=HistoryPolicy.SYSTEM_DEFAULT, depth=0, **_SYSTEM)
-qos_profile_sensor_data = _preset(5, reliability=ReliabilityPolicy.BEST_EFFORT)
-qos_profile_services_default = _preset(10)
-qos_profile_parameters = _preset(1000)
-qos_profile_parameter_events = _preset(1000)
-qos_profile_action_status_default = _preset(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-qos_profile_best_available = _preset(10, **_BEST_AVAILABLE)
-qos_profile_rosout_default = _preset(
-    1000, durability=DurabilityPolicy.TRANSIENT_LOCAL, lifespan=Duration(seconds=10)
+qos_profile_unknown = QoSProfile(history=HistoryPolicy.UNKNOWN, **_UNKNOWN)
+qos_profile_default = QoSProfile(depth=10)
+qos_profile_system_default = QoSProfile(history=HistoryPolicy.SYSTEM_DEFAULT, **_SYSTEM)
+qos_profile_sensor_data = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+qos_profile_services_default = QoSProfile(depth=10)
+qos_profile_parameters = QoSProfile(depth=1000)
+qos_profile_parameter_events = QoSProfile(depth=1000)
+qos_profile_action_status_default = QoSProfile(depth=1, durability=_LATCHED)
+qos_profile_best_available = QoSProfile(depth=10, **_BEST_AVAILABLE)
+qos_profile_rosout_default = QoSProfile(
+    depth=1000, durability=_LATCHED, lifespan=Duration(seconds=10)
 )
 
 

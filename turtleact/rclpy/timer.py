@@ -7,44 +7,28 @@ the clock, for example with a message on ``/clock``.
 
 from __future__ import annotations
 
-import inspect
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from turtleact.rclpy.clock import Clock, JumpThreshold
-from turtleact.rclpy.duration import Duration
-from turtleact.rclpy.exceptions import InvalidHandle, RCLError, ROSInterruptException
-from turtleact.rclpy.impl.entity import NOTHING, Entity
+from turtleact.rclpy.clock import Clock, ClockChange, JumpThreshold, TimeJump
+from turtleact.rclpy.exceptions import RCLError, ROSInterruptException
+from turtleact.rclpy.impl.entity import NOTHING, CallbackGroup, Entity, await_or_execute
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.time import ClockType, Time
+from turtleact.rclpy.time import ClockType, Duration, Time
 
 if TYPE_CHECKING:
-    from turtleact.rclpy.callback_groups import CallbackGroup
     from turtleact.rclpy.context import Context
 
 __all__ = ["Rate", "Timer", "TimerInfo"]
 
 
-class TimerInfo:
-    """When a timer's callback was due, and when it was called.
+class TimerInfo(NamedTuple):
+    """When a timer's callback was due, and when it was called."""
 
-    Args:
-        expected_call_time: When the call was due (ns since the start of the clock).
-        actual_call_time: When the call was made (ns since the start of the clock).
-        clock_type: The kind of clock that both times belong to.
-    """
-
-    def __init__(
-        self,
-        *,
-        expected_call_time: int = 0,
-        actual_call_time: int = 0,
-        clock_type: ClockType = ClockType.SYSTEM_TIME,
-    ) -> None:
-        self.expected_call_time = Time(nanoseconds=expected_call_time, clock_type=clock_type)
-        self.actual_call_time = Time(nanoseconds=actual_call_time, clock_type=clock_type)
+    expected_call_time: Time
+    actual_call_time: Time
 
 
 class Timer(Entity):
@@ -56,8 +40,8 @@ class Timer(Entity):
         callback_group: Decides when the callback may run.
         timer_period_ns: The time between two calls (ns).
         clock: The clock to follow.
-        context: Ignored.
         autostart: Whether the timer starts at once. Otherwise `reset` starts it.
+        wake: Called when the timer may be due earlier than before.
 
     Raises:
         RCLError: if the period is negative.
@@ -70,40 +54,31 @@ class Timer(Entity):
         timer_period_ns: int,
         clock: Clock,
         *,
-        context: Context | None = None,  # noqa: ARG002  # the node's context
         autostart: bool = True,
         wake: Callable[[], object] | None = None,
     ) -> None:
         if timer_period_ns < 0:
             raise RCLError(f"Failed to create timer: invalid period {timer_period_ns} ns")
-        self._clock = clock
+        self.callback = callback
+        self.clock = clock
         self._period = timer_period_ns
         self._last_call = clock.now_ns()
         self._next_call = self._last_call + timer_period_ns
         self._is_canceled = not autostart
         self._lock = threading.Lock()
-        self.callback = callback
         # A timer of simulated time must be looked at when that time changes.
-        threshold = JumpThreshold(
-            min_forward=Duration(nanoseconds=1),
-            min_backward=Duration(nanoseconds=-1),
-            on_clock_change=True,
-        )
-        self._jump = clock.create_jump_callback(threshold, post_callback=self._jumped)
-        super().__init__(callback_group, close=self._jump.unregister, wake=wake)
+        step = Duration(nanoseconds=1)
+        threshold = JumpThreshold(min_forward=step, min_backward=step * -1)
+        jump = clock.create_jump_callback(threshold, post_callback=self._jumped)
+        super().__init__(callback_group, close=jump.unregister, wake=wake)
 
-    def _jumped(self, jump: Anything) -> None:
+    def _jumped(self, jump: TimeJump) -> None:
         # A change of the source, or a step back, begins a new period.
-        now = self._clock.now_ns()
-        if jump.clock_change != 1 or now < self._last_call:
+        now = self.clock.now_ns()
+        if jump.clock_change is not ClockChange.ROS_TIME_NO_CHANGE or now < self._last_call:
             self._last_call = now
             self._next_call = now + self._period
         self.wake()
-
-    @property
-    def clock(self) -> Clock:
-        """The clock that the timer follows."""
-        return self._clock
 
     @property
     def timer_period_ns(self) -> int:
@@ -120,7 +95,7 @@ class Timer(Entity):
     def is_ready(self) -> bool:
         """Whether the timer is due."""
         with self.handle:
-            return not self._is_canceled and self._next_call <= self._clock.now_ns()
+            return self.is_ready_now()
 
     def is_canceled(self) -> bool:
         """Whether the timer is stopped: it was canceled, or was not started yet."""
@@ -135,68 +110,67 @@ class Timer(Entity):
     def reset(self) -> None:
         """Start a new period now. A timer that was canceled runs again."""
         with self.handle:
-            self._next_call = self._clock.now_ns() + self._period
+            self._next_call = self.clock.now_ns() + self._period
             self._is_canceled = False
         self.wake()
 
     def time_since_last_call(self) -> int:
         """Return how long ago the last call was (ns)."""
         with self.handle:
-            return self._clock.now_ns() - self._last_call
+            return self.clock.now_ns() - self._last_call
 
     def time_until_next_call(self) -> int | None:
         """Return the time until the next call (ns): negative if late, None if canceled."""
         with self.handle:
-            return None if self._is_canceled else self._next_call - self._clock.now_ns()
+            return None if self._is_canceled else self._next_call - self.clock.now_ns()
 
     # for executors
 
     def is_ready_now(self) -> bool:
         """Whether the timer is due; False after `destroy`."""
-        if self._is_canceled or self._handle.is_destroyed:
+        if self._is_canceled or self.handle.is_destroyed:
             return False
-        return self._next_call <= self._clock.now_ns()
+        return self._next_call <= self.clock.now_ns()
 
     def due_in(self) -> float | None:
         """The time until the timer is due (s); None if it is canceled or its clock is simulated."""
-        if self._is_canceled or self._handle.is_destroyed or self._clock.is_told:
+        if self._is_canceled or self.handle.is_destroyed or self.clock.is_told:
             return None
-        return max(0.0, (self._next_call - self._clock.now_ns()) / 1e9)
+        return max(0.0, (self._next_call - self.clock.now_ns()) / 1e9)
 
     def take(self) -> Anything:
         """Plan the next call, and return the `TimerInfo` of the call that is due now."""
         with self._lock:  # two threads that spin must not call it twice for one beat
             if not self.is_ready_now():
                 return NOTHING
-            now = self._clock.now_ns()
+            now = self.clock.now_ns()
             expected, self._last_call = self._next_call, now
-            self._next_call = expected + self._period
-            if self._next_call <= now:  # late: keep the phase, and skip what was missed
-                missed = (now - expected) // self._period if self._period else 0
-                self._next_call = expected + (missed + 1) * self._period if self._period else now
-        return TimerInfo(
-            expected_call_time=expected, actual_call_time=now, clock_type=self._clock.clock_type
-        )
+            # A late timer keeps its phase, and skips what it has missed.
+            missed = (now - expected) // self._period if self._period else 0
+            self._next_call = expected + (missed + 1) * self._period if self._period else now
+        kind = self.clock.clock_type
+        return TimerInfo(_time(expected, kind), _time(now, kind))
 
     async def run(self, taken: TimerInfo) -> None:
         """Call the timer's function."""
-        wants_info = _info_parameter(self.callback)
-        result = self.callback(**{wants_info: taken}) if wants_info else self.callback()
-        if inspect.iscoroutine(result):
-            await result
+        parameter = _info_parameter(self.callback)
+        callback = partial(self.callback, **{parameter: taken}) if parameter else self.callback
+        await await_or_execute(callback)
 
     def describe(self) -> str:
         """Return a description of this entity for a diagnostic message."""
         return f"the timer of {self._period / 1e9:g} s"
 
 
+def _time(nanoseconds: int, kind: ClockType) -> Time:
+    return Time(nanoseconds=nanoseconds, clock_type=kind)
+
+
 def _info_parameter(callback: Anything) -> str:
     """Return the name of the parameter that is annotated with `TimerInfo`; "" if there is none."""
     while isinstance(callback, partial):
         callback = callback.func
-    annotations = getattr(callback, "__annotations__", None)
-    if not annotations:
-        return ""
+    annotations = getattr(callback, "__annotations__", {})
     return next(
         (
             name
@@ -218,18 +192,12 @@ class Rate:
     """
 
     def __init__(self, timer: Timer, *, context: Context) -> None:
-        self._timer = timer
+        self.timer = timer
         self._beat = threading.Condition()
         self._beats = 0
-        self._is_shutdown = False
-        self._is_destroyed = False
+        self._end = ""
         timer.callback = self._tick
         context.on_shutdown(self._shut_down)
-
-    @property
-    def timer(self) -> Timer:
-        """The timer that wakes the sleeping threads."""
-        return self._timer
 
     def _tick(self) -> None:
         with self._beat:
@@ -237,27 +205,25 @@ class Rate:
             self._beat.notify_all()
 
     def _shut_down(self) -> None:
-        with self._beat:
-            self._is_shutdown = True
-            self._beat.notify_all()
+        self._stop("the context was shut down")
 
     def destroy(self) -> None:
         """Destroy the rate and its timer.
 
         In threads that sleep, `sleep` raises ROSInterruptException.
         """
+        self._stop("the rate was destroyed")
+        self.timer.destroy()
+
+    def _stop(self, reason: str) -> None:
         with self._beat:
-            self._is_destroyed = True
+            self._end = reason
             self._beat.notify_all()
-        self._timer.destroy()
 
     def _check(self) -> None:
-        if self._is_shutdown:
-            raise ROSInterruptException
-        if self._is_destroyed:
-            raise ROSInterruptException("the rate was destroyed")
-        if self._timer.handle.is_destroyed:
-            raise InvalidHandle("cannot use Destroyable because destruction was requested")
+        if self._end:
+            raise ROSInterruptException(self._end)
+        self.timer.handle.check()
 
     def sleep(self) -> None:
         """Sleep until the next call of the timer.

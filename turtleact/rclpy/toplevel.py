@@ -7,21 +7,31 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 
-from turtleact.rclpy.context import Context
+from turtleact.rclpy import qos
+from turtleact.rclpy.context import (
+    Context,
+    SignalHandlerOptions,
+    get_default_context,
+    get_rmw_implementation_identifier,
+    install_signal_handlers,
+    ok,
+    uninstall_signal_handlers,
+)
+from turtleact.rclpy.context import shutdown as _shutdown
+from turtleact.rclpy.context import try_shutdown as _try_shutdown
+from turtleact.rclpy.event_handler import (
+    QoSPublisherEventType,
+    QoSSubscriptionEventType,
+    UnsupportedEventTypeError,
+)
+from turtleact.rclpy.exceptions import InvalidHandle, RCLError, UnknownROSArgsError
 from turtleact.rclpy.executors import Executor, SingleThreadedExecutor
+from turtleact.rclpy.graph import NodeNameNonExistentError
 from turtleact.rclpy.impl.entity import Block
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.node import Node
 from turtleact.rclpy.parameter import Parameter
-from turtleact.rclpy.signals import (
-    SignalHandlerOptions,
-    install_signal_handlers,
-    uninstall_signal_handlers,
-)
 from turtleact.rclpy.task import Future
-from turtleact.rclpy.utilities import get_default_context, get_rmw_implementation_identifier, ok
-from turtleact.rclpy.utilities import shutdown as _shutdown
-from turtleact.rclpy.utilities import try_shutdown as _try_shutdown
 
 __all__ = [
     "Context",
@@ -36,6 +46,7 @@ __all__ = [
     "get_rmw_implementation_identifier",
     "init",
     "ok",
+    "rclpy_implementation",
     "shutdown",
     "spin",
     "spin_once",
@@ -215,3 +226,28 @@ def __getattr__(name: str) -> object:
         except ModuleNotFoundError:
             pass
     raise AttributeError(f"module 'rclpy' has no attribute '{name}'")
+
+
+class rmw_qos_profile_t:
+    """Replaces rclpy's class of the same name, which has the predefined QoS profiles."""
+
+    @staticmethod
+    def predefined(name: str) -> qos.QoSProfile:
+        """Return the profile with a name such as ``qos_profile_default``."""
+        found: qos.QoSProfile = getattr(qos, name)
+        return found
+
+
+class rclpy_implementation:  # rclpy's name
+    """Has the names that some programs import from rclpy's extension module."""
+
+    InvalidHandle = InvalidHandle
+    NodeNameNonExistentError = NodeNameNonExistentError
+    RCLError = RCLError
+    RCLInvalidROSArgsError = RCLError
+    UnknownROSArgsError = UnknownROSArgsError
+    UnsupportedEventTypeError = UnsupportedEventTypeError
+    rmw_qos_profile_t = rmw_qos_profile_t
+    rcl_publisher_event_type_t = QoSPublisherEventType
+    rcl_subscription_event_type_t = QoSSubscriptionEventType
+    rclpy_get_rmw_implementation_identifier = staticmethod(get_rmw_implementation_identifier)

@@ -22,10 +22,14 @@ from turtleact.errors import InvalidMessage, TurtleactError
 from turtleact.goals.wire import read_states
 from turtleact.interfaces.wire_format import GOAL_ID
 from turtleact.rclpy.action.endpoints import ActionKind, goal_key
-from turtleact.rclpy.executors import await_or_execute
-from turtleact.rclpy.impl.entity import NOTHING
+from turtleact.rclpy.impl.entity import (
+    NOTHING,
+    Waitable,
+    await_or_execute,
+    wait_for_answer,
+    wait_until,
+)
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
-from turtleact.rclpy.impl.waiting import wait_for_answer, wait_until
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import (
@@ -33,12 +37,11 @@ from turtleact.rclpy.qos import (
     qos_profile_action_status_default,
     qos_profile_services_default,
 )
-from turtleact.rclpy.service_introspection import Introspected
+from turtleact.rclpy.services import Introspected
 from turtleact.rclpy.task import Future
-from turtleact.rclpy.waitable import Waitable
 
 if TYPE_CHECKING:
-    from turtleact.rclpy.callback_groups import CallbackGroup
+    from turtleact.rclpy.impl.entity import CallbackGroup
     from turtleact.rclpy.node import Node
 
 __all__ = ["ActionClient", "ClientGoalHandle"]
@@ -210,7 +213,7 @@ class ActionClient(Introspected, Waitable):
             goal_uuid = made(uuid=list(uuid.uuid4().bytes))
         request = self._kind.service("send_goal").Request(goal_id=goal_uuid, goal=goal)
         data = encode(request, type(request))
-        self._handle.check()
+        self.handle.check()
         key = goal_key(goal_uuid)
         if feedback_callback is not None:
             self._early[key] = []  # first, because feedback may come as soon as there is a callback
@@ -310,7 +313,7 @@ class ActionClient(Introspected, Waitable):
 
     def is_ready_now(self) -> bool:
         """Whether a response or message waits to be handled."""
-        return bool(self._events) and not self._handle.is_destroyed
+        return bool(self._events) and not self.handle.is_destroyed
 
     def take(self) -> Anything:
         """Remove the oldest item from the queue and return it."""
@@ -328,7 +331,7 @@ class ActionClient(Introspected, Waitable):
 
     def destroy(self) -> None:
         """Destroy the client. A second call does nothing."""
-        if self._handle.is_destroyed:
+        if self.handle.is_destroyed:
             return
         super().destroy()
         for end in self._ends.values():

@@ -15,7 +15,7 @@ from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import check_is_valid_action_type, interface_class, maker
 from turtleact.rclpy.messages.codec import encode
 from turtleact.rclpy.qos import QoSProfile
-from turtleact.rclpy.service_introspection import SwitchableEvents
+from turtleact.rclpy.services import SwitchableEvents
 from turtleact.transports.base import Source, Target
 
 if TYPE_CHECKING:

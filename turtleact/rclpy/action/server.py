@@ -24,9 +24,8 @@ from turtleact.goals.state import Goal, GoalEvent, GoalStatus, cancel_code, sele
 from turtleact.goals.wire import GoalMetadata
 from turtleact.rclpy.action.endpoints import ActionKind, StatusTopic, goal_key
 from turtleact.rclpy.exceptions import InvalidHandle, RCLError
-from turtleact.rclpy.executors import await_or_execute
 from turtleact.rclpy.impl.connection import RequestHandler, Respond
-from turtleact.rclpy.impl.entity import NOTHING
+from turtleact.rclpy.impl.entity import NOTHING, Waitable, await_or_execute
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import (
@@ -34,12 +33,11 @@ from turtleact.rclpy.qos import (
     qos_profile_action_status_default,
     qos_profile_services_default,
 )
-from turtleact.rclpy.service_introspection import Introspected
+from turtleact.rclpy.services import Introspected
 from turtleact.rclpy.task import Future
-from turtleact.rclpy.waitable import Waitable
 
 if TYPE_CHECKING:
-    from turtleact.rclpy.callback_groups import CallbackGroup
+    from turtleact.rclpy.impl.entity import CallbackGroup
     from turtleact.rclpy.node import Node
 
 __all__ = [
@@ -350,11 +348,11 @@ class ActionServer(Introspected, Waitable):
     def is_ready_now(self) -> bool:
         """Whether a request is unanswered, or a goal's ``result_timeout`` has passed."""
         has_work = bool(self._requests) or self._first_expiry() <= time.monotonic_ns()
-        return has_work and not self._handle.is_destroyed
+        return has_work and not self.handle.is_destroyed
 
     def due_in(self) -> float | None:
         """The time until the next goal is forgotten (s); None if no goal will be forgotten."""
-        if not self._expiries or self._handle.is_destroyed:
+        if not self._expiries or self.handle.is_destroyed:
             return None
         return max(0.0, (self._first_expiry() - time.monotonic_ns()) / 1e9)
 
@@ -385,7 +383,7 @@ class ActionServer(Introspected, Waitable):
 
     def destroy(self) -> None:
         """Destroy the server and its goal handles. A second call does nothing."""
-        if self._handle.is_destroyed:
+        if self.handle.is_destroyed:
             return
         super().destroy()
         for goal_handle in list(self._goal_handles.values()):

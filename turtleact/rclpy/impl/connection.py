@@ -1,6 +1,7 @@
-"""Connects the threads of a program to a ROS graph.
+"""Connects the threads of a program to a ROS graph, which an event loop in its own thread serves.
 
-Only encoded messages pass through a connection: they are encoded in the thread that publishes, and
+The threads of the program never run the loop, and the loop never runs the program's callbacks. Only
+encoded messages pass through a connection: they are encoded in the thread that publishes, and
 decoded in the thread that runs the callback. Endpoints are opened and closed in the event loop.
 Messages do not pass through the event loop, except those of latched topics.
 
@@ -15,19 +16,19 @@ import asyncio
 import contextlib
 import os
 import threading
-from collections.abc import Callable
-from concurrent.futures import wait
+from collections.abc import Callable, Coroutine
+from concurrent.futures import Future, wait
 from contextlib import AbstractAsyncContextManager
 from functools import partial
 from itertools import count
-from typing import Protocol, TypeAlias, cast
+from typing import Protocol, TypeAlias, TypeVar, cast
 
 import msgspec
 
 from turtleact.errors import TurtleactError
 from turtleact.node.type_descriptions import offer_descriptions
-from turtleact.rclpy.impl.event_loop import EventLoop
 from turtleact.rclpy.messages.codec import hash_of
+from turtleact.tasks import new_event_loop
 from turtleact.transports import Transport, ZenohTransport
 from turtleact.transports.base import (
     EVERY_SERVER,
@@ -44,7 +45,18 @@ from turtleact.transports.base import (
     Target,
 )
 
-__all__ = ["CallEnd", "CallEvents", "Connection", "OpenTransport", "RequestHandler", "Sender"]
+__all__ = [
+    "CallEnd",
+    "CallEvents",
+    "Connection",
+    "EventLoop",
+    "OpenTransport",
+    "RequestHandler",
+    "Sender",
+]
+
+T = TypeVar("T")
+BeginCoroutine: TypeAlias = "Callable[[], Coroutine[object, object, T]]"
 
 OpenTransport: TypeAlias = Callable[[int], AbstractAsyncContextManager[Transport]]
 """A function that opens the graph of a ROS domain."""
@@ -61,8 +73,71 @@ Any thread may call the function.
 CLOSING = 2.0
 """How long to wait for a graph to close (s)."""
 
-ENDING = 0.02
-"""How long to wait for a closed endpoint's last messages before the graph is closed (s)."""
+
+class EventLoop:
+    """An event loop in a daemon thread. The loop starts when it is first used, and never ends."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread: threading.Thread | None = None
+
+    @property
+    def is_here(self) -> bool:
+        """Whether the calling thread is the thread that runs the loop."""
+        return threading.current_thread() is self._thread
+
+    def call(self, function: Callable[[], T]) -> T:
+        """Call a function in the loop, and wait. Return its result, or raise its exception."""
+        if self.is_here:
+            return function()
+        called: Future[T] = Future()
+
+        def call() -> None:
+            try:
+                called.set_result(function())
+            except BaseException as error:
+                called.set_exception(error)
+
+        self.post(call)
+        return called.result()
+
+    def post(self, function: Callable[[], object]) -> None:
+        """Call a function in the loop, after all functions posted earlier. Return at once."""
+        self._running().call_soon_threadsafe(function)
+
+    def post_later(self, delay: float, function: Callable[[], object]) -> None:
+        """Call a function in the loop after ``delay`` seconds. Return at once."""
+        loop = self._running()
+        loop.call_soon_threadsafe(loop.call_later, delay, function)
+
+    def run(self, begin: BeginCoroutine[T], timeout: float | None = None) -> T:
+        """Run the coroutine of ``begin()`` in the loop, wait for its end, and return its result.
+
+        Raises:
+            TimeoutError: if the coroutine has not ended in time. The coroutine is then cancelled.
+        """
+        running = self.start(begin)
+        try:
+            return running.result(timeout)
+        except BaseException:
+            running.cancel()
+            raise
+
+    def start(self, begin: BeginCoroutine[T]) -> Future[T]:
+        """Run the coroutine of ``begin()`` in the loop. Return a future of its result at once."""
+        loop = self._running()  # first: a KeyboardInterrupt in it would leave a coroutine unused
+        return asyncio.run_coroutine_threadsafe(begin(), loop)
+
+    def _running(self) -> asyncio.AbstractEventLoop:
+        with self._lock:
+            if self._loop is None:
+                self._loop = new_event_loop()
+                self._thread = threading.Thread(
+                    target=self._loop.run_forever, name="turtleact-loop", daemon=True
+                )
+                self._thread.start()
+            return self._loop
 
 
 class Encoded(msgspec.Struct, frozen=True):
@@ -224,12 +299,10 @@ class Connection:
 
     Attributes:
         loop: The event loop.
-        domain: The ROS domain.
     """
 
     def __init__(self, loop: EventLoop, open_transport: OpenTransport, domain: int) -> None:
         self.loop = loop
-        self.domain = domain
         self._watchers: dict[Callable[[], object], None] = {}
         self._watching: asyncio.Task[None] | None = None
         self._opened = open_transport(domain)
@@ -355,22 +428,6 @@ class Connection:
         """Return all endpoints on the graph, or only those of the topic or service ``name``."""
         self.wait_until_explored()
         return self.loop.call(partial(self._transport.endpoints, name))
-
-    def count_servers(self, name: str) -> int:
-        """Count the servers of a service.
-
-        A node of this process that has two servers of the service counts twice, although both
-        servers share one endpoint.
-        """
-        self.wait_until_explored()
-        return self.loop.call(partial(self._count_servers, name))
-
-    def _count_servers(self, name: str) -> int:
-        ends = [each for each in self._transport.endpoints(name) if each.kind == "service"]
-        near = [each for each in self._transport.local_endpoints(name) if each.kind == "service"]
-        types = {each.type_name for each in near}
-        here = sum(len(self._transport.all_local(name, type_name)) for type_name in types)
-        return here + len(ends) - len(near)
 
     def nodes(self) -> tuple[str, ...]:
         """Return the full names of all nodes on the graph."""

@@ -1,84 +1,61 @@
-"""The base class of entities: timers, subscriptions and other objects with callbacks."""
+"""The base class of entities, such as timers and subscriptions, and what decides when they run.
+
+Executors serve entities. A callback group decides which callbacks may run at the same time. This
+module also has guard conditions, which are the simplest entities, and functions that block a thread
+until another thread has run a callback.
+"""
 
 from __future__ import annotations
 
+import inspect
+import math
 import threading
+import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
+from weakref import WeakSet
 
 from turtleact.rclpy.exceptions import InvalidHandle
-from turtleact.rclpy.impl.typing import Anything
+from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
+from turtleact.rclpy.impl.typing import Anything, Subscriptable
 
-if TYPE_CHECKING:
-    from turtleact.rclpy.callback_groups import CallbackGroup
+__all__ = [
+    "BLOCKED_AFTER",
+    "NOTHING",
+    "Block",
+    "CallbackGroup",
+    "Destroyable",
+    "Entity",
+    "GuardCondition",
+    "Handle",
+    "MutuallyExclusiveCallbackGroup",
+    "ReentrantCallbackGroup",
+    "Waitable",
+    "await_or_execute",
+    "note_blocked",
+    "wait_for_answer",
+    "wait_until",
+]
 
-__all__ = ["NOTHING", "Block", "Destroyable", "Entity", "Handle"]
+logger = RcutilsLogger("rclpy")
 
 NOTHING = object()
 """The result of `Entity.take` if there was nothing to take after all."""
 
+BLOCKED_AFTER = 2.0
+"""How long a callback waits for its callback group before it is reported (s)."""
 
-class Handle:
-    """Shows whether an object may still be used.
+REPORTED = -1.0
+"""The value of `Entity.blocked_since` for an entity that was reported."""
 
-    At the start of a ``with`` block, the handle raises `InvalidHandle` if the object was destroyed.
-    If the object is destroyed while such blocks run, it is closed when the last block ends.
+HINT = "give one of them a ReentrantCallbackGroup or a MutuallyExclusiveCallbackGroup of its own"
 
-    Args:
-        close: Closes the object; called once.
-    """
+POLL = 0.02
+"""The interval at which `wait_until` checks its condition (s)."""
 
-    def __init__(self, close: Callable[[], object] | None = None) -> None:
-        self._close = close
-        self._lock = threading.Lock()
-        self._users = 0
-        self._is_destroyed = False
-
-    @property
-    def is_destroyed(self) -> bool:
-        """Whether the object was destroyed."""
-        return self._is_destroyed
-
-    def check(self) -> None:
-        """Check that the object was not destroyed.
-
-        Raises:
-            InvalidHandle: if the object was destroyed.
-        """
-        if self._is_destroyed:
-            raise InvalidHandle("cannot use Destroyable because destruction was requested")
-
-    def destroy_when_not_in_use(self) -> None:
-        """Destroy the object, and close it as soon as no ``with`` block uses it.
-
-        A second call does nothing.
-        """
-        with self._lock:
-            is_first = not self._is_destroyed
-            self._is_destroyed = True
-            is_free = is_first and not self._users
-        if is_free and self._close is not None:
-            self._close()
-
-    def __enter__(self) -> Self:
-        with self._lock:
-            self.check()
-            self._users += 1
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        with self._lock:
-            self._users -= 1
-            is_last = self._is_destroyed and not self._users
-        # Without the lock, because closing may lead back here.
-        if is_last and self._close is not None:
-            self._close()
+PATIENCE = 0.5
+"""The longest wait between two checks (s), because a signal cannot always interrupt a wait."""
 
 
 class Block:
@@ -97,21 +74,132 @@ class Block:
 
     def _leave(self) -> None:
         """Clean up at the end of the block."""
-        raise NotImplementedError
+
+
+class Handle(Block):
+    """Shows whether an object may still be used.
+
+    A ``with`` block of the handle raises `InvalidHandle` at its start if the object was destroyed.
+
+    Args:
+        close: Closes the object; called once.
+
+    Attributes:
+        is_destroyed: Whether the object was destroyed.
+    """
+
+    def __init__(self, close: Callable[[], object] | None = None) -> None:
+        self._close = close
+        self._lock = threading.Lock()
+        self.is_destroyed = False
+
+    def check(self) -> None:
+        """Check that the object was not destroyed.
+
+        Raises:
+            InvalidHandle: if the object was destroyed.
+        """
+        if self.is_destroyed:
+            raise InvalidHandle("cannot use Destroyable because destruction was requested")
+
+    def destroy_when_not_in_use(self) -> None:
+        """Destroy and close the object. A second call does nothing."""
+        with self._lock:
+            is_first, self.is_destroyed = not self.is_destroyed, True
+        if is_first and self._close is not None:
+            self._close()
+
+    def __enter__(self) -> Self:
+        self.check()
+        return self
 
 
 class Destroyable(Block):
     """An object that can be destroyed.
 
     As a context manager, it destroys itself at the end of the block.
+
+    Args:
+        close: Called once, when the object is destroyed.
+
+    Attributes:
+        handle: Shows whether the object has been destroyed.
     """
+
+    def __init__(self, close: Callable[[], object] | None = None) -> None:
+        self.handle = Handle(close)
 
     def destroy(self) -> None:
         """Destroy the object. A second call does nothing."""
-        raise NotImplementedError
+        self.handle.destroy_when_not_in_use()
 
     def _leave(self) -> None:
         self.destroy()
+
+
+class CallbackGroup:
+    """The base class of callback groups. All callbacks of this one may run at the same time.
+
+    Attributes:
+        entities: The entities of the group, held weakly.
+    """
+
+    def __init__(self) -> None:
+        self.entities = WeakSet[Entity]()
+
+    def add_entity(self, entity: Entity) -> None:
+        """Add an entity to the group."""
+        self.entities.add(entity)
+
+    def has_entity(self, entity: Entity) -> bool:
+        """Whether an entity belongs to the group."""
+        return entity in self.entities
+
+    def can_execute(self, entity: Entity) -> bool:  # noqa: ARG002  # any entity
+        """Whether a callback of the entity may begin now."""
+        return True
+
+    def beginning_execution(self, entity: Entity) -> bool:  # noqa: ARG002  # any entity
+        """Reserve the group for a callback of the entity. Return False if the group is not free."""
+        return True
+
+    def ending_execution(self, entity: Entity) -> None:
+        """Mark the group as free, because the callback of the entity has ended."""
+
+
+class ReentrantCallbackGroup(CallbackGroup):
+    """Lets all callbacks run at the same time."""
+
+
+class MutuallyExclusiveCallbackGroup(CallbackGroup):
+    """Lets one callback run at a time.
+
+    If the callback is a coroutine, the next callback may run only after the coroutine has ended.
+
+    Attributes:
+        active_entity: The entity with the callback that runs now; None if no callback runs.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.active_entity: Entity | None = None
+        self._lock = threading.Lock()
+
+    def can_execute(self, entity: Entity) -> bool:  # noqa: ARG002  # any entity
+        """Whether a callback of the entity may begin now."""
+        return self.active_entity is None
+
+    def beginning_execution(self, entity: Entity) -> bool:
+        """Reserve the group for a callback of the entity. Return False if the group is not free."""
+        with self._lock:
+            if self.active_entity is None:
+                self.active_entity = entity
+                return True
+            return False
+
+    def ending_execution(self, entity: Entity) -> None:  # noqa: ARG002  # the active one
+        """Mark the group as free, because the callback of the entity has ended."""
+        self.active_entity = None
 
 
 class Entity(Destroyable):
@@ -135,17 +223,11 @@ class Entity(Destroyable):
         close: Callable[[], object] | None = None,
         wake: Callable[[], object] | None = None,
     ) -> None:
+        super().__init__(close)
         self.callback_group = callback_group
         self.blocked_since = 0.0
-        self._handle = Handle(close)
         self._wake = wake
-        if callback_group is not None:
-            callback_group.add_entity(self)
-
-    @property
-    def handle(self) -> Handle:
-        """The entity's handle, which shows whether the entity has been destroyed."""
-        return self._handle
+        callback_group.add_entity(self)
 
     def wake(self) -> None:
         """Make the executor check whether the entity is ready."""
@@ -175,6 +257,147 @@ class Entity(Destroyable):
         """Describe this entity for a diagnostic message, such as "the timer of 0.5 s"."""
         return type(self).__name__.lower()
 
-    def destroy(self) -> None:
-        """Destroy the entity. A second call does nothing."""
-        self._handle.destroy_when_not_in_use()
+
+class Waitable(Subscriptable, Entity):
+    """The base class of action servers, action clients and event handlers.
+
+    turtleact has no wait sets, so programs cannot define waitables of their own.
+    """
+
+    def call_on_wake(self, wake: Callable[[], object]) -> None:
+        """Set the function to call when the waitable may have become ready."""
+        self._wake = wake
+
+
+class GuardCondition(Entity):
+    """Makes an executor call a function once after a call of `trigger`.
+
+    Make a guard condition with `Node.create_guard_condition`.
+    """
+
+    def __init__(
+        self,
+        callback: Anything,
+        callback_group: CallbackGroup,
+        wake: Callable[[], object] | None = None,
+    ) -> None:
+        super().__init__(callback_group, wake=wake)
+        self.callback = callback
+        self._is_triggered = False
+
+    def trigger(self) -> None:
+        """Make an executor call the function soon. Any thread may call this."""
+        self.handle.check()
+        self._is_triggered = True
+        self.wake()
+
+    def is_ready_now(self) -> bool:
+        """Whether the condition was triggered."""
+        return self._is_triggered and not self.handle.is_destroyed
+
+    def take(self) -> Anything:
+        """Forget that the condition was triggered; return `NOTHING` if it was not."""
+        was_triggered, self._is_triggered = self._is_triggered, False
+        return None if was_triggered else NOTHING
+
+    async def run(self, taken: None) -> None:  # noqa: ARG002  # nothing to take
+        """Call the callback of the guard condition."""
+        if self.callback is not None:
+            await await_or_execute(self.callback)
+
+    def describe(self) -> str:
+        """Return a description of this entity for a diagnostic message."""
+        return "a guard condition"
+
+
+async def await_or_execute(callback: Anything, *args: Anything) -> Anything:
+    """Call a function, and return its result.
+
+    If the function returns a coroutine, await the coroutine, and return the coroutine's result.
+    """
+    result = callback(*args)
+    return await result if inspect.iscoroutine(result) else result
+
+
+def note_blocked(entity: Entity) -> None:
+    """Record that an entity waits for its callback group. Warn once if the wait lasts too long."""
+    now = time.monotonic()
+    if not entity.blocked_since:
+        entity.blocked_since = now
+    elif entity.blocked_since > 0 and now - entity.blocked_since >= BLOCKED_AFTER:
+        entity.blocked_since = REPORTED
+        holder = _holder(entity)
+        if holder is not None:
+            logger.warning(
+                f"{entity.describe()} has waited for {BLOCKED_AFTER:g} s: its callback group is "
+                f"held by {holder.describe()}, whose callback has not ended; {HINT}"
+            )
+
+
+def _holder(entity: Entity) -> Entity | None:
+    group = entity.callback_group
+    return group.active_entity if isinstance(group, MutuallyExclusiveCallbackGroup) else None
+
+
+def wait_until(
+    is_there: Callable[[], bool], timeout: float | None, is_ok: Callable[[], bool]
+) -> bool:
+    """Check again and again until a condition is true. Return whether it became true.
+
+    Args:
+        is_there: The condition.
+        timeout: How long to check (s). None means for ever.
+        is_ok: Returns whether to continue the wait.
+    """
+    end = math.inf if timeout is None else time.monotonic() + timeout
+    while is_ok() and not is_there():
+        left = min(POLL, end - time.monotonic())
+        if left <= 0:
+            break
+        time.sleep(left)
+    return is_there()
+
+
+def wait_for_answer(
+    entity: Entity,
+    what: str,
+    answered: threading.Event,
+    is_ok: Callable[[], bool],
+    timeout: float | None = None,
+) -> bool:
+    """Wait until an answer has been handled. Return False if the wait ended before that.
+
+    If the answer is there, but is not handled for a long time, a warning says why.
+
+    Args:
+        entity: The entity that handles the answer.
+        what: The name of the waiting function, for the warning.
+        answered: An event that is set when the answer has been handled.
+        is_ok: Returns whether to continue the wait.
+        timeout: How long to wait (s). None or a negative number means for ever.
+    """
+    now = time.monotonic()
+    end = math.inf if timeout is None or timeout < 0 else now + timeout
+    warn_at = now + BLOCKED_AFTER
+    while is_ok():
+        if answered.wait(max(0.0, min(PATIENCE, end - now))):
+            return True
+        now = time.monotonic()
+        if now >= end:
+            return False
+        if now >= warn_at and entity.is_ready_now():
+            warn_at = math.inf
+            _warn_about_wait(entity, what)
+    return False
+
+
+def _warn_about_wait(entity: Entity, what: str) -> None:
+    holder = _holder(entity)
+    reason = (
+        f"the callback group of {entity.describe()} is held by {holder.describe()}; {HINT}"
+        if holder is not None
+        else "nobody spins the node; spin it in another thread, or with a MultiThreadedExecutor"
+    )
+    logger.warning(
+        f"{what} has waited for {BLOCKED_AFTER:g} s: the response is there, but {reason}"
+    )

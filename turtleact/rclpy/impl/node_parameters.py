@@ -11,7 +11,7 @@ Source: the ROS 2 design article "ROS 2 Parameters"; rclpy ``node.py`` for names
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 from turtleact.node.parameter_rules import is_listed, out_of_range
@@ -55,24 +55,20 @@ class NodeParameters:
     Args:
         overrides: The initial values that the command line, a file or the program gives, by name.
         allow_undeclared: Whether a parameter may be set and read without being declared.
-        publish: A function that publishes which parameters are new, changed and deleted.
     """
 
-    def _init_parameters(
-        self,
-        overrides: dict[str, Parameter],
-        *,
-        allow_undeclared: bool,
-        publish: Callable[[list[Anything], list[Anything], list[Anything]], None],
-    ) -> None:
+    def _init_parameters(self, overrides: dict[str, Parameter], *, allow_undeclared: bool) -> None:
         self._parameters: dict[str, Parameter] = {}
         self._descriptors: dict[str, Anything] = {}
         self._parameter_overrides = overrides
         self._allow_undeclared_parameters = allow_undeclared
-        self._publish_parameters = publish
         self._pre_set_parameters_callbacks: list[PreCallback] = []
         self._on_set_parameters_callbacks: list[OnCallback] = []
         self._post_set_parameters_callbacks: list[PostCallback] = []
+
+    def _publish_event(self, **changes: list[Anything]) -> None:
+        """Publish the parameters that are new, changed and deleted."""
+        raise NotImplementedError
 
     # declaring
 
@@ -116,22 +112,15 @@ class NodeParameters:
             parameters: Tuples of a name and, optionally, a value and a descriptor.
             ignore_override: Whether to use the given values even if there are overrides.
         """
-        declared: list[Parameter] = []
-        descriptors: dict[str, Anything] = {}
-        for given in parameters:
-            parameter, descriptor = self._declaration(given, namespace, ignore_override)
-            validate_parameter_name(parameter.name)
-            declared.append(parameter)
-            descriptors[parameter.name] = descriptor
-        known = [each.name for each in declared if each.name in self._parameters]
+        declared = [self._declaration(each, namespace, ignore_override) for each in parameters]
+        names = [parameter.name for parameter, _ in declared]
+        for name in names:
+            validate_parameter_name(name)
+        known = [name for name in names if name in self._parameters]
         if known:
             raise ParameterAlreadyDeclaredException(known)
-        for parameter in declared:
-            self._declare(parameter, descriptors[parameter.name])
-        return self.get_parameters_or_unset([each.name for each in declared])
-
-    def get_parameters_or_unset(self, names: Iterable[str]) -> list[Parameter]:
-        """Return the parameters in ``names`` that are declared, including those without a value."""
+        for parameter, descriptor in declared:
+            self._declare(parameter, descriptor)
         return [self._parameters[name] for name in names if name in self._parameters]
 
     def _declaration(
@@ -149,22 +138,21 @@ class NodeParameters:
                 stacklevel=3,
             )
             descriptor = _descriptor(dynamic_typing=True)
-        if descriptor is None:
-            descriptor = _descriptor()
-        if descriptor.dynamic_typing and isinstance(value, Parameter.Type):
+        descriptor = _descriptor() if descriptor is None else descriptor
+        is_typed = isinstance(value, Parameter.Type)
+        if descriptor.dynamic_typing and is_typed:
             raise ValueError(
                 f"Parameter '{full}' has a descriptor with dynamic_typing, so it can have no type"
             )
         if not descriptor.dynamic_typing:
-            kind = value if isinstance(value, Parameter.Type) else None
-            kind = kind or Parameter.Type.from_parameter_value(value)
+            kind = value if is_typed else Parameter.Type.from_parameter_value(value)
             if kind is Parameter.Type.NOT_SET:
                 raise ValueError(
                     f"Cannot declare a statically typed parameter '{full}' with default value "
                     "of type PARAMETER_NOT_SET"
                 )
             descriptor.type = kind.value
-        default = None if isinstance(value, Parameter.Type) else value
+        default = None if is_typed else value
         if not ignore_override and full in self._parameter_overrides:
             default = self._parameter_overrides[full].value
         return Parameter(full, value=default), descriptor
@@ -179,9 +167,10 @@ class NodeParameters:
             return
         if not descriptor.dynamic_typing and parameter.type_.value != descriptor.type:
             raise InvalidParameterTypeException(parameter, Parameter.Type(descriptor.type).name)
-        result = self._apply(
-            [parameter], {parameter.name: descriptor}, allow_not_set=True, may_be_read_only=True
-        )
+        self._apply_declared(parameter, descriptor)
+
+    def _apply_declared(self, parameter: Parameter, descriptor: Anything) -> None:
+        result = self._apply([parameter], {parameter.name: descriptor}, is_declared_now=True)
         if not result.successful:
             raise InvalidParameterValueException(parameter.name, parameter.value, result.reason)
 
@@ -331,53 +320,55 @@ class NodeParameters:
             each.name: self._descriptors.get(each.name, _descriptor(dynamic_typing=True))
             for each in parameters
         }
-        return self._apply(parameters, descriptors, allow_not_set=False, may_be_read_only=False)
+        return self._apply(parameters, descriptors)
 
     def _apply(
         self,
         parameters: list[Parameter],
         descriptors: dict[str, Anything],
         *,
-        allow_not_set: bool,
-        may_be_read_only: bool,
+        is_declared_now: bool = False,
     ) -> Anything:
-        """Set parameters if their descriptors and the on-set callbacks allow the values."""
+        """Set parameters if their descriptors and the on-set callbacks allow the values.
+
+        A parameter that is declared now may be read-only, or have no value yet. Otherwise, a
+        parameter without a value is deleted.
+        """
         for parameter in parameters:
             descriptor = descriptors[parameter.name]
-            if descriptor.read_only and not may_be_read_only:
-                return _result(
-                    successful=False,
-                    reason=f"Trying to set a read-only parameter: {parameter.name}.",
-                )
-            is_undeclaring = parameter.type_ is Parameter.Type.NOT_SET and not allow_not_set
-            if is_undeclaring and descriptor.dynamic_typing:
-                continue
-            reason = _misfit(parameter, descriptor)
+            if descriptor.read_only and not is_declared_now:
+                reason = f"Trying to set a read-only parameter: {parameter.name}."
+            else:
+                reason = _misfit(parameter, descriptor)
             if reason:
                 return _result(successful=False, reason=reason)
         for callback in list(self._on_set_parameters_callbacks):
             result = callback(parameters)
             if not result.successful:
                 return result
-        self._change(parameters, descriptors, allow_not_set=allow_not_set)
+        self._change(parameters, descriptors, is_declared_now=is_declared_now)
         for post in list(self._post_set_parameters_callbacks):
             post(parameters)
         return _result(successful=True)
 
     def _change(
-        self, parameters: list[Parameter], descriptors: dict[str, Anything], *, allow_not_set: bool
+        self,
+        parameters: list[Parameter],
+        descriptors: dict[str, Anything],
+        *,
+        is_declared_now: bool,
     ) -> None:
         """Set parameters, and publish which of them are new, changed and deleted."""
         new: list[Anything] = []
         changed: list[Anything] = []
         deleted: list[Anything] = []
         for parameter in parameters:
-            name, held = parameter.name, self._parameters.get(parameter.name)
-            if parameter.type_ is Parameter.Type.NOT_SET and not allow_not_set:
+            name = parameter.name
+            held = self._parameters.get(name)
+            if parameter.type_ is Parameter.Type.NOT_SET and not is_declared_now:
                 if held is not None:
                     deleted.append(held.to_parameter_msg())
-                    del self._parameters[name]
-                    self._descriptors.pop(name, None)
+                    del self._parameters[name], self._descriptors[name]
                 continue
             had_value = held is not None and held.type_ is not Parameter.Type.NOT_SET
             (changed if had_value else new).append(parameter.to_parameter_msg())
@@ -386,7 +377,9 @@ class NodeParameters:
             descriptor.name = name
             if descriptor.dynamic_typing:
                 descriptor.type = parameter.type_.value
-        self._publish_parameters(new, changed, deleted)
+        self._publish_event(
+            new_parameters=new, changed_parameters=changed, deleted_parameters=deleted
+        )
 
     # callbacks
 
@@ -456,22 +449,14 @@ class NodeParameters:
             raise ParameterNotDeclaredException(name)
         if self.describe_parameter(name).read_only:
             raise ParameterImmutableException(name)
-        current = self.get_parameter(name)
-        given = alternative_value
-        candidate = current if given is None else _from_value(name, given)
+        candidate = self.get_parameter(name)
+        if alternative_value is not None:
+            kind = Parameter.Type(alternative_value.type)
+            candidate = Parameter(name, kind, parameter_value_to_python(alternative_value))
         if not descriptor.dynamic_typing:
             descriptor.type = candidate.type_.value
-        result = self._apply(
-            [candidate], {name: descriptor}, allow_not_set=True, may_be_read_only=True
-        )
-        if not result.successful:
-            raise InvalidParameterValueException(name, candidate.value, result.reason)
+        self._apply_declared(candidate, descriptor)
         return self.get_parameter(name).get_parameter_value()
-
-
-def _from_value(name: str, value: Anything) -> Parameter:
-    made: Anything = interface_class("rcl_interfaces/msg/Parameter")
-    return Parameter.from_parameter_msg(made(name=name, value=value))
 
 
 def _misfit(parameter: Parameter, descriptor: Anything) -> str:

@@ -22,8 +22,7 @@ import anyio
 
 from turtleact.errors import TurtleactError
 from turtleact.rclpy.face import SETTINGS, JoinOptions
-from turtleact.rclpy.impl.connection import Connection, OpenTransport
-from turtleact.rclpy.impl.event_loop import EventLoop
+from turtleact.rclpy.impl.connection import Connection, EventLoop, OpenTransport
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.tasks.clock import Clock
 from turtleact.transports import MemoryTransport, Transport, open_zenoh

@@ -1,0 +1,391 @@
+"""Clients and servers of services, and the introspection of their calls.
+
+`turtleact.goals.introspection` describes the events of the introspection and their topic. A program
+with rclpy may switch the events on and off at any time.
+
+Source: rclpy ``client.py``, ``service.py`` and ``service_introspection.py``; rcl
+``service_event_publisher.c``.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from functools import partial
+
+from turtleact.errors import InvalidMessage, ServerUnavailable, TurtleactError
+from turtleact.interfaces import EventFormat, get_interface
+from turtleact.interfaces.standard import ServiceEventInfo as Info
+from turtleact.names import event_topic
+from turtleact.rclpy.clock import Clock
+from turtleact.rclpy.exceptions import ROSInterruptException
+from turtleact.rclpy.impl.connection import CallEnd, CallEvents, RequestHandler, Respond, Sender
+from turtleact.rclpy.impl.entity import (
+    NOTHING,
+    CallbackGroup,
+    Entity,
+    await_or_execute,
+    wait_for_answer,
+    wait_until,
+)
+from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
+from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.messages.codec import decode, encode
+from turtleact.rclpy.qos import QoSProfile
+from turtleact.rclpy.task import Future
+from turtleact.transports.base import Endpoint
+
+__all__ = ["Client", "Introspected", "Service", "ServiceIntrospectionState", "SwitchableEvents"]
+
+logger = RcutilsLogger("rclpy.service")
+
+
+class ServiceIntrospectionState(IntEnum):
+    """What is published about each call.
+
+    With ``OFF``, nothing is published. With ``METADATA``, the caller and the time are published.
+    With ``CONTENTS``, the request and the response are published, too.
+    """
+
+    OFF = 0
+    METADATA = 1
+    CONTENTS = 2
+
+
+class SwitchableEvents(CallEvents):
+    """Publishes the events of a client or server, once `configure` has switched them on.
+
+    Args:
+        node: The node of the client or server.
+        service: The full name of the service.
+        srv_type: The class of the service.
+        is_client: Whether the events are those of a client.
+    """
+
+    def __init__(
+        self, node: Anything, service: str, srv_type: Anything, *, is_client: bool
+    ) -> None:
+        self._node = node
+        self._topic = event_topic(service)
+        self._type_name = srv_type.type_name
+        self._format = EventFormat(lambda: get_interface(srv_type.type_name))
+        self._is_client = is_client
+        # Any thread may publish an event, while another one configures.
+        self._configured: tuple[Sender, Clock, bool] | None = None
+
+    @property
+    def is_on(self) -> bool:
+        """Whether events are published."""
+        return self._configured is not None
+
+    def configure(self, clock: Clock, qos: QoSProfile, state: ServiceIntrospectionState) -> None:
+        """Choose what to publish, the clock for the stamps, and the topic's quality of service."""
+        before, self._configured = self._configured, None
+        if state != ServiceIntrospectionState.OFF:
+            end = self._node.endpoint("publisher", self._topic, f"{self._type_name}_Event", qos)
+            self._node.connection.wait_until_explored()  # so that a reader gets the first event
+            sender = self._node.connection.advertise(end)
+            self._configured = sender, clock, state == ServiceIntrospectionState.CONTENTS
+        if before is not None:
+            before[0].close()
+
+    def requested(self, request: object, gid: bytes, sequence: int) -> None:
+        """Publish that a request was sent or received."""
+        kind = Info.REQUEST_SENT if self._is_client else Info.REQUEST_RECEIVED
+        self._publish(kind, gid, sequence, request=request)
+
+    def responded(self, response: object, gid: bytes, sequence: int) -> None:
+        """Publish that a response was sent or received."""
+        kind = Info.RESPONSE_RECEIVED if self._is_client else Info.RESPONSE_SENT
+        self._publish(kind, gid, sequence, response=response)
+
+    def close(self) -> None:
+        """Close the topic."""
+        before, self._configured = self._configured, None
+        if before is not None:
+            before[0].close()
+
+    def _publish(self, kind: int, gid: bytes, sequence: int, **shown: Anything) -> None:
+        """Publish an event. If this fails, only log the error, so that the call is not affected."""
+        if self._configured is None:
+            return
+        sender, clock, has_contents = self._configured
+        try:
+            if sender.has_readers:
+                info = self._format.info(kind, clock.now_ns(), gid, sequence)
+                sender.publish(self._format.write(info, **(shown if has_contents else {})))
+        except Exception as error:
+            logger.error(f"an event of {self._topic} cannot be published: {error}")
+
+
+class Introspected(Entity):
+    """A client or server of a service, or of an action with its three services.
+
+    Attributes:
+        service_events: One `SwitchableEvents` for each of these services.
+    """
+
+    service_events: Sequence[Anything]
+
+    def configure_introspection(
+        self,
+        clock: Clock,
+        service_event_qos_profile: QoSProfile,
+        introspection_state: ServiceIntrospectionState,
+    ) -> None:
+        """Choose what is published about the calls of each service.
+
+        Args:
+            clock: The clock for the stamps of the events.
+            service_event_qos_profile: The quality of service of the topic
+                ``SERVICE/_service_event``.
+            introspection_state: What to publish.
+
+        Raises:
+            InvalidHandle: if the entity was destroyed.
+        """
+        with self.handle:
+            for each in self.service_events:
+                each.configure(clock, service_event_qos_profile, introspection_state)
+
+
+class _ServiceEnd(Introspected, Subscriptable):
+    """A client or server of a service.
+
+    Args:
+        node: The node.
+        full_name: The full name of the service.
+        description: The class of the service, its name as the program gave it, and the quality of
+            service.
+        callback_group: Decides when callbacks may run.
+        events: Publishes the events of calls.
+        close: Called once, when the client or server is destroyed.
+    """
+
+    def __init__(
+        self,
+        node: Anything,
+        full_name: str,
+        description: tuple[Anything, str, QoSProfile],
+        callback_group: CallbackGroup,
+        events: CallEvents,
+        close: Callable[[], object],
+    ) -> None:
+        self._full_name = full_name
+        self.srv_type, self.srv_name, self.qos_profile = description
+        self.service_events = (events,)
+        super().__init__(callback_group, close=close, wake=node.wake_executor)
+
+    @property
+    def service_name(self) -> str:
+        """The full name of the service."""
+        with self.handle:
+            return self._full_name
+
+    @property
+    def logger_name(self) -> str:
+        """The name of the service, as the program gave it."""
+        name: str = self.srv_name
+        return name
+
+    def describe(self) -> str:
+        """Return a description of this entity for a diagnostic message."""
+        return f"the {type(self).__name__.lower()} of {self._full_name}"
+
+
+class Client(_ServiceEnd):
+    """Calls a service. Make a client with `Node.create_client`.
+
+    Args:
+        node: The node.
+        end: Sends the requests, and receives the responses.
+        full_name: The full name of the service.
+        description: The class of the service, its name as the program gave it, and the quality of
+            service.
+        callback_group: Decides when a response may be handled.
+    """
+
+    def __init__(
+        self,
+        node: Anything,
+        end: CallEnd,
+        full_name: str,
+        description: tuple[Anything, str, QoSProfile],
+        callback_group: CallbackGroup,
+    ) -> None:
+        self.context = node.context
+        self._node = node
+        self._end = end
+        self._pending: dict[int, Future] = {}
+        self._waiting: deque[tuple[int, bytes]] = deque()
+        self._sequence = 0
+        self._lock = threading.Lock()
+        super().__init__(node, full_name, description, callback_group, end.events, end.close)
+
+    def call(self, request: Anything, timeout_sec: float | None = None) -> Anything:
+        """Send a request and wait for the response, while another thread spins the node.
+
+        Raises:
+            TypeError: if the request is not a ``srv_type.Request``, or if a value does not fit the
+                type of its field.
+            TimeoutError: if there is no response in time.
+            ROSInterruptException: if the context is shut down before the response comes.
+        """
+        answered = threading.Event()
+        future = self.call_async(request)
+        future.add_done_callback(lambda _: answered.set())
+        # The callback would otherwise be another task of the executor that this call may block.
+        what = f"call() of {self._full_name}"
+        if not wait_for_answer(self, what, answered, self.context.ok, timeout_sec):
+            self.remove_pending_request(future)
+            raise TimeoutError if self.context.ok() else ROSInterruptException
+        return future.result()
+
+    def call_async(self, request: Anything) -> Future:
+        """Send a request, and return the future of the response.
+
+        If no response comes, the future is never done, as in ROS 2.
+
+        Raises:
+            TypeError: if the request is not a ``srv_type.Request``, or if a value does not fit the
+                type of its field.
+        """
+        data = encode(request, self.srv_type.Request)
+        self.handle.check()
+        future = Future(executor=None)
+        with self._lock:
+            self._sequence += 1
+            number = self._sequence
+            self._pending[number] = future
+        future.add_done_callback(self.remove_pending_request)
+        self._end.send(data, partial(self._answered, number), self._failed)
+        return future
+
+    def get_pending_request(self, sequence_number: int) -> Future:
+        """Return the future of a request. Raises KeyError if the request is not pending."""
+        with self._lock:
+            return self._pending[sequence_number]
+
+    def remove_pending_request(self, future: Future) -> None:
+        """Forget the request of a future.
+
+        If the future is not done yet, it will never be done.
+        """
+        with self._lock:
+            for number, pending in self._pending.items():
+                if pending is future:
+                    del self._pending[number]
+                    break
+
+    def service_is_ready(self) -> bool:
+        """Whether a call would reach a server now."""
+        with self.handle:
+            return self._end.is_served
+
+    def wait_for_service(self, timeout_sec: float | None = None) -> bool:
+        """Wait, without spinning, until the service has a server.
+
+        Return whether the service has a server.
+        """
+        return wait_until(self.service_is_ready, timeout_sec, self.context.ok)
+
+    def is_ready_now(self) -> bool:
+        """Whether a response waits to be handled."""
+        return bool(self._waiting) and not self.handle.is_destroyed
+
+    def take(self) -> Anything:
+        """Return a response, with the number of its request; `NOTHING` if no response waits."""
+        try:
+            return self._waiting.popleft()
+        except IndexError:
+            return NOTHING
+
+    async def run(self, taken: tuple[int, bytes]) -> None:
+        """Set the result of the future that waits for the response."""
+        number, data = taken
+        with self._lock:
+            future = self._pending.get(number)
+        if future is not None and not future.done():
+            # From now on the executor runs the done callbacks, not this thread.
+            future.set_executor(self._node.executor)
+            future.set_result(decode(data, self.srv_type.Response))
+
+    def _answered(self, number: int, data: bytes, note: str) -> None:  # noqa: ARG002  # no note
+        self._waiting.append((number, data))
+        self.wake()
+
+    def _failed(self, error: TurtleactError) -> None:
+        if isinstance(error, ServerUnavailable):
+            logger.debug(f"a request to {self._full_name} was lost: {error}")
+        else:
+            logger.error(f"{self._full_name} sends no response: {error}")
+
+
+class Service(_ServiceEnd):
+    """Answers the requests of a service. `Node.create_service` makes a service.
+
+    Args:
+        node: The node.
+        endpoint: Describes the service on the graph.
+        description: The class of the service, its name as the program gave it, and the quality of
+            service.
+        callback: Takes a request and an empty response, and returns a response.
+        callback_group: Decides when the callback may run.
+        events: Publishes the events of calls.
+    """
+
+    def __init__(
+        self,
+        node: Anything,
+        endpoint: Endpoint,
+        description: tuple[Anything, str, QoSProfile],
+        callback: Anything,
+        callback_group: CallbackGroup,
+        events: SwitchableEvents,
+    ) -> None:
+        self.callback = callback
+        self._waiting: deque[tuple[bytes, Respond]] = deque()
+        super().__init__(node, endpoint.name, description, callback_group, events, self._close)
+        self._leave_graph = node.connection.serve(endpoint, RequestHandler(self._receive, events))
+
+    def _receive(self, request: bytes, respond: Respond) -> None:
+        self._waiting.append((request, respond))
+        self.wake()
+
+    def is_ready_now(self) -> bool:
+        """Whether a request waits; False after `destroy`."""
+        return bool(self._waiting) and not self.handle.is_destroyed
+
+    def take(self) -> Anything:
+        """Remove the oldest request that waits; return it and the function that answers it."""
+        try:
+            data, respond = self._waiting.popleft()
+        except IndexError:
+            return NOTHING
+        try:
+            return decode(data, self.srv_type.Request), respond
+        except InvalidMessage as error:
+            logger.error(f"a request to {self._full_name} cannot be read: {error}")
+            respond(error, "")  # the transport counts the request as under way until its answer
+            return NOTHING
+
+    async def run(self, taken: tuple[Anything, Respond]) -> None:
+        """Call the callback and send its response."""
+        request, respond = taken
+        response = await await_or_execute(self.callback, request, self.srv_type.Response())
+        self.send_response(response, respond)
+
+    def send_response(self, response: Anything, header: Callable[[bytes, str], object]) -> None:
+        """Send a response.
+
+        Raises:
+            TypeError: if the response is of another class, or a value does not fit its field.
+        """
+        header(encode(response, self.srv_type.Response), "")
+
+    def _close(self) -> None:
+        for each in self.service_events:
+            each.close()
+        self._leave_graph()

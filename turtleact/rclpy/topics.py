@@ -1,0 +1,405 @@
+"""Publishers and subscriptions, and the parameters that override their quality of service."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from enum import Enum
+
+from turtleact.errors import InvalidMessage
+from turtleact.rclpy.event_handler import EventCallbacks
+from turtleact.rclpy.exceptions import ParameterAlreadyDeclaredException
+from turtleact.rclpy.executors import SingleThreadedExecutor
+from turtleact.rclpy.impl.connection import Connection
+from turtleact.rclpy.impl.entity import (
+    NOTHING,
+    CallbackGroup,
+    Destroyable,
+    Entity,
+    await_or_execute,
+)
+from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
+from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages.codec import decode, encode
+from turtleact.rclpy.qos import QoSPolicyEnum, QoSPolicyKind, QoSProfile
+from turtleact.rclpy.task import Future
+from turtleact.rclpy.time import Duration
+from turtleact.transports.base import Endpoint
+
+__all__ = [
+    "InvalidQosOverridesError",
+    "MessageInfo",
+    "Publisher",
+    "QoSOverridingOptions",
+    "QosCallbackResult",
+    "Subscription",
+    "declare_qos_parameters",
+    "wait_for_message",
+]
+
+logger = RcutilsLogger("rclpy.subscription")
+
+
+class _TopicEnd(Subscriptable, Destroyable):
+    """A publisher or subscription.
+
+    Attributes:
+        msg_type: The class of the messages.
+        topic: The name of the topic, as the program gave it.
+        qos_profile: The quality of service.
+        callback_group: The callback group of the callbacks.
+        event_handlers: The waitables that call the callbacks for events.
+    """
+
+    msg_type: Anything
+    topic: str
+    qos_profile: QoSProfile
+    event_handlers: Iterable[Anything]
+
+    def _set_up(
+        self,
+        node: Anything,
+        endpoint: Endpoint,
+        description: tuple[Anything, str, QoSProfile],
+        group: CallbackGroup,
+        events: EventCallbacks,
+    ) -> None:
+        self._connection: Connection = node.connection
+        self._full_name = endpoint.name
+        self.msg_type, self.topic, self.qos_profile = description
+        self.event_handlers = events.create_event_handlers(group, self._connection, endpoint)
+
+    @property
+    def topic_name(self) -> str:
+        """The full name of the topic."""
+        with self.handle:
+            return self._full_name
+
+    @property
+    def logger_name(self) -> str:
+        """The name of the topic, as the program gave it."""
+        return self.topic
+
+    def destroy(self) -> None:
+        """Destroy the publisher or subscription. A second call does nothing."""
+        for each in self.event_handlers:
+            each.destroy()
+        super().destroy()
+
+
+class Publisher(_TopicEnd):
+    """Sends messages to a topic. `Node.create_publisher` makes a publisher.
+
+    `publish` encodes a message before it returns, so you may change the message afterwards.
+
+    Args:
+        node: The node.
+        endpoint: Describes the publisher on the graph.
+        description: The class of the messages, the topic's name as the program gave it, and the
+            quality of service.
+        callback_group: The callback group of the callbacks for events.
+        events: The callbacks for events.
+    """
+
+    def __init__(
+        self,
+        node: Anything,
+        endpoint: Endpoint,
+        description: tuple[Anything, str, QoSProfile],
+        callback_group: CallbackGroup,
+        events: EventCallbacks,
+    ) -> None:
+        self._set_up(node, endpoint, description, callback_group, events)
+        self.callback_group = callback_group
+        self._sender = self._connection.advertise(endpoint)
+        super().__init__(self._sender.close)
+
+    def publish(self, msg: Anything) -> None:
+        """Send a message, or the bytes of an encoded message.
+
+        Raises:
+            TypeError: if the message is of another class, or a value does not fit its field.
+            InvalidHandle: if the publisher was destroyed.
+        """
+        data = msg if isinstance(msg, bytes) else encode(msg, self.msg_type)
+        self.handle.check()
+        self._sender.publish(data)
+        for each in self.event_handlers:
+            each.noted()
+
+    def get_subscription_count(self) -> int:
+        """Return how many subscriptions the topic has."""
+        with self.handle:
+            return self._connection.count(self._full_name, "subscription")
+
+    def assert_liveliness(self) -> None:
+        """Show that the publisher is alive.
+
+        This matters only for the publisher's own event callbacks. Other nodes do not notice it.
+        """
+        with self.handle:
+            for each in self.event_handlers:
+                each.noted(is_message=False)
+
+    def wait_for_all_acked(self, timeout: Duration | None = None) -> bool:  # noqa: ARG002  # as in rclpy
+        """Return True at once, without waiting for the subscriptions."""
+        with self.handle:
+            return True
+
+
+class MessageInfo(dict[str, Anything]):
+    """When a message was received (ns since 1970).
+
+    ``source_timestamp`` and ``received_timestamp`` have the same value.
+    """
+
+
+class Subscription(_TopicEnd, Entity):
+    """Receives the messages of a topic. `Node.create_subscription` makes a subscription.
+
+    Received messages wait as bytes until the thread that runs the callback decodes them. If more
+    messages wait than the profile's depth, the oldest are dropped.
+
+    Args:
+        node: The node.
+        endpoint: Describes the subscription on the graph.
+        description: The class of the messages, the topic's name as the program gave it, and the
+            quality of service.
+        callback: Called with each message and, if it takes two arguments, a `MessageInfo`.
+        callback_group: Decides when the callback may run.
+        events: The callbacks for events.
+        raw: Whether the callback gets encoded messages (bytes).
+    """
+
+    class CallbackType(Enum):
+        """Which arguments a callback takes."""
+
+        MessageOnly = 0
+        WithMessageInfo = 1
+
+    def __init__(
+        self,
+        node: Anything,
+        endpoint: Endpoint,
+        description: tuple[Anything, str, QoSProfile],
+        callback: Anything,
+        callback_group: CallbackGroup,
+        events: EventCallbacks,
+        *,
+        raw: bool = False,
+    ) -> None:
+        self.callback = callback
+        self.raw = raw
+        self._set_up(node, endpoint, description, callback_group, events)
+        self._waiting: deque[tuple[bytes, int]] = deque(maxlen=self.qos_profile.kept)
+        # Latched messages may come before `subscribe` returns, and wake the executor.
+        self._wake = node.wake_executor
+        close = self._connection.subscribe(endpoint, self._deliver)
+        Entity.__init__(self, callback_group, close=close, wake=node.wake_executor)
+
+    @property
+    def callback(self) -> Anything:
+        """The function that is called with each message."""
+        return self._callback
+
+    @callback.setter
+    def callback(self, value: Anything) -> None:
+        self._callback = value
+        self._callback_type = _callback_type(value)
+
+    def _deliver(self, data: bytes) -> None:
+        """Queue a message for the callback. The transport may call this method in any thread."""
+        # A deque needs no lock: with a full one, appending drops the oldest message in one step.
+        self._waiting.append((data, time.time_ns()))
+        for each in self.event_handlers:
+            each.noted()
+        self.wake()
+
+    def is_ready_now(self) -> bool:
+        """Whether a message waits; False after `destroy`."""
+        return bool(self._waiting) and not self.handle.is_destroyed
+
+    def take(self) -> Anything:
+        """Remove the oldest message that waits; return it and its `MessageInfo`."""
+        try:
+            data, received = self._waiting.popleft()
+        except IndexError:
+            return NOTHING
+        info = MessageInfo(source_timestamp=received, received_timestamp=received)
+        if self.raw:
+            return data, info
+        try:
+            return decode(data, self.msg_type), info
+        except InvalidMessage as error:
+            logger.error(f"a message of {self._full_name} cannot be read: {error}")
+            return NOTHING
+
+    async def run(self, taken: tuple[Anything, MessageInfo]) -> None:
+        """Call the callback with a message."""
+        is_plain = self._callback_type is self.CallbackType.MessageOnly
+        await await_or_execute(self._callback, *(taken[:1] if is_plain else taken))
+
+    def describe(self) -> str:
+        """Return a description of this entity for a diagnostic message."""
+        return f"the subscription of {self._full_name}"
+
+    def get_publisher_count(self) -> int:
+        """Return how many publishers the topic has."""
+        with self.handle:
+            return self._connection.count(self._full_name, "publisher")
+
+
+def _callback_type(callback: Anything) -> Subscription.CallbackType:
+    """Return which arguments a callback gets.
+
+    Raises:
+        RuntimeError: if the callback takes neither one nor two arguments.
+    """
+    try:
+        signature = inspect.signature(callback)
+    except (TypeError, ValueError):  # a function of C has none
+        return Subscription.CallbackType.MessageOnly
+    for kind in Subscription.CallbackType:
+        try:
+            signature.bind(*range(kind.value + 1))
+        except TypeError:
+            continue
+        return kind
+    raise RuntimeError(
+        "Subscription.__init__(): callback should be either be callable with one argument "
+        "(to get only the message) or two (to get message and message info)"
+    )
+
+
+def wait_for_message(
+    msg_type: Anything,
+    node: Anything,
+    topic: str,
+    *,
+    qos_profile: QoSProfile | int = 1,
+    time_to_wait: float = -1,
+) -> tuple[bool, Anything]:
+    """Wait for the next message of a topic, without running other callbacks of the node.
+
+    Args:
+        msg_type: The class of the message.
+        node: The node.
+        topic: The name of the topic.
+        qos_profile: The quality of service, or a number; see `Node.create_publisher`.
+        time_to_wait: How long to wait (s); -1 means for ever.
+
+    Returns:
+        A pair: whether a message has arrived, and the message, or None if no message has arrived.
+    """
+    from turtleact.rclpy.node import Node
+
+    received = Future()
+    # A node of its own, so that the caller's callbacks do not run here.
+    helper = Node(
+        f"_{node.get_name()}_wait",
+        context=node.context,
+        namespace=node.get_namespace(),
+        use_global_arguments=False,
+        enable_rosout=False,
+        start_parameter_services=False,
+    )
+    with helper, SingleThreadedExecutor(context=node.context) as executor:
+        full_name = node.resolve_topic_name(topic)
+        helper.create_subscription(msg_type, full_name, received.set_result, qos_profile)
+        executor.add_node(helper)
+        executor.spin_until_future_complete(received, time_to_wait)
+    return received.done(), received.result()
+
+
+# --- quality of service from parameters -----------------------------------------------------------
+
+QosCallbackResult: Anything = interface_class("rcl_interfaces/msg/SetParametersResult")
+
+DEFAULT = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY)
+
+
+class InvalidQosOverridesError(Exception):
+    """The callback of `QoSOverridingOptions` has rejected a profile."""
+
+
+class QoSOverridingOptions:
+    """Which policies of a profile may be overridden by parameters.
+
+    Args:
+        policy_kinds: The policies that may be overridden.
+        callback: Called with the overridden profile. The callback's result may reject the profile.
+        entity_id: A part of the parameters' names, which distinguishes a node's endpoints of the
+            same topic.
+    """
+
+    def __init__(
+        self,
+        policy_kinds: Iterable[QoSPolicyKind],
+        *,
+        callback: Callable[[QoSProfile], Anything] | None = None,
+        entity_id: str | None = None,
+    ) -> None:
+        self.policy_kinds = tuple(policy_kinds)
+        self.callback = callback
+        self.entity_id = entity_id
+
+    @classmethod
+    def with_default_policies(cls, **options: Anything) -> QoSOverridingOptions:
+        """Return options that let parameters override history, depth and reliability."""
+        return cls(DEFAULT, **options)
+
+
+def declare_qos_parameters(
+    entity_type: type, node: Anything, topic: str, qos: QoSProfile, options: QoSOverridingOptions
+) -> QoSProfile:
+    """Declare a parameter for each policy. Return ``qos`` with the values of the parameters.
+
+    Raises:
+        InvalidQosOverridesError: if the callback rejects the profile.
+    """
+    kind = "publisher" if issubclass(entity_type, Publisher) else "subscription"
+    suffix = f"_{options.entity_id}" if options.entity_id else ""
+    found = copy.copy(qos)
+    descriptor: Anything = interface_class("rcl_interfaces/msg/ParameterDescriptor")
+    for policy in options.policy_kinds:
+        if policy is QoSPolicyKind.LIFESPAN and kind == "subscription":
+            continue
+        policy_name = policy.name.lower()
+        name = f"qos_overrides.{topic}.{kind}{suffix}.{policy_name}"
+        try:
+            default = _as_parameter(qos, policy)
+            parameter = node.declare_parameter(name, default, descriptor(read_only=True))
+        except ParameterAlreadyDeclaredException:
+            parameter = node.get_parameter(name)
+        setattr(found, policy_name, _as_policy(getattr(qos, policy_name), parameter.value))
+    result = None if options.callback is None else options.callback(found)
+    if result is not None and not result.successful:
+        raise InvalidQosOverridesError(
+            f"{topic} {kind}{suffix}: {result.reason or 'the overrides were refused'}"
+        )
+    return found
+
+
+def _as_parameter(qos: QoSProfile, policy: QoSPolicyKind) -> str | int | bool:
+    """Return a policy of a profile as the value of a parameter."""
+    value: Anything = getattr(qos, policy.name.lower())
+    if isinstance(value, QoSPolicyEnum):
+        return value.short_key
+    plain: int | bool = value.nanoseconds if isinstance(value, Duration) else value
+    return plain
+
+
+def _as_policy(current: Anything, given: Anything) -> Anything:
+    """Return the value of a parameter as a policy of the same kind as ``current``."""
+    if isinstance(current, QoSPolicyEnum):
+        return type(current).get_from_short_key(given)
+    return Duration(nanoseconds=given) if isinstance(current, Duration) else given
+
+
+# rclpy's tests and a few programs use these by rclpy's private names.
+_get_qos_policy_parameter = _as_parameter
+_declare_qos_parameters = declare_qos_parameters
