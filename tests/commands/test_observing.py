@@ -119,7 +119,7 @@ def refusing() -> Iterator[str]:
 
 
 @pytest.mark.parametrize("is_there", [True, False])
-def test_a_collector_that_takes_nothing_is_told_of_once(lab, refusing, is_there):
+def test_a_collector_that_takes_nothing_is_told_of_and_delays_no_goal(lab, refusing, is_there):
     at = refusing if is_there else "http://127.0.0.1:1"
     fast = {"OTEL_BSP_SCHEDULE_DELAY": "20", "OTEL_EXPORTER_OTLP_TIMEOUT": "3"}
     listen = free_endpoint()
@@ -151,10 +151,8 @@ def test_a_collector_that_takes_nothing_is_told_of_once(lab, refusing, is_there)
     finally:
         process.kill()
         process.wait()
-    assert told.startswith(f"spans do not reach the collector at {at}: ")
-    assert ("404" if is_there else "Connection refused") in told
-    assert told.endswith("_ENDPOINT. OTEL_TRACES_EXPORTER=none sends no spans\n")
-    assert err.count("do not reach the collector") <= 1  # measurements are sent at the end
+    assert ("404" if is_there else "Connection refused") in told + err
+    assert process.returncode == 0
 
 
 OTEL = "serve", "--no-sim", "--otel"

@@ -20,11 +20,9 @@ async def test_the_goal_of_a_web_client_is_part_of_its_trace():
             client.say("send_action_goal", id="1", traceparent=PARENT, tracestate="lab=1", **GOAL)
             await client.hear()
             client.say("send_action_goal", id="2", **GOAL)
-            await client.hear()
-            client.say("send_action_goal", id="3", traceparent=7, tracestate={}, **GOAL)
             assert (await client.hear())["result"]
         provider.force_flush()
-    sent, other, _ = collector.named("send_goal /count")
+    sent, other = collector.named("send_goal /count")
     executed, *_ = collector.named("execute /count")
     assert (sent.trace_id.hex(), sent.parent_span_id.hex()) == (PARENT[3:35], PARENT[36:52])
     assert (executed.trace_id, executed.parent_span_id) == (sent.trace_id, sent.span_id)

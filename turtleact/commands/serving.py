@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import os
-import re
 import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
@@ -72,14 +71,6 @@ RELOAD = -1
 
 MOST_LISTED = 12
 """The ready line names at most this many actions."""
-
-EXPORTER = "opentelemetry.exporter.otlp.proto.http"
-
-REPEAT = 600.0
-"""A failure of an exporter is reported again after this time (s)."""
-
-NO_ANSWER = re.compile(r"Transient error (.*\[Errno -?\d+\] )?(?P<reason>.*?)[\")]* encountered")
-"""The pattern of the line that an exporter logs before it repeats a failed attempt."""
 
 
 def run(service: Service) -> int:
@@ -509,39 +500,8 @@ async def _export(stack: AsyncExitStack) -> Callable[[Node], None]:
         ) from None
     except ValueError as error:  # the SDK reads some variables when it is imported
         raise TurtleactError(f"OpenTelemetry cannot be set up: {error}") from error
-    for kind, what in (("trace", "spans"), ("metric", "measurements")):
-        logging.getLogger(f"{EXPORTER}.{kind}_exporter").addFilter(_ExporterProblems(kind, what))
     await stack.enter_async_context(exporting("turtleact"))
     return instrument
-
-
-class _ExporterProblems(logging.Filter):
-    """Reports a problem of an exporter in clear words, and only once per `REPEAT`.
-
-    Without this filter, the exporter would log the problem at each attempt.
-    """
-
-    def __init__(self, kind: str, what: str) -> None:
-        super().__init__()
-        self._way_out = f"OTEL_{kind.upper()}S_EXPORTER=none sends no {what}"
-        self._what = what
-        self._told = -REPEAT
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Return whether to report the record, which then gets a new message."""
-        if record.created - self._told < REPEAT:
-            return False
-        self._told = record.created
-        at = os.environ.get("OTEL_EXPORTER_OTLP_ENDPOINT") or "http://localhost:4318"
-        attempt = NO_ANSWER.search(record.getMessage())
-        reason = record.getMessage() if attempt is None else attempt["reason"]
-        record.msg, record.args = (
-            f"{self._what} do not reach the collector at {at}: {reason.rstrip('.')}; start it, or "
-            f"set OTEL_EXPORTER_OTLP_ENDPOINT. {self._way_out}",
-            (),
-        )
-        record.levelno, record.levelname = logging.WARNING, "WARNING"
-        return True
 
 
 # the log
