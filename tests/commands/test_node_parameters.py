@@ -452,4 +452,4 @@ def test_an_unknown_parameter_is_told_with_the_nearest(on_turtlesim):
 def test_a_filter_that_is_no_expression_is_a_usage_error(turtleact):
     ran = turtleact("param", "list", "--filter", "(")
     assert ran.status == 2
-    assert "--filter takes a regular expression, not '('" in ran.problem
+    assert "'--filter': '(' is no regular expression" in ran.problem

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import typer
 
-from turtleact.commands.settings import ConnectOptions
+from turtleact.commands.settings import ConnectOptions, Owner
 from turtleact.errors import TurtleactError, UnknownInterface
 
 if TYPE_CHECKING:
@@ -125,12 +125,13 @@ def nodes(ctx: typer.Context, incomplete: str) -> Candidates:
 def parameters(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # Typer filters
     """Offer the parameters of the node given earlier on the command line."""
     from turtleact.commands import graph
-    from turtleact.commands.node_parameters import names_of
+    from turtleact.commands.node_parameters import ParameterClient
 
     found: list[str] = []
 
     async def look(node: Node) -> int:
-        found.extend(await names_of(node, ctx.params["node_name"]))
+        client = await ParameterClient.find(node, Owner(ctx.params["node_name"]))
+        found.extend(await client.names())
         return 0
 
     graph.run(_reach(ctx), look)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
 
 from turtleact.commands import completion
 from turtleact.commands.app import MessageVerb, new_group, verb
@@ -23,18 +24,28 @@ from turtleact.commands.options import (
     type_of,
     value,
 )
-from turtleact.commands.output import say
-from turtleact.commands.settings import Owner, WrongOptions, quoted
-from turtleact.errors import ServerUnavailable
+from turtleact.commands.output import note, say, say_names
+from turtleact.commands.settings import Owner, quoted
+from turtleact.errors import ServerUnavailable, TurtleactError
 
 if TYPE_CHECKING:
     from turtleact.commands.message_text import GoalText, Style
     from turtleact.commands.settings import ConnectOptions
     from turtleact.interfaces import Message
+    from turtleact.interfaces.standard import ParameterValue, SetParametersResult
     from turtleact.node import Node
     from turtleact.node.services import ServiceType
 
 __all__ = ["app", "param", "service"]
+
+
+def pattern(given: str) -> re.Pattern[str]:
+    """Parse a regular expression."""
+    try:
+        return re.compile(given)
+    except re.error as error:
+        raise typer.BadParameter(f"{quoted(given)} is no regular expression: {error}") from None
+
 
 Name = Annotated[
     str, argument("PARAMETER", "The parameter, such as background_r.", completion.parameters)
@@ -45,9 +56,12 @@ CountServices = Annotated[bool, count_of("--count-services")]
 HiddenServices = Annotated[bool, flag("--include-hidden-services", text="Include hidden services.")]
 
 Filter = Annotated[
-    str | None,
+    re.Pattern[str] | None,
     value(
-        "--filter", metavar="REGEX", text="Only names that begin with a match of this expression."
+        "--filter",
+        metavar="REGEX",
+        text="Only names that begin with a match of this expression.",
+        parser=pattern,
     ),
 ]
 Prefixes = Annotated[
@@ -103,8 +117,8 @@ async def info(
 
 
 @verb(param, "list")
-def list_parameters(
-    reach: ConnectOptions,
+async def list_parameters(
+    node: Node,
     node_name: Annotated[
         str | None, argument("NODE", "The node. If left out, all nodes.", completion.nodes)
     ] = None,
@@ -115,16 +129,28 @@ def list_parameters(
     types: Annotated[bool, flag("--param-type", text="Print the types too.")] = False,
 ) -> int:
     """List the parameters of one node or of all nodes."""
-    try:
-        pattern = re.compile(filter_ or "")
-    except re.error as error:
-        problem = f"takes a regular expression, not {quoted(filter_ or '')}: {error}"
-        raise WrongOptions(f"--filter {problem}") from None
-    from turtleact.commands import graph
-    from turtleact.commands.node_parameters import print_names
+    from turtleact.commands.node_parameters import ParameterClient, kind_name
 
-    look = partial(print_names, name=node_name, types=types, hidden=hidden)
-    return graph.run(reach, partial(look, pattern=pattern, prefixes=prefixes or ()))
+    async def lines(client: ParameterClient) -> str:
+        names = await client.names(prefixes or ())
+        names = [each for each in names if filter_ is None or filter_.match(each)]
+        if types:
+            found = await client.descriptors(names)
+            names = [f"{each.name} (type: {kind_name(each.type)})" for each in found]
+        return "".join(f"  {each}\n" for each in names)
+
+    if node_name is not None:
+        say_names(await lines(await ParameterClient.find(node, Owner(node_name, hidden))))
+        return 0
+    status = 0
+    for client in await ParameterClient.find_all(node, hidden=hidden):
+        try:
+            if shown := await lines(client):
+                say_names(f"{client.owner}:\n{shown}")
+        except TurtleactError as error:  # the others are still listed
+            note(str(error))
+            status = 1
+    return status
 
 
 @verb(param)
@@ -134,34 +160,64 @@ async def get(
     name: Name,
     *,
     hide_type: Annotated[bool, flag("--hide-type", text="Print the value only.")] = False,
-) -> int:
+) -> None:
     """Print the value of a parameter."""
-    from turtleact.commands import node_parameters
+    from turtleact.commands.node_parameters import ParameterClient, kind_name, plain
 
-    return await node_parameters.print_value(node, owner, name, hide_type=hide_type)
+    client = await ParameterClient.find(node, owner)
+    [value] = await client.values([name])
+    shown = plain(value)
+    if hide_type:
+        say_names(f"{shown}\n")
+    elif shown is None:
+        say_names("Parameter not set.\n")
+    else:
+        word, _, is_array = kind_name(value.type).capitalize().partition(" ")
+        say_names(f"{word} {'values are' if is_array else 'value is'}: {shown}\n")
 
 
 @verb(param, "set")
-def set_(
-    reach: ConnectOptions,
+async def set_(
+    node: Node,
     owner: Owner,
     name: Name,
     text: Annotated[str, argument("VALUE", "A bool, a number, text or a list, as YAML.")],
 ) -> int:
     """Set a parameter."""
-    from turtleact.commands import graph
-    from turtleact.commands.node_parameters import parameter_value, set_value
+    from turtleact.commands.node_parameters import parameter_value
 
-    message = parameter_value(text)
-    return graph.run(reach, lambda node: set_value(node, owner, name, message))
+    value = parameter_value(text)
+    return await _set_one(node, owner, name, value, "Set parameter successful", "Setting")
 
 
 @verb(param)
 async def delete(node: Node, owner: Owner, name: Name) -> int:
     """Delete a parameter."""
-    from turtleact.commands import node_parameters
+    from turtleact.interfaces.standard import ParameterValue
 
-    return await node_parameters.delete(node, owner, name)
+    done = "Deleted parameter successfully"
+    return await _set_one(node, owner, name, ParameterValue(), done, "Deleting")
+
+
+async def _set_one(
+    node: Node, owner: Owner, name: str, value: ParameterValue, done: str, trying: str
+) -> int:
+    from turtleact.commands.node_parameters import ParameterClient
+    from turtleact.interfaces.standard import Parameter
+
+    client = await ParameterClient.find(node, owner)
+    [result] = await client.set([Parameter(name, value)])
+    return _tell(result, done, f"{trying} parameter failed")
+
+
+def _tell(result: SetParametersResult, done: str, failed: str) -> int:
+    """Print a node's answer, and return the exit status."""
+    reason = f": {result.reason}" if result.reason else ""
+    if result.successful:
+        say_names(f"{done}{reason}\n")
+    else:
+        note(f"{failed}{reason}")
+    return int(not result.successful)
 
 
 @verb(param)
@@ -169,24 +225,28 @@ async def describe(
     node: Node,
     owner: Owner,
     names: Annotated[list[str], argument("PARAMETER", "The parameters.", completion.parameters)],
-) -> int:
+) -> None:
     """Print what parameters are for, and which values they may have."""
-    from turtleact.commands import node_parameters
+    from turtleact.commands.node_parameters import ParameterClient, described
 
-    return await node_parameters.describe(node, owner, names)
+    client = await ParameterClient.find(node, owner)
+    for each in await client.descriptors(names):
+        say_names("".join(f"{line}\n" for line in described(each)))
 
 
 @verb(param)
-async def dump(node: Node, owner: Owner) -> int:
+async def dump(node: Node, owner: Owner) -> None:
     """Print all parameters of a node as a YAML file."""
-    from turtleact.commands import node_parameters
+    from turtleact.commands.node_parameters import ParameterClient, as_yaml
 
-    return await node_parameters.dump(node, owner)
+    client = await ParameterClient.find(node, owner)
+    names = await client.names()
+    say_names(as_yaml(client.owner, names, await client.values(names)))
 
 
 @verb(param, "load")
-def load_(
-    reach: ConnectOptions,
+async def load_(
+    node: Node,
     owner: Owner,
     path: Annotated[Path, argument("FILE", "A file in the format of 'param dump'.")],
     *,
@@ -195,11 +255,15 @@ def load_(
     ] = False,
 ) -> int:
     """Set the parameters of a node from a file."""
-    from turtleact.commands import graph
-    from turtleact.commands.node_parameters import load, read_file
+    from turtleact.commands.node_parameters import ParameterClient, values_for
 
-    found = read_file(str(path), use_wildcard=not no_wildcard)
-    return graph.run(reach, lambda node: load(node, owner, found, str(path)))
+    client = await ParameterClient.find(node, owner)
+    given = values_for(client.owner, str(path), use_wildcard=not no_wildcard)
+    statuses = [
+        _tell(result, f"Set parameter {name} successful", f"Set parameter {name} failed")
+        for name, result in zip([each.name for each in given], await client.set(given), strict=True)
+    ]
+    return max(statuses)
 
 
 @verb(service, "list")

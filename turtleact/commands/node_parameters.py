@@ -1,7 +1,7 @@
-"""Implements the verbs of ``param``, and reads the initial values of parameters for ``serve``.
+"""Asks nodes for their parameters, and reads the values that users give to parameters.
 
-A node offers its parameters through six services. The answers of these services are printed as in
-``ros2``.
+A node offers its parameters through six services. `ParameterClient` calls them for the verbs of
+``param``.
 
 ``serve`` takes initial values from ``-p NAME:=VALUE`` and ``--params-file FILE``. As in ROS 2,
 ``NAME`` may begin with the name of a node (``lab:max_speed``), and a file has a block for each
@@ -15,11 +15,10 @@ article "ROS Command Line Arguments" and rcl_yaml_param_parser for initial value
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from turtleact.commands.message_text import read_text_file
-from turtleact.commands.output import note, say_names
 from turtleact.commands.settings import Override, Owner, quoted
 from turtleact.errors import InvalidParameter, TurtleactError, UsageError
 from turtleact.interfaces import Message
@@ -35,20 +34,11 @@ from turtleact.interfaces.standard import (
     SetParametersResult,
 )
 from turtleact.interfaces.text import Document, block, tree_of
-from turtleact.node.parameter_rules import (
-    KINDS,
-    fitted,
-    flattened,
-    out_of_range,
-    value_of,
-)
+from turtleact.node.parameter_rules import KINDS, fitted, flattened, out_of_range, value_of
 from turtleact.tasks.clock import within
 from turtleact.transports.graph import is_hidden_node, types_by_name
 
 if TYPE_CHECKING:
-    import re
-    from collections.abc import Iterator, Mapping, Sequence
-
     from turtleact.interfaces.standard import (
         FloatingPointRange,
         IntegerRange,
@@ -58,31 +48,22 @@ if TYPE_CHECKING:
     from turtleact.node.services import ServiceType
 
 __all__ = [
-    "BELOW",
-    "WILDCARD",
-    "delete",
-    "describe",
-    "dump",
+    "ParameterClient",
+    "as_yaml",
+    "described",
     "kind_name",
-    "load",
-    "names_of",
     "of_node",
     "parameter_value",
     "plain",
-    "print_names",
-    "print_value",
     "read_file",
     "read_overrides",
-    "set_value",
     "unheard",
+    "values_for",
 ]
 
 Req = TypeVar("Req", bound=Message)
 
 Res = TypeVar("Res", bound=Message)
-
-DONE, FAILED = 0, 1
-"""Exit statuses."""
 
 PATIENCE = 5.0
 """How long to wait for a node's answer (s, by the clock of the graph)."""
@@ -90,168 +71,148 @@ PATIENCE = 5.0
 ON_DEMAND = 0.5
 """How long a node may take to open parameter services that a client waits for (s)."""
 
-
-async def print_names(
-    node: Node,
-    name: str | None,
-    *,
-    pattern: re.Pattern[str],
-    prefixes: Sequence[str],
-    types: bool,
-    hidden: bool,
-) -> int:
-    """Print the names of the parameters of a node, or of all nodes that have parameters.
-
-    If ``name`` is None and a node does not answer, print a note and go on with the next node. The
-    exit status is then 1.
-
-    Args:
-        node: The node of this process, which sends the requests.
-        name: The node to ask; None for all nodes.
-        pattern: Print only names that match this pattern at their beginning; None for all names.
-        prefixes: Print only names in these groups, such as ``camera`` for ``camera.rate``; empty
-            for all names.
-        types: Whether to print the types too.
-        hidden: Whether to include hidden nodes.
-
-    Raises:
-        TurtleactError: if the node does not exist, has no parameters, or does not answer.
-    """
-
-    async def lines(owner: str) -> list[str]:
-        names = await _names(node, owner, prefixes)
-        names = [each for each in names if pattern.match(each)]
-        if not types:
-            return [f"  {each}" for each in names]
-        found = await _described(node, owner, names)
-        return [f"  {one.name} (type: {kind_name(one.type)})" for one in found]
-
-    if name is not None:
-        owner = await _find(node, Owner(name, hidden))
-        say_names("".join(f"{line}\n" for line in await lines(owner)))
-        return DONE
-    status = DONE
-    for owner in sorted(_nodes(node, hidden=hidden)):
-        if not await _has_parameters(node, owner):
-            continue
-        try:
-            shown = await lines(owner)
-        except TurtleactError as error:
-            note(str(error))
-            status = FAILED
-            continue
-        if shown:
-            say_names("".join(f"{line}\n" for line in (f"{owner}:", *shown)))
-    return status
-
-
-async def names_of(node: Node, name: str) -> list[str]:
-    """Return the names of a node's parameters. Raise the same errors as `print_names`."""
-    return await _names(node, await _find(node, Owner(name)), ())
-
-
-async def print_value(node: Node, owner: Owner, name: str, *, hide_type: bool) -> int:
-    """Print the value of a parameter.
-
-    Raises:
-        TurtleactError: if there is no such node or parameter. The error suggests the nearest name.
-    """
-    who = await _find(node, owner)
-    [value] = await _values(node, who, [name])
-    shown = plain(value)
-    if hide_type:
-        say_names(f"{shown}\n")
-    elif shown is None:
-        say_names("Parameter not set.\n")
-    else:
-        word, _, is_array = kind_name(value.type).capitalize().partition(" ")
-        say_names(f"{word} {'values are' if is_array else 'value is'}: {shown}\n")
-    return DONE
-
-
-async def set_value(node: Node, owner: Owner, name: str, value: ParameterValue) -> int:
-    """Set a parameter. Return the exit status 0 if the node accepts the value, otherwise 1.
-
-    Raises:
-        TurtleactError: if there is no such node.
-    """
-    return await _set_one(node, owner, name, value, "Set parameter successful", "Setting")
-
-
-async def delete(node: Node, owner: Owner, name: str) -> int:
-    """Delete a parameter. Return the exit status 0 if the node agrees, otherwise 1."""
-    done = "Deleted parameter successfully"
-    return await _set_one(node, owner, name, ParameterValue(), done, "Deleting")
-
-
-async def describe(node: Node, owner: Owner, names: Sequence[str]) -> int:
-    """Print the type, the description and the constraints of each parameter.
-
-    Raises:
-        TurtleactError: if there is no such node or parameter. The error suggests the nearest name.
-    """
-    who = await _find(node, owner)
-    for each in await _described(node, who, names):
-        say_names("".join(f"{line}\n" for line in _description(each)))
-    return DONE
-
-
-async def dump(node: Node, owner: Owner) -> int:
-    """Print all parameters of a node as YAML that `read_file` can read.
-
-    Raises:
-        TurtleactError: if there is no such node.
-    """
-    who = await _find(node, owner)
-    names = await _names(node, who, ())
-    tree: dict[str, object] = {}
-    for name, value in zip(names, await _values(node, who, names), strict=True):
-        _insert(tree, name, plain(value))
-    say_names("".join(f"{line}\n" for line in block({who: {BELOW: tree}})) + "\n")
-    return DONE
-
-
-async def load(
-    node: Node, owner: Owner, parameters: Mapping[str, Mapping[str, ParameterValue]], source: str
-) -> int:
-    """Set a node's parameters to the values of a file.
-
-    Return the exit status 0 if the node accepts all values, otherwise 1.
-
-    Args:
-        node: The node of this process, which sends the requests.
-        owner: The node that has the parameters.
-        parameters: The result of `read_file`.
-        source: The name of the file, for error messages.
-
-    Raises:
-        UsageError: if the file has no parameters for that node.
-        TurtleactError: if there is no such node.
-    """
-    who = await _find(node, owner)
-    wanted: dict[str, ParameterValue] = {}
-    for key in (WILDCARD, who[1:], who):
-        wanted |= parameters.get(key, {})
-    if not wanted:
-        known = ", ".join(name for name, given in parameters.items() if given)
-        others = f", but for {known}" if known else ""
-        raise UsageError(f"{source}: has no parameters for {who}{others}")
-    given = [Parameter(name, value) for name, value in wanted.items()]
-    results = await _set(node, who, given)
-    for name, result in zip(wanted, results, strict=True):
-        reason = f": {result.reason}" if result.reason else ""
-        if result.successful:
-            say_names(f"Set parameter {name} successful{reason}\n")
-        else:
-            note(f"Set parameter {name} failed{reason}")
-    return DONE if all(result.successful for result in results) else FAILED
-
-
 WILDCARD = "/**"
 """The name that stands for all nodes in a file of parameters."""
 
 BELOW = "ros__parameters"
 """The key that holds a node's parameters in a file of parameters."""
+
+
+class ParameterClient:
+    """Lists, gets, describes and sets the parameters of one node.
+
+    Args:
+        node: The node of this process, which sends the requests.
+        owner: The full name of the node that has the parameters.
+    """
+
+    def __init__(self, node: Node, owner: str) -> None:
+        self._node = node
+        self.owner = owner
+
+    @classmethod
+    async def find(cls, node: Node, owner: Owner) -> ParameterClient:
+        """Wait for a node that has parameters.
+
+        Raises:
+            TurtleactError: if there is no such node, or it has no parameters. The error suggests
+                the nearest name.
+        """
+        name = owner.name if owner.name.startswith("/") else f"/{owner.name}"
+        async with within(owner.timeout, node.clock):
+            while name not in _nodes(node, hidden=owner.hidden):
+                await node.transport.wait_for_change()
+        known = _nodes(node, hidden=owner.hidden)
+        if name not in known:
+            raise TurtleactError(f"there is no node '{name}'{names_like(name, known)}")
+        found = cls(node, name)
+        if not await found._has_services():
+            raise TurtleactError(
+                f"node '{name}' has no parameters: nobody serves {name}/get_parameters"
+            )
+        return found
+
+    @classmethod
+    async def find_all(cls, node: Node, *, hidden: bool) -> list[ParameterClient]:
+        """Return a client for each node that has parameters, sorted by name."""
+        clients = [cls(node, name) for name in sorted(_nodes(node, hidden=hidden))]
+        return [each for each in clients if await each._has_services()]
+
+    async def names(self, prefixes: Sequence[str] = ()) -> list[str]:
+        """Return the names of the parameters, sorted; with ``prefixes``, only these groups."""
+        request = ListParameters.Request(list(prefixes))
+        return sorted((await self._ask(ListParameters, request)).result.names)
+
+    async def values(self, names: Sequence[str]) -> list[ParameterValue]:
+        """Return the values of parameters.
+
+        Raises:
+            TurtleactError: if the node lacks any of them. The error suggests the nearest name.
+        """
+        response = await self._ask(GetParameters, GetParameters.Request(list(names)))
+        if len(response.values) < len(names):
+            await self._refuse_unknown(names)
+        return response.values
+
+    async def descriptors(self, names: Sequence[str]) -> list[ParameterDescriptor]:
+        """Return the descriptions of parameters. The errors are those of `values`."""
+        response = await self._ask(DescribeParameters, DescribeParameters.Request(list(names)))
+        if len(response.descriptors) < len(names):
+            await self._refuse_unknown(names)
+        return response.descriptors
+
+    async def set(self, parameters: Sequence[Parameter]) -> list[SetParametersResult]:
+        """Set parameters, and return the node's answers.
+
+        If the node refuses a value, this method adds the allowed range to the reason in the answer,
+        or the existing parameter with the most similar name.
+        """
+        request = SetParameters.Request(list(parameters))
+        results = list((await self._ask(SetParameters, request)).results)
+        refused = [place for place, result in enumerate(results) if not result.successful]
+        known = await self.names() if refused else []
+        for place in refused:
+            name = parameters[place].name
+            if name in known:
+                results[place] = await self._set_again(parameters[place], results[place])
+            else:
+                results[place].reason += names_like(name, known)
+        return results
+
+    async def _set_again(
+        self, parameter: Parameter, refusal: SetParametersResult
+    ) -> SetParametersResult:
+        """Convert a refused value to the parameter's type and set it, or explain the refusal."""
+        # ROS 2 refuses an integer for a double, although ``2`` can mean nothing else. The node is
+        # asked for the parameter's type only after it has refused, so all other cases cost one
+        # call.
+        [known] = await self.descriptors([parameter.name])
+        value, given = parameter.value, value_of(parameter.value)
+        if given is not None:  # otherwise it was to be deleted
+            value = fitted(parameter.name, given, known.type)
+        result = refusal
+        if value != parameter.value:
+            request = SetParameters.Request([Parameter(parameter.name, value)])
+            [result] = (await self._ask(SetParameters, request)).results
+        taken = "" if result.successful else out_of_range(known, value)
+        if taken[1:] not in result.reason:
+            result.reason = f"{result.reason.rstrip('.')}: {taken}" if result.reason else taken
+        return result
+
+    async def _has_services(self) -> bool:
+        """Whether the node serves its parameters, perhaps only since this client waits for them."""
+        service = f"{self.owner}/get_parameters"
+        if service in types_by_name(self._node.transport.endpoints(), "service", hidden=True):
+            return True
+        client = self._node.service_client(GetParameters, service)
+        try:
+            return await client.wait_for_service(ON_DEMAND)
+        finally:
+            await client.aclose()
+
+    async def _ask(self, service_type: ServiceType[Req, Res], request: Req) -> Res:
+        """Call one of the parameter services. The name of the service follows from its type."""
+        words = service_type.type_name.rpartition("/")[2].removesuffix("Parameters").lower()
+        client = self._node.service_client(service_type, f"{self.owner}/{words}_parameters")
+        try:
+            await client.wait_for_service(PATIENCE)
+            return await client.call(request, PATIENCE)
+        finally:
+            await client.aclose()
+
+    async def _refuse_unknown(self, names: Sequence[str]) -> None:
+        known = await self.names()
+        for name in names:
+            if name not in known:
+                hint = names_like(name, known)
+                raise TurtleactError(f"node '{self.owner}' has no parameter '{name}'{hint}")
+
+
+def _nodes(node: Node, *, hidden: bool) -> list[str]:
+    return [name for name in node.transport.nodes() if hidden or not is_hidden_node(name)]
+
+
+# texts and files
 
 
 def parameter_value(text: str) -> ParameterValue:
@@ -275,7 +236,7 @@ def read_file(path: str, *, use_wildcard: bool) -> dict[str, dict[str, Parameter
     """Return the values in a file of parameters, keyed by node name and then by parameter name.
 
     Args:
-        path: A YAML file in the format that `dump` prints.
+        path: A YAML file in the format that `as_yaml` makes.
         use_wildcard: Whether to include the block ``/**``, which is for all nodes.
 
     Raises:
@@ -310,11 +271,55 @@ def kind_name(number: int) -> str:
     return KINDS[number].name if number < len(KINDS) else "not set"
 
 
+def as_yaml(owner: str, names: Sequence[str], values: Sequence[ParameterValue]) -> str:
+    """Return the parameters of a node as YAML that `read_file` can read."""
+    tree: dict[str, object] = {}
+    for name, value in zip(names, values, strict=True):
+        _insert(tree, name, plain(value))
+    return "".join(f"{line}\n" for line in block({owner: {BELOW: tree}})) + "\n"
+
+
+def values_for(owner: str, path: str, *, use_wildcard: bool) -> list[Parameter]:
+    """Return the values that a file has for a node.
+
+    Raises:
+        UsageError: if the file has none for that node. Other errors are those of `read_file`.
+    """
+    found = read_file(path, use_wildcard=use_wildcard)
+    wanted: dict[str, ParameterValue] = {}
+    for key in (WILDCARD, owner[1:], owner):
+        wanted |= found.get(key, {})
+    if not wanted:
+        known = ", ".join(name for name, given in found.items() if given)
+        others = f", but for {known}" if known else ""
+        raise UsageError(f"{path}: has no parameters for {owner}{others}")
+    return [Parameter(name, value) for name, value in wanted.items()]
+
+
+def described(known: ParameterDescriptor) -> Iterator[str]:
+    """Yield the lines that describe a parameter."""
+    yield f"Parameter name: {known.name}"
+    yield f"  Type: {kind_name(known.type)}"
+    if known.description:
+        yield f"  Description: {known.description}"
+    yield "  Constraints:"
+    if known.read_only:
+        yield "    Read only: true"
+    ranges: list[FloatingPointRange | IntegerRange] = [*known.floating_point_range]
+    for bounds in [*ranges, *known.integer_range]:
+        yield f"    Min value: {bounds.from_value}"
+        yield f"    Max value: {bounds.to_value}"
+        if bounds.step:
+            yield f"    Step: {bounds.step}"
+    if known.additional_constraints:
+        yield f"    Additional constraints: {known.additional_constraints}"
+
+
 def read_overrides(files: Sequence[str], assignments: Sequence[str]) -> list[Override]:
     """Read initial values of parameters: first those in files, then those in assignments.
 
     Raises:
-        UsageError: if a file cannot be read or does not have the format of `dump`, or if an
+        UsageError: if a file cannot be read or does not have the format of `as_yaml`, or if an
             assignment is malformed.
         InvalidMessage: if a value is not YAML.
     """
@@ -362,161 +367,6 @@ def unheard(overrides: Iterable[Override], node: str, declared: Iterable[str]) -
         named = ", ".join(others)
         said.append(f"the node of this server is {node}, but the parameters are for {named}")
     return said
-
-
-# what is asked of a node
-
-
-async def _find(node: Node, owner: Owner) -> str:
-    """Wait for a node that has parameters, and return its full name."""
-    name = owner.name if owner.name.startswith("/") else f"/{owner.name}"
-    async with within(owner.timeout, node.clock):
-        while name not in _nodes(node, hidden=owner.hidden):
-            await node.transport.wait_for_change()
-    known = _nodes(node, hidden=owner.hidden)
-    if name not in known:
-        raise TurtleactError(f"there is no node '{name}'{names_like(name, known)}")
-    if not await _has_parameters(node, name):
-        raise TurtleactError(
-            f"node '{name}' has no parameters: nobody serves {name}/get_parameters"
-        )
-    return name
-
-
-def _nodes(node: Node, *, hidden: bool) -> list[str]:
-    return [name for name in node.transport.nodes() if hidden or not is_hidden_node(name)]
-
-
-async def _has_parameters(node: Node, name: str) -> bool:
-    """Whether a node serves its parameters, perhaps only since this client waits for them."""
-    service = f"{name}/get_parameters"
-    if service in types_by_name(node.transport.endpoints(), "service", hidden=True):
-        return True
-    client = node.service_client(GetParameters, service)
-    try:
-        return await client.wait_for_service(ON_DEMAND)
-    finally:
-        await client.aclose()
-
-
-async def _ask(node: Node, service_type: ServiceType[Req, Res], owner: str, request: Req) -> Res:
-    """Call one of a node's parameter services. The name of the service follows from its type."""
-    words = service_type.type_name.rpartition("/")[2].removesuffix("Parameters").lower()
-    client = node.service_client(service_type, f"{owner}/{words}_parameters")
-    try:
-        await client.wait_for_service(PATIENCE)
-        return await client.call(request, PATIENCE)
-    finally:
-        await client.aclose()
-
-
-async def _names(node: Node, owner: str, prefixes: Sequence[str]) -> list[str]:
-    request = ListParameters.Request(list(prefixes))
-    return sorted((await _ask(node, ListParameters, owner, request)).result.names)
-
-
-async def _values(node: Node, owner: str, names: Sequence[str]) -> list[ParameterValue]:
-    """Return the values of parameters. Raise an error if the node lacks any of ``names``."""
-    response = await _ask(node, GetParameters, owner, GetParameters.Request(list(names)))
-    if len(response.values) < len(names):
-        await _refuse_unknown(node, owner, names)
-    return response.values
-
-
-async def _described(node: Node, owner: str, names: Sequence[str]) -> list[ParameterDescriptor]:
-    """Return the descriptions of parameters. Raise an error if the node lacks any of ``names``."""
-    request = DescribeParameters.Request(list(names))
-    response = await _ask(node, DescribeParameters, owner, request)
-    if len(response.descriptors) < len(names):
-        await _refuse_unknown(node, owner, names)
-    return response.descriptors
-
-
-async def _refuse_unknown(node: Node, owner: str, names: Sequence[str]) -> None:
-    """Raise an error for the first of these parameters that a node lacks.
-
-    The error suggests the nearest name.
-    """
-    known = await _names(node, owner, ())
-    for name in names:
-        if name not in known:
-            hint = names_like(name, known)
-            raise TurtleactError(f"node '{owner}' has no parameter '{name}'{hint}")
-
-
-async def _set_one(
-    node: Node, owner: Owner, name: str, value: ParameterValue, done: str, trying: str
-) -> int:
-    who = await _find(node, owner)
-    [result] = await _set(node, who, [Parameter(name, value)])
-    reason = f": {result.reason}" if result.reason else ""
-    if result.successful:
-        say_names(f"{done}{reason}\n")
-        return DONE
-    note(f"{trying} parameter failed{reason}")
-    return FAILED
-
-
-async def _set(
-    node: Node, owner: str, parameters: Sequence[Parameter]
-) -> list[SetParametersResult]:
-    """Set parameters, and return the node's answers.
-
-    If the node refuses a value, this function adds the allowed range to the reason in the answer,
-    or the existing parameter with the most similar name.
-    """
-    request = SetParameters.Request(list(parameters))
-    results = list((await _ask(node, SetParameters, owner, request)).results)
-    refused = [place for place, result in enumerate(results) if not result.successful]
-    known = await _names(node, owner, ()) if refused else []
-    for place in refused:
-        name = parameters[place].name
-        if name in known:
-            results[place] = await _set_again(node, owner, parameters[place], results[place])
-        else:
-            results[place].reason += names_like(name, known)
-    return results
-
-
-async def _set_again(
-    node: Node, owner: str, parameter: Parameter, refusal: SetParametersResult
-) -> SetParametersResult:
-    """Convert a refused value to the parameter's type and set it again, or explain the refusal."""
-    # ROS 2 refuses an integer for a double, although ``2`` can mean nothing else. The node is asked
-    # for the parameter's type only after it has refused, so all other cases cost one call.
-    [known] = await _described(node, owner, [parameter.name])
-    value, given = parameter.value, value_of(parameter.value)
-    if given is not None:  # otherwise it was to be deleted
-        value = fitted(parameter.name, given, known.type)
-    result = refusal
-    if value != parameter.value:
-        request = SetParameters.Request([Parameter(parameter.name, value)])
-        [result] = (await _ask(node, SetParameters, owner, request)).results
-    taken = "" if result.successful else out_of_range(known, value)
-    if taken[1:] not in result.reason:
-        result.reason = f"{result.reason.rstrip('.')}: {taken}" if result.reason else taken
-    return result
-
-
-# how answers are printed
-
-
-def _description(known: ParameterDescriptor) -> Iterator[str]:
-    yield f"Parameter name: {known.name}"
-    yield f"  Type: {kind_name(known.type)}"
-    if known.description:
-        yield f"  Description: {known.description}"
-    yield "  Constraints:"
-    if known.read_only:
-        yield "    Read only: true"
-    ranges: list[FloatingPointRange | IntegerRange] = [*known.floating_point_range]
-    for bounds in [*ranges, *known.integer_range]:
-        yield f"    Min value: {bounds.from_value}"
-        yield f"    Max value: {bounds.to_value}"
-        if bounds.step:
-            yield f"    Step: {bounds.step}"
-    if known.additional_constraints:
-        yield f"    Additional constraints: {known.additional_constraints}"
 
 
 def _insert(tree: dict[str, object], name: str, value: object) -> None:
