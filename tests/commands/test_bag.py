@@ -361,21 +361,6 @@ def test_what_cannot_be_played_is_said(on_graph, tmp_path):
     assert "'/odd' was not played: its type lab_msgs/msg/Odd is not known; give" in ran.err
 
 
-def test_a_bag_that_was_cut_before_its_first_message_says_so(on_graph, bag, caplog):
-    file = next(bag.glob("*.mcap"))
-    file.write_bytes(file.read_bytes()[:60])
-    ran = on_graph(talking, "bag", "play", str(bag))
-    assert (ran.status, ran.err.splitlines()[-1]) == (1, "turtleact: played 0 messages")
-    assert "it was not closed, so messages may be missing at its end" in caplog.text
-
-
-@pytest.mark.parametrize("verb", ["info", "goals"])
-def test_a_signal_ends_the_reading_of_a_bag(turtleact, bag, monkeypatch, verb):
-    monkeypatch.setattr(Bag, "__init__", lambda *_: signal.raise_signal(signal.SIGINT))
-    ran = turtleact("bag", verb, str(bag))
-    assert (ran.status, "Traceback" in ran.err) == (130, False)
-
-
 @pytest.mark.parametrize(
     ("options", "problem"),
     [

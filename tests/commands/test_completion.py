@@ -391,18 +391,3 @@ def test_bash_completes_by_typers_script_an_alias_too(program):
         env=os.environ | {"PATH": f"{program}:{os.environ['PATH']}"},
     )
     assert (ran.stdout, ran.stderr) == ('<"{order: 0}">\n<hz>\n', "")
-
-
-def test_typer_installs_completion_for_the_shell_it_runs_in(program):
-    (program / "home").mkdir()
-    ran = subprocess.run(
-        ["bash", "--norc", "-c", "turtleact --install-completion; exit $?"],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"PATH": f"{program}:{os.environ['PATH']}", "HOME": str(program / "home")},
-    )
-    assert (ran.returncode, ran.stderr) == (0, "")
-    script = program / "home" / ".bash_completions" / "turtleact.sh"
-    assert "complete_bash" in script.read_text()
-    assert str(script) in (program / "home" / ".bashrc").read_text()

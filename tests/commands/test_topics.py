@@ -248,18 +248,6 @@ def test_a_topic_that_nobody_publishes_for_a_second_is_told_of(on_graph, pause, 
     assert ran.err == told * gone
 
 
-@pytest.mark.parametrize(
-    ("type_name", "problem"),
-    [
-        ("std_msgs/msg/Strin", "unknown interface 'std_msgs/msg/Strin', did you mean"),
-    ],
-)
-def test_a_type_that_is_no_message_is_an_error(on_graph, graphs, type_name, problem):
-    ran = on_graph(graphs.nothing, "topic", "echo", "/it", type_name)
-    assert (ran.status, ran.out) == (1, "")
-    assert ran.err.startswith(f"turtleact: {problem}")
-
-
 def test_a_type_of_the_graph_that_is_not_known_here_says_how_to_make_it_known(on_graph, graphs):
     ran = on_graph(graphs.on_a_wire(), "topic", "echo", "/far")
     assert (ran.status, ran.out) == (1, "")
@@ -302,37 +290,12 @@ def test_a_filter_that_fails_is_a_usage_error(on_graph, expression, problem):
     assert ran.err.startswith(f"turtleact: {problem}")
 
 
-def test_a_filter_that_is_no_python_is_a_usage_error(turtleact):
-    ran = turtleact("topic", "echo", "/it", "--filter", "m.data >")
-    assert (ran.status, ran.out) == (2, "")
-    assert ran.problem.startswith(
-        "--filter takes a Python expression such as m.x > 5, not 'm.data >': invalid"
-    )
-
-
 def test_a_type_that_the_topic_has_not_is_refused(on_graph, graphs):
     ran = on_graph(graphs.turtlesim, "topic", "echo", "/turtle1/pose", "std_msgs/msg/String")
     assert (ran.status, ran.err) == (
         1,
         "turtleact: topic '/turtle1/pose': it is of type turtlesim/msg/Pose, not "
         "std_msgs/msg/String; leave out the type or correct it\n",
-    )
-
-
-def test_a_topic_that_comes_with_another_type_is_told_so(on_graph, graphs):
-    @asynccontextmanager
-    async def nodes(transport):
-        async with open_node("late", transport=transport) as node:
-            with_it = graphs.after(1, lambda: node.publisher(Twist, "/it"))
-            async with with_it(transport):
-                yield
-
-    command = ["topic", "echo", "/it", "std_msgs/msg/String", "--timeout", "2"]
-    ran = on_graph(nodes, *command)
-    assert (ran.status, ran.err) == (
-        1,
-        "turtleact: topic '/it': it is of type geometry_msgs/msg/Twist, not std_msgs/msg/String; "
-        "leave out the type or correct it\n",
     )
 
 
@@ -506,19 +469,12 @@ def test_a_type_that_nobody_reads_is_told_and_waited_for(on_graph, graphs):
 def test_messages_are_published_at_a_rate(on_graph):
     heard: list[Any] = []
     nodes = listening("/it", "std_msgs/msg/String", heard)
-    command = ["topic", "pub", "-r", "4", "-t", "3", "it", "std_msgs/msg/String", "data: x"]
-    ran = on_graph(nodes, *command)
+    command = words("topic pub -r 4 -t 4 -p 2 it std_msgs/msg/String")
+    ran = on_graph(nodes, *command, "data: x")
     assert ran.out == "publisher: beginning loop\n" + "".join(
-        f"publishing #{i}: std_msgs.msg.String(data='x')\n\n" for i in (1, 2, 3)
+        f"publishing #{i}: std_msgs.msg.String(data='x')\n\n" for i in (2, 4)
     )
     assert [each for each, _ in heard][:2] == [0.0, 0.25]
-
-
-def test_only_some_of_them_may_be_printed(on_graph, graphs):
-    out = on_graph(graphs.turtlesim, *words("topic pub -p 2 -t 4 /turtle1/cmd_vel")).out
-    assert re.findall(r"#(\d)", out) == ["2", "4"]
-    out = on_graph(graphs.turtlesim, *words("topic pub -p 0 -t 4 /turtle1/cmd_vel")).out
-    assert out == "publisher: beginning loop\n"
 
 
 def test_a_message_that_does_not_fit_is_refused(on_graph, graphs):
@@ -539,15 +495,6 @@ def test_a_message_reaches_a_subscription_that_comes_late(on_graph, graphs):
     ran = on_graph(nodes, "topic", "pub", "--once", "/it", "std_msgs/msg/String", "data: x")
     assert ran.out.startswith("Waiting for at least 1 matching subscription(s)...\n")
     assert [message.data for _, message in heard] == ["x"]
-
-
-def test_a_message_goes_from_one_process_to_another(start, free_tcp_port):
-    at = f"tcp/127.0.0.1:{free_tcp_port}"
-    start("serve", "--no-sim", "--listen", at, module=True).wait_for("ready")
-    where = ("/it", "std_msgs/msg/String", "--connect", at)
-    reader = start("topic", "echo", *where, "--once", module=True)
-    writer = start("topic", "pub", "-1", *where[:2], "data: x", *where[2:], module=True)
-    assert (reader.end().out, writer.end().status) == ("data: x\n---\n", 0)
 
 
 # --- call -----------------------------------------------------------------------------------

@@ -94,22 +94,22 @@ def words(*known: str) -> Callable[[], list[str]]:
 # the graph
 
 
-@_silent
-def actions(ctx: typer.Context, incomplete: str) -> Candidates:
-    """Offer the actions on the graph, or those of the embedded world if there is no graph."""
-    return _as_begun(_types_by_name(ctx, "action"), incomplete)
+def _names(kind: Kind) -> Complete:
+    """Return a completion function for the actions, services or topics on the graph.
+
+    If there is no graph, it offers the actions of the embedded world.
+    """
+
+    @_silent
+    def complete(ctx: typer.Context, incomplete: str) -> Candidates:
+        return _as_begun(_types_by_name(ctx, kind), incomplete)
+
+    return complete
 
 
-@_silent
-def topics(ctx: typer.Context, incomplete: str) -> Candidates:
-    """Offer the topics on the graph."""
-    return _as_begun(_types_by_name(ctx, "topic"), incomplete)
-
-
-@_silent
-def services(ctx: typer.Context, incomplete: str) -> Candidates:
-    """Offer the services on the graph."""
-    return _as_begun(_types_by_name(ctx, "service"), incomplete)
+actions = _names("action")
+services = _names("service")
+topics = _names("topic")
 
 
 @_silent
