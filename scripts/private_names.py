@@ -26,12 +26,13 @@ from typing import NamedTuple
 FOLDERS = ("turtleact", "tests", "benchmarks", "examples", "scripts")
 
 ALLOWED: set[tuple[str, str]] = {
-    # Whether a loop that is not ours has callbacks ready; falls back to polling.
+    # Whether a loop has callbacks ready; falls back to polling.
     ("turtleact/tasks/idle.py", "_ready"),
-    # `is_in_shielded_scope`: `asyncio.Task.cancel` would break into a shielded scope of anyio, and
-    # anyio has no public way to ask for one. Without the names, the cancellation arrives at once.
-    ("turtleact/tasks/on_asyncio.py", "_task_states"),
-    ("turtleact/tasks/on_asyncio.py", "_parent_scope"),
+    # `AsyncioTasks.is_shielded`: `asyncio.Task.cancel` would break into a shielded scope of anyio,
+    # and anyio has no public way to ask for one. Without the names, the cancellation arrives at
+    # once.
+    ("turtleact/tasks/event_loops.py", "_task_states"),
+    ("turtleact/tasks/event_loops.py", "_parent_scope"),
     # Nothing private: `PyGILState_Ensure` is in Python's public C API. Zenoh's threads call it once
     # each. It is listed because `pythonapi` could also reach what is private.
     ("turtleact/transports/rmw_zenoh/session.py", "pythonapi"),

@@ -14,7 +14,7 @@ import turtleact
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.state import Goal
 from turtleact.interfaces import Action, Message, int32
-from turtleact.tasks import current_tasks, new_event_loop
+from turtleact.tasks import current_tasks
 from turtleact.tasks.clock import VirtualClock
 from turtleact.transports import MemoryTransport
 
@@ -32,7 +32,7 @@ ON_ASYNCIO = pytest.mark.parametrize(
 ON_A_LOOP_THAT_TELLS = pytest.mark.parametrize(
     "anyio_backend",
     [
-        pytest.param(("asyncio", {"loop_factory": new_event_loop}), id="asyncio"),
+        pytest.param(("asyncio", {"use_uvloop": False}), id="asyncio"),
         pytest.param(("trio", {}), id="trio"),
     ],
 )

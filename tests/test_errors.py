@@ -8,9 +8,8 @@ import pickle
 import pytest
 
 from turtleact import errors
-from turtleact.errors import TurtleactError
+from turtleact.errors import LONGEST, TurtleactError, encodable, summary, text_of
 from turtleact.goals.state import GoalEvent, GoalStatus
-from turtleact.tasks.failures import LONGEST, encodable, summary, text_of
 
 from .tables import together
 

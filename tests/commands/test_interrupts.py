@@ -44,12 +44,11 @@ async def main():
 
 def test_a_signal_while_the_loop_opens_cancels_the_command():
     it = ran("""
-import turtleact.commands.interrupts as opening
-new_event_loop = opening.new_event_loop
+new_event_loop = asyncio.new_event_loop
 def open_late():
     come()
     return new_event_loop()
-opening.new_event_loop = open_late
+asyncio.new_event_loop = open_late
 async def main():
     print('started')
 """)

@@ -16,6 +16,7 @@ import pytest
 
 from turtleact import GoalStatus, Outcome
 from turtleact.errors import (
+    LONGEST,
     Abort,
     Cancel,
     GoalAborted,
@@ -25,7 +26,6 @@ from turtleact.errors import (
 )
 from turtleact.goals.body import BURST
 from turtleact.goals.state import CURRENT_GOAL, FeedbackLog
-from turtleact.tasks.failures import LONGEST
 
 from ..lab import (
     ON_ASYNCIO,

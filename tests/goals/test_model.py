@@ -1525,9 +1525,8 @@ class Hand(HandClock):
 
     async def pass_time(self, seconds: float) -> None:
         until = self._time + seconds
-        while (first := self._sleepers.first) is not None and first[0] <= until:
-            self._sleepers.remove(first)
-            self._time, _, sleeper = first
+        while self._sleepers and self._sleepers[0][0] <= until:
+            self._time, _, sleeper = self._sleepers.pop(0)
             sleeper.fire()
             await take_turns()
         self._time = until

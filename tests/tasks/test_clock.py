@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-import weakref
 
 import anyio
 import anyio.lowlevel
@@ -17,7 +16,6 @@ from turtleact.tasks.clock import (
     EPOCH,
     FASTEST,
     LEEWAY,
-    Heap,
     ScaledClock,
     VirtualClock,
     WallClock,
@@ -494,37 +492,6 @@ async def test_time_does_not_leap_to_the_end_of_a_canceled_sleep():
         await wait_until_idle()
         driver.scope.cancel()
     assert clock.time() == 0
-
-
-def test_a_heap_gives_the_least_item_first_whatever_was_removed():
-    heap = Heap[tuple[float, int]]()
-    items = [(float(number % 7), number) for number in range(20)]
-    for item in items:
-        heap.push(item)
-    for removed in (items[7], items[0], items[14], items[19]):
-        heap.remove(removed)
-        items.remove(removed)
-        assert (heap.first, len(heap)) == (min(items), len(items))
-
-
-def test_an_item_can_be_removed_from_a_heap_twice():
-    heap = Heap[tuple[float, int]]()
-    heap.push((1.0, 1))
-    heap.remove((1.0, 1))
-    heap.remove((1.0, 1))
-    assert (heap.first, len(heap)) == (None, 0)
-
-
-def test_of_many_removed_items_a_heap_keeps_few():
-    heap = Heap[tuple[float, int, anyio.Event]]()
-    heap.push((0.0, 0, anyio.Event()))
-    removed = weakref.WeakSet[anyio.Event]()
-    for number in range(1, 201):
-        item = (1.0, number, anyio.Event())
-        removed.add(item[2])
-        heap.push(item)
-        heap.remove(item)
-    assert len(removed) < 20
 
 
 async def test_a_canceled_sleep_leaves_the_others_in_order():

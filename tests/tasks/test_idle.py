@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from contextlib import aclosing
-from typing import Any, cast
 
 import anyio
 import anyio.lowlevel
 import pytest
 
-from turtleact.tasks import Background, new_event_loop, wait_until_idle
+from turtleact.tasks import Background, wait_until_idle
 from turtleact.tasks.clock import VirtualClock
-from turtleact.tasks.idle import ready_callbacks as ready_of
 
 from ..lab import running
 
@@ -59,31 +57,11 @@ async def test_one_who_no_longer_waits_for_idleness_is_not_counted():
         assert worker.done.is_set()
 
 
-FOREIGN = pytest.mark.parametrize(
-    "anyio_backend", [("asyncio", {"use_uvloop": False})], ids=["asyncio"]
-)
-
-
-@FOREIGN
-async def test_virtual_time_goes_on_where_the_loop_hides_its_callbacks(monkeypatch, caplog):
-    monkeypatch.setattr("turtleact.tasks.idle.ready_callbacks", lambda loop: None)
+@pytest.mark.loops("uvloop")
+async def test_virtual_time_goes_on_where_the_loop_hides_its_callbacks(caplog):
     clock = VirtualClock()
     async with aclosing(Background(clock.run(), "the clock")):
         for _ in range(2):
             await clock.sleep(60)
     assert clock.time() == 120
     assert [record.getMessage()[:20] for record in caplog.records] == ["virtual time is slow"]
-
-
-def test_a_loop_without_the_private_attribute_hides_its_callbacks():
-    assert ready_of(cast("Any", object())) is None
-
-
-def test_a_loop_of_ours_is_watched_by_its_selector():
-    async def main() -> None:
-        await wait_until_idle()
-        with anyio.move_on_after(0.01):
-            await anyio.sleep_forever()
-        await wait_until_idle()
-
-    anyio.run(main, backend_options={"loop_factory": new_event_loop})

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import turtleact
-from turtleact.tasks.opening import opening
+from turtleact.tasks import opening
 
 pytestmark = pytest.mark.loops("asyncio")
 
@@ -95,13 +95,3 @@ def test_an_error_says_that_async_with_is_missing():
     said = "open_node(…) is not open yet and has no 'serve': write 'async with open_node(…) as …:'"
     with pytest.raises(AttributeError, match=f"^{re.escape(said)}$"):
         node.serve(None)
-
-
-async def test_an_error_says_that_each_block_needs_a_call_of_its_own():
-    opened = open_door([])("oak")
-    async with opened:
-        pass
-    said = "this result of open_door(…) was used before: call open_door(…) again"
-    with pytest.raises(RuntimeError, match=f"^{re.escape(said)}"):
-        async with opened:
-            pass

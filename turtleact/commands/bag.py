@@ -26,7 +26,7 @@ from turtleact.commands.options import Json, argument, bag_seconds, flag, hertz,
 from turtleact.commands.output import counted, note, say
 from turtleact.commands.output import duration as told_duration
 from turtleact.commands.settings import WrongOptions, quoted
-from turtleact.errors import TurtleactError, UsageError
+from turtleact.errors import TurtleactError, UsageError, summary
 
 if TYPE_CHECKING:
     from turtleact.commands.settings import ConnectOptions
@@ -554,7 +554,6 @@ def _outputs_in(path: Path) -> Sequence[Output]:
         UsageError: if the file is not a valid options file, or has an option that turtleact lacks.
     """
     from turtleact.recording.metadata import read_yaml
-    from turtleact.tasks.failures import summary
 
     try:
         text = path.read_text(encoding="utf-8")

@@ -19,8 +19,6 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
-from turtleact.tasks import new_event_loop
-
 __all__ = ["Interrupts"]
 
 SIGNALS = tuple(
@@ -68,7 +66,7 @@ class Interrupts:
         """
         # The handlers also cover the opening of the loop, which a signal would leave half done, and
         # its closing, which waits for tasks and threads.
-        with self._handled(), asyncio.Runner(loop_factory=new_event_loop) as runner:
+        with self._handled(), asyncio.Runner(loop_factory=asyncio.new_event_loop) as runner:
             self._loop = runner.get_loop()
             self._task = self._loop.create_task(main)
             if self.received:  # before there was a loop to call

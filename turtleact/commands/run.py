@@ -36,7 +36,7 @@ from turtleact.commands.app import SETTINGS, ManyVerb, new_group, verb
 from turtleact.commands.options import Interfaces, argument, flag, value
 from turtleact.commands.output import leave, say, say_names, write_file
 from turtleact.commands.settings import ConnectOptions, Fleet, Service, WrongOptions, quoted
-from turtleact.errors import TurtleactError
+from turtleact.errors import TurtleactError, syntax_hint
 
 if TYPE_CHECKING:
     from turtleact.rclpy.program import Options
@@ -395,8 +395,6 @@ def _status(code: object) -> int:
 def _print_traceback(error: BaseException) -> int:
     """Print a traceback as Python does, but only of the user's code. Return the exit status."""
     import traceback
-
-    from turtleact.tasks.failures import syntax_hint  # help does without it
 
     trace = error.__traceback__
     while trace is not None and _is_library(trace.tb_frame.f_code.co_filename):

@@ -34,7 +34,7 @@ from turtleact.commands.options import (
 )
 from turtleact.commands.output import note, say, say_message, say_names
 from turtleact.commands.settings import WrongOptions, quoted
-from turtleact.errors import TurtleactError, UsageError
+from turtleact.errors import TurtleactError, UsageError, summary
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Sequence
@@ -512,8 +512,6 @@ def _compiled(expression: str) -> CodeType:
 
 def _is_wanted(message: Message, wanted: CodeType, path: Sequence[str]) -> bool:
     """Whether the user's filter is true for a message, or for the field at ``path``."""
-    from turtleact.tasks.failures import summary
-
     value: object = message
     for name in path:
         value = getattr(value, name)

@@ -21,11 +21,10 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from turtleact.commands.run import nearby, place_of
-from turtleact.errors import TurtleactError, UsageError
+from turtleact.errors import TurtleactError, UsageError, summary, syntax_hint
 from turtleact.goals.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.interfaces.definition import did_you_mean, names_like
 from turtleact.node.parameter_rules import ParameterDeclaration
-from turtleact.tasks.failures import summary, syntax_hint
 
 __all__ = ["Found", "Modules", "Target", "read_target"]
 

@@ -14,11 +14,10 @@ from typing import Any
 import anyio
 import msgspec
 
-from turtleact.errors import GoalRejected, Reject
+from turtleact.errors import GoalRejected, Reject, summary, text_of
 from turtleact.goals.body import ServerOptions
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.state import CancelResponse, Goal, GoalRequest, GoalResponse
-from turtleact.tasks.failures import summary, text_of
 
 __all__ = ["Callbacks", "cancel_goals_of_lost_clients"]
 

@@ -20,7 +20,13 @@ from typing import cast
 import anyio
 import msgspec
 
-from turtleact.errors import GoalRejected, InvalidMessage, ServerUnavailable, TurtleactError
+from turtleact.errors import (
+    GoalRejected,
+    InvalidMessage,
+    ServerUnavailable,
+    TurtleactError,
+    encodable,
+)
 from turtleact.goals.body import ServerOptions
 from turtleact.goals.ids import new_goal_id
 from turtleact.goals.observers import GoalObserver, Lost
@@ -30,7 +36,6 @@ from turtleact.goals.state import Goal, GoalEvent, GoalRequest, GoalStatus
 from turtleact.interfaces import Action, Message, WireFormat, type_hash
 from turtleact.interfaces.standard import CancelGoal
 from turtleact.tasks import Tasks
-from turtleact.tasks.failures import encodable
 
 __all__ = ["DurableGoals", "Restoring"]
 

@@ -18,8 +18,8 @@ from typing import Any, Final, TypeAlias
 
 import msgspec
 
+from turtleact.errors import STOPS
 from turtleact.goals.state import CURRENT_GOAL, Goal, GoalRequest, GoalStatus
-from turtleact.tasks.failures import STOPS
 
 __all__ = [
     "BodyFailed",

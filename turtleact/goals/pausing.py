@@ -30,14 +30,13 @@ from typing import Any, cast
 import anyio
 import msgspec
 
-from turtleact.errors import PauseRefused, ServerUnavailable
+from turtleact.errors import PauseRefused, ServerUnavailable, summary
 from turtleact.goals.body import ServerOptions
 from turtleact.goals.observers import GoalObserver, News
 from turtleact.goals.running import BodyTask
 from turtleact.goals.server import GoalServer, LocalActionServer
 from turtleact.goals.state import Goal, GoalStatus
 from turtleact.tasks import Background
-from turtleact.tasks.failures import summary
 
 __all__ = ["PauseRequest", "Pauses"]
 

@@ -29,11 +29,13 @@ import anyio
 import msgspec
 
 from turtleact.errors import (
+    STOPS,
     GoalRejected,
     ServerUnavailable,
     ServiceTimeout,
     TurtleactError,
     UnknownGoal,
+    summary,
 )
 from turtleact.goals.client_endpoints import ClientEndpoints
 from turtleact.goals.ids import new_goal_id
@@ -51,8 +53,7 @@ from turtleact.goals.state import (
 from turtleact.goals.wire import GoalMetadata, State
 from turtleact.interfaces import SECOND, Message, nanoseconds, snapshotter, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
-from turtleact.tasks import Cancelable, Tasks, wait_while
-from turtleact.tasks.failures import STOPS, summary
+from turtleact.tasks import Task, Tasks, wait_while
 from turtleact.transports.base import REQUEST_NOTE, Reply
 
 __all__ = ["RemoteActionServer"]
@@ -118,7 +119,7 @@ class RemoteGoal(msgspec.Struct, eq=False):
     received: int = 0
     gaps: int = 0
     reattach: float = 0.0
-    task: Cancelable | None = None
+    task: Task | None = None
 
 
 class RemoteActionServer:

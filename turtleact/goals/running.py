@@ -19,7 +19,16 @@ from contextvars import Context, copy_context
 from time import monotonic
 from typing import Any, Generic, Self, TypeVar, cast
 
-from turtleact.errors import Abort, Cancel, InvalidMessage, InvalidTransition
+from turtleact.errors import (
+    CUT_OFF,
+    STOPPED,
+    Abort,
+    Cancel,
+    InvalidMessage,
+    InvalidTransition,
+    summary,
+    text_of,
+)
 from turtleact.goals.observers import BodyFailed
 from turtleact.goals.records import Resumed
 from turtleact.goals.server import GoalServer, LocalActionServer
@@ -27,7 +36,6 @@ from turtleact.goals.state import CURRENT_GOAL, Cancelable, Goal, GoalEvent, Goa
 from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import Time
 from turtleact.tasks import is_cancellation, wait_while
-from turtleact.tasks.failures import CUT_OFF, STOPPED, summary, text_of
 
 __all__ = [
     "BLOCKING",

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, cast, ru
 
 import anyio
 
-from turtleact.errors import GoalRejected, InvalidTransition
+from turtleact.errors import STOPS, GoalRejected, InvalidTransition
 from turtleact.goals.ids import new_goal_id
 from turtleact.goals.observers import Observers
 from turtleact.goals.state import (
@@ -43,7 +43,6 @@ from turtleact.goals.state import (
 from turtleact.interfaces import Message, snapshotter, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.tasks import GRACE, LoopGuard, Signal, Tasks, wait_while
-from turtleact.tasks.failures import STOPS
 
 if TYPE_CHECKING:
     from turtleact.goals.body import ActionType, Body

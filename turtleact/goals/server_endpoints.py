@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 
-from turtleact.errors import GoalRejected
+from turtleact.errors import CUT_OFF, STOPPED, GoalRejected
 from turtleact.goals.pause_endpoints import PauseEndpoints
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.server_topics import FeedbackTopic, ReasonTopic, StatusTopic
@@ -42,7 +42,6 @@ from turtleact.interfaces import (
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
 from turtleact.names import ActionNames
 from turtleact.tasks import GRACE, Tasks, wait_while
-from turtleact.tasks.failures import CUT_OFF, STOPPED
 from turtleact.transports.base import (
     STATUS_QOS,
     CallObserver,

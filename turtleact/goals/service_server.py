@@ -32,15 +32,16 @@ from typing import (
 )
 
 from turtleact.errors import (
+    STOPPED,
     InvalidMessage,
     InvalidOption,
     ServerUnavailable,
     ServiceError,
     TurtleactError,
+    summary,
 )
 from turtleact.interfaces import Message, snapshotter
-from turtleact.tasks import GRACE, Cancelable, Signal, Tasks, is_cancellation, wait_while
-from turtleact.tasks.failures import STOPPED, summary
+from turtleact.tasks import GRACE, Signal, Task, Tasks, is_cancellation, wait_while
 from turtleact.transports.base import (
     CallObserver,
     Endpoint,
@@ -300,11 +301,11 @@ class _Call:
         self.is_answered = False
         self.is_canceled = False
         self.has_ended = False
-        self._task: Cancelable | None = None
+        self._task: Task | None = None
         self._response: object = None
         self._error: TurtleactError | None = None
 
-    def run_in(self, task: Cancelable) -> None:
+    def run_in(self, task: Task) -> None:
         """Set the task of the handler."""
         # The task may have taken its first step before this call. If that step led to a cancel,
         # there was no task to cancel yet, so it is done here.

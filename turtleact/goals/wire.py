@@ -30,9 +30,9 @@ from typing import Final, TypeAlias
 
 import msgspec
 
+from turtleact.errors import encodable
 from turtleact.interfaces import Message, Service, bool_, float64, int8, string
 from turtleact.interfaces.standard import UUID
-from turtleact.tasks.failures import encodable
 
 __all__ = [
     "GoalMetadata",

@@ -33,8 +33,7 @@ from turtleact.journal.database import (
     Withdraw,
     explain,
 )
-from turtleact.tasks import LoopGuard, Tasks, current_tasks, thread_work
-from turtleact.tasks.opening import opening
+from turtleact.tasks import LoopGuard, Tasks, current_tasks, opening, thread_work
 
 __all__ = ["Journal", "open_journal"]
 

@@ -48,8 +48,7 @@ from turtleact.mcp.goals import Goals
 from turtleact.mcp.messages import failure, message_from, plain
 from turtleact.mcp.tasks import FIRST_VERSION, TASK_IDS, Tasks, declares_tasks, require_tasks
 from turtleact.mcp.tools import Tools, picture, read_topic
-from turtleact.tasks import Background
-from turtleact.tasks.opening import opening
+from turtleact.tasks import Background, opening
 
 if TYPE_CHECKING:
     from mcp.server.context import CallNext, HandlerResult

@@ -20,8 +20,7 @@ from mcp.server.transport_security import TransportSecuritySettings
 from starlette.responses import PlainTextResponse
 
 from turtleact.http_server import Config, bound, serving, token_for
-from turtleact.tasks import run_in_daemon
-from turtleact.tasks.opening import opening
+from turtleact.tasks import opening, run_in_daemon
 
 if TYPE_CHECKING:
     import anyio

@@ -51,9 +51,8 @@ from turtleact.node.timers import Timer
 from turtleact.node.topics import Matching, Publisher, Subscription
 from turtleact.node.type_descriptions import SERVICE as DESCRIBE
 from turtleact.node.type_descriptions import offer_descriptions
-from turtleact.tasks import LoopGuard, current_tasks
+from turtleact.tasks import LoopGuard, current_tasks, opening
 from turtleact.tasks.clock import Clock, check_timeout
-from turtleact.tasks.opening import opening
 from turtleact.transports import MemoryTransport, QoS, Transport
 from turtleact.transports.base import CallObserver, Closeable, Endpoint, EndpointKind
 from turtleact.transports.graph import Graph, Kind, graph_of

@@ -13,7 +13,7 @@ import logging
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar, cast
 
-from turtleact.errors import InvalidParameter, TurtleactError
+from turtleact.errors import InvalidParameter, TurtleactError, summary, text_of
 from turtleact.interfaces import Message, stamp_of
 from turtleact.interfaces.standard import (
     DescribeParameters,
@@ -35,7 +35,6 @@ from turtleact.node.parameter_rules import (
     parameter,
     value_of,
 )
-from turtleact.tasks.failures import summary, text_of
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:

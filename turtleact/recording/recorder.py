@@ -31,9 +31,8 @@ from turtleact.recording.schemas import Schema, schema_of
 from turtleact.recording.selection import EVERYTHING, Selection
 from turtleact.recording.storage import Channel, in_nanoseconds
 from turtleact.recording.writer_thread import CAPACITY, WriterThread
-from turtleact.tasks import Background, current_tasks, thread_work
+from turtleact.tasks import Background, current_tasks, opening, thread_work
 from turtleact.tasks.clock import WallClock
-from turtleact.tasks.opening import opening
 from turtleact.transports.base import Closeable, Endpoint, QoS, RawFormat
 from turtleact.transports.graph import SEND_GOAL, Kind
 

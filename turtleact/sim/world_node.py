@@ -16,9 +16,8 @@ from turtleact.sim.kinematics import SIDE
 from turtleact.sim.pictures import Snapshot
 from turtleact.sim.turtlesim import Turtlesim
 from turtleact.sim.world import World
-from turtleact.tasks import Background
+from turtleact.tasks import Background, opening
 from turtleact.tasks.clock import Clock, make_clock
-from turtleact.tasks.opening import opening
 from turtleact.transports import MemoryTransport, Transport
 
 if TYPE_CHECKING:

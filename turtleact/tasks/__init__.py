@@ -13,26 +13,28 @@ nothing about goals.
 
 from __future__ import annotations
 
-from turtleact.tasks.background import Background, current_tasks, run_in_daemon, wait_while
-from turtleact.tasks.base import GRACE, Cancelable, LoopGuard, Signal, Tasks, is_cancellation
-from turtleact.tasks.idle import (
-    idleness,
-    new_event_loop,
-    thread_work,
-    wait_until_idle,
+from turtleact.tasks.background import (
+    GRACE,
+    Background,
+    LoopGuard,
+    opening,
+    run_in_daemon,
+    wait_while,
 )
+from turtleact.tasks.event_loops import Signal, Task, Tasks, current_tasks, is_cancellation
+from turtleact.tasks.idle import idleness, thread_work, wait_until_idle
 
 __all__ = [
     "GRACE",
     "Background",
-    "Cancelable",
     "LoopGuard",
     "Signal",
+    "Task",
     "Tasks",
     "current_tasks",
     "idleness",
     "is_cancellation",
-    "new_event_loop",
+    "opening",
     "run_in_daemon",
     "thread_work",
     "wait_until_idle",

@@ -1,32 +1,32 @@
-"""Runs coroutines in tasks, runs functions in daemon threads, and waits with a time limit."""
+"""Tools around tasks: background coroutines, daemon threads, waiting, and ``async with`` blocks."""
 
 from __future__ import annotations
 
 import asyncio
+import copy
 import logging
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
 from concurrent.futures import Future
-from threading import Thread
-from typing import TypeVar
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from functools import wraps
+from threading import Thread, get_ident
+from types import TracebackType
+from typing import NoReturn, ParamSpec, TypeVar
 
 import anyio
 
-from turtleact.tasks.base import Signal, Tasks
-from turtleact.tasks.on_asyncio import AsyncioTasks
-from turtleact.tasks.on_trio import TrioTasks
+from turtleact.errors import TurtleactError
+from turtleact.tasks.event_loops import Signal, Tasks, current_tasks
 
-__all__ = ["Background", "current_tasks", "run_in_daemon", "wait_while"]
+__all__ = ["GRACE", "Background", "LoopGuard", "opening", "run_in_daemon", "wait_while"]
 
 logger = logging.getLogger("turtleact")
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
-
-def current_tasks() -> Tasks:
-    """Return the task functions for the running event loop."""
-    if anyio.get_cancelled_exc_class() is asyncio.CancelledError:
-        return AsyncioTasks()
-    return TrioTasks()
+GRACE = 5.0
+"""How long to wait by default for a cancelled task (s), before the task is left running."""
 
 
 class Background:
@@ -121,3 +121,144 @@ async def wait_while(is_busy: Callable[[], object], changed: Signal, patience: f
         with anyio.move_on_after(patience, shield=True):
             while is_busy():
                 await changed.wait()
+
+
+class LoopGuard:
+    """Remembers an object's event loop and thread, and checks that the object is used only there.
+
+    Without this check, using an object in another thread or event loop fails much later, with an
+    unhelpful message such as "aclose(): asynchronous generator is already running". Nodes, servers
+    and clients create a `LoopGuard`, and call `check` first in every public method::
+
+        def __init__(self, name: str) -> None:
+            self._home = LoopGuard(f"node '{name}'")
+
+        def publisher(self, ...) -> Publisher:
+            self._home.check()
+
+    A call of `check` takes well below a microsecond. Do not call `check` in `__del__`, or in
+    callbacks of other threads, because these may run in any thread.
+
+    Args:
+        owner: The name of the object in error messages, for example ``"node '/lab'"``.
+    """
+
+    __slots__ = ("_current", "_loop", "_owner", "_thread")
+
+    def __init__(self, owner: str) -> None:
+        self._owner = owner
+        self._current = _loop_getter()
+        self._loop = self._current()
+        self._thread = get_ident()
+
+    def of(self, owner: str) -> LoopGuard:
+        """Return a `LoopGuard` for another object, with the same event loop and thread.
+
+        This method works even while no event loop runs.
+        """
+        home = copy.copy(self)
+        home._owner = owner
+        return home
+
+    def check(self) -> None:
+        """Check that this call comes from the home's event loop.
+
+        While no event loop runs, a call from the home's thread is also allowed, because no task can
+        run at the same time. For example, a notebook that runs as plain Python calls functions
+        between two calls of ``runner.run(…)``. Calls without a running event loop are allowed only
+        for a home on asyncio, and only until its loop is closed.
+
+        Raises:
+            TurtleactError: if the call comes from another event loop or another thread, or if the
+                loop is closed.
+        """
+        try:
+            if self._current() is self._loop:
+                return
+        except RuntimeError:  # no event loop runs in this thread
+            if self._thread == get_ident() and self._can_go_on():
+                return
+        raise TurtleactError(
+            f"{self._owner} belongs to another event loop: use it there, or call it from another "
+            "thread with anyio.from_thread.run or run_sync"
+        )
+
+    def _can_go_on(self) -> bool:
+        return isinstance(self._loop, asyncio.AbstractEventLoop) and not self._loop.is_closed()
+
+
+def _loop_getter() -> Callable[[], object]:
+    """Return a function that returns the running event loop.
+
+    If no loop runs, the function raises RuntimeError.
+    """
+    if anyio.get_cancelled_exc_class() is asyncio.CancelledError:
+        return asyncio.get_running_loop
+    import trio  # already imported, since its loop runs
+
+    return trio.lowlevel.current_trio_token
+
+
+def opening(function: Callable[P, AsyncIterator[T]]) -> Callable[P, AbstractAsyncContextManager[T]]:
+    """Make a function that opens a resource for an ``async with`` block, such as `open_node`.
+
+    `opening` works like `contextlib.asynccontextmanager`. In addition, if the user writes ``with``,
+    ``await`` or no keyword at all in place of ``async with``, the error says what to write. Without
+    `opening`, Python's error would name an internal class of `contextlib`. Type checkers see an
+    `AbstractAsyncContextManager`, so they find these mistakes themselves.
+
+    Args:
+        function: An async generator function that yields the resource once.
+    """
+    manager = asynccontextmanager(function)
+
+    @wraps(function)
+    def open_it(*args: P.args, **kwargs: P.kwargs) -> AbstractAsyncContextManager[T]:
+        return _Opening(manager(*args, **kwargs), f"{function.__name__}(…)")
+
+    return open_it
+
+
+class _Opening(AbstractAsyncContextManager[T]):
+    """Opens a resource at the start of an ``async with`` block, and closes the resource at the end.
+
+    Args:
+        manager: The context manager that opens and closes the resource.
+        call: The call that made this object, for error messages.
+    """
+
+    def __init__(self, manager: AbstractAsyncContextManager[T, bool | None], call: str) -> None:
+        self._manager = manager
+        self._call = call
+        self._advice = f"write 'async with {call} as …:'"
+
+    async def __aenter__(self) -> T:
+        return await self._manager.__aenter__()
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool | None:
+        return await self._manager.__aexit__(kind, error, trace)
+
+    def __enter__(self) -> NoReturn:
+        raise TypeError(f"'async' is missing: {self._advice}")
+
+    def __exit__(self, *_: object) -> None:
+        """Do nothing.
+
+        A ``with`` statement needs ``__exit__``. Without this method, the statement would fail
+        before it calls ``__enter__``, which raises the error that helps the user.
+        """
+
+    def __await__(self) -> NoReturn:
+        raise TypeError(f"{self._call} cannot be awaited: {self._advice}")
+
+    def __getattr__(self, name: str) -> NoReturn:
+        # Private names belong to Python. `copy.copy`, for example, asks for ``__setstate__`` before
+        # the copy has any attribute that this method could read.
+        if name.startswith("_"):
+            raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
+        raise AttributeError(f"{self._call} is not open yet and has no '{name}': {self._advice}")

@@ -16,16 +16,16 @@ is made in such a loop uses the loop's time instead of wall time. Every clock th
 from __future__ import annotations
 
 import asyncio
-import heapq
 import itertools
 import math
 import sys
 import time
+from bisect import bisect_left, insort
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from numbers import Real
-from typing import Generic, Protocol, TypeVar, cast
+from typing import Protocol, TypeVar, cast
 
 import anyio
 
@@ -44,7 +44,7 @@ __all__ = [
     "within",
 ]
 
-T = TypeVar("T", bound="tuple[object, ...]")
+T = TypeVar("T", bound="tuple[float, int, *tuple[object, ...]]")
 
 EPOCH = 1_700_000_000_000_000_000
 """ROS time at the start of virtual time (ns), the same in every run."""
@@ -57,7 +57,6 @@ LEEWAY = 0.05
 
 
 _LAST = sys.float_info.max
-_SPARE = 16  # A heap tolerates this many removed items even if it holds few others.
 
 
 class Clock(Protocol):
@@ -113,7 +112,7 @@ class ScaledClock:
         self._wall_start = self._wall()
         self._ros_start = EPOCH + round(self._wall_start * 1e9) if leaping else time.time_ns()
         self._order = itertools.count()
-        self._sleepers: Heap[tuple[float, int]] = Heap()
+        self._sleepers: list[tuple[float, int]] = []  # sorted
         self._end = math.inf
         self._stands = False
         self._freed: Signal | None = None
@@ -126,8 +125,7 @@ class ScaledClock:
         if self._stands:
             return self._end
         seconds = (self._wall() - self._wall_start) * self.factor
-        first = self._sleepers.first
-        if first is not None and seconds > (latest := first[0] + LEEWAY):
+        if self._sleepers and seconds > (latest := self._sleepers[0][0] + LEEWAY):
             self._wall_start += (seconds - latest) / self.factor
             seconds = latest
         if seconds >= self._end:
@@ -170,15 +168,15 @@ class ScaledClock:
 
     async def _sleep(self, deadline: float, left: float) -> None:
         sleeper = (deadline, next(self._order))
-        self._sleepers.push(sleeper)
+        insort(self._sleepers, sleeper)
         try:
             await self._wait(deadline, left)
         except BaseException:
-            self._sleepers.remove(sleeper)
+            _discard(self._sleepers, sleeper)
             raise
         # The sleeper is removed one step later, not now. What the task does before it sleeps again
         # takes wall time too, and until then the clock must not run ahead of it.
-        current_tasks().call_soon(partial(self._sleepers.remove, sleeper))
+        current_tasks().call_soon(partial(_discard, self._sleepers, sleeper))
 
     async def _wait(self, deadline: float, left: float) -> None:
         # Two things make the remaining time wrong while a task sleeps. `stop_at` may stop the
@@ -241,7 +239,7 @@ class VirtualClock:
     def __init__(self) -> None:
         self._time = 0.0
         self._order = itertools.count()
-        self._sleepers: Heap[tuple[float, int, Signal]] = Heap()
+        self._sleepers: list[tuple[float, int, Signal]] = []  # sorted
         self._end = _LAST
         self._wanted: Signal | None = None
         self._tasks: Tasks | None = None
@@ -271,13 +269,13 @@ class VirtualClock:
             return
         signal = tasks.signal()
         sleeper = (deadline, next(self._order), signal)
-        self._sleepers.push(sleeper)
+        insort(self._sleepers, sleeper)
         if self._wanted is not None:
             self._wanted.fire()
         try:
             await signal.wait()
         except tasks.cancelled:
-            self._sleepers.remove(sleeper)
+            _discard(self._sleepers, sleeper)
             raise
 
     def stop_at(self, moment: float) -> None:
@@ -297,13 +295,12 @@ class VirtualClock:
             if work.is_under_way:
                 await work.wait_for_end()
                 continue
-            first = sleepers.first
-            if first is None or first[0] > self._end:
+            if not sleepers or sleepers[0][0] > self._end:
                 await wanted.wait()
                 continue
-            self._time = max(self._time, first[0])
-            sleepers.remove(first)
-            first[2].fire()
+            deadline, _, signal = sleepers.pop(0)
+            self._time = max(self._time, deadline)
+            signal.fire()
 
 
 def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
@@ -324,38 +321,11 @@ def make_clock(speed: float | str) -> ScaledClock | VirtualClock:
     return WallClock() if factor == 1.0 else ScaledClock(factor)
 
 
-class Heap(Generic[T]):
-    """A set of items with quick access to the smallest item.
-
-    Searching thousands of items for the one to remove would be slow. A removed item therefore stays
-    in the list until it comes first, or until the removed items outnumber the others.
-
-    Attributes:
-        first: The smallest item; None if the heap is empty.
-    """
-
-    def __init__(self) -> None:
-        self.first: T | None = None
-        self._items: list[T] = []
-        self._there: set[T] = set()
-
-    def __len__(self) -> int:
-        return len(self._there)
-
-    def push(self, item: T) -> None:
-        """Add an item."""
-        heapq.heappush(self._items, item)
-        self._there.add(item)
-        self.first = self._items[0]
-
-    def remove(self, item: T) -> None:
-        """Remove an item, if it is still in the heap."""
-        self._there.discard(item)
-        if len(self._items) > 2 * len(self._there) + _SPARE:
-            self._items = sorted(self._there)
-        while self._items and self._items[0] not in self._there:
-            heapq.heappop(self._items)
-        self.first = self._items[0] if self._items else None
+def _discard(sleepers: list[T], sleeper: T) -> None:
+    """Remove an item from a sorted list, if it is there."""
+    at = bisect_left(sleepers, sleeper)
+    if at < len(sleepers) and sleepers[at] is sleeper:
+        del sleepers[at]
 
 
 def _leaping_time() -> Callable[[], float] | None:

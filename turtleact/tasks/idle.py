@@ -2,9 +2,7 @@
 
 Virtual time jumps only while the loop is idle. How this module detects this depends on the loop:
 
-- A loop made by `new_event_loop` tells its selector to wait when no callback is ready. At that
-  moment, the selector wakes every task that waits in `wait_until_idle`.
-- Other asyncio loops keep the callbacks that are ready in a private queue, which this module reads.
+- asyncio keeps the callbacks that are ready in a private queue, which this module reads.
 - On asyncio loops that do not show their queue of callbacks (uvloop), this module calls
   `anyio.wait_all_tasks_blocked`, which polls every 0.1 s. Because that is slow, a warning is logged
   once per run.
@@ -17,7 +15,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import selectors
 from collections.abc import Awaitable, Callable, Iterator, Sized
 from contextlib import contextmanager, suppress
 from typing import cast
@@ -26,16 +23,7 @@ import anyio
 import anyio.to_thread
 from anyio.lowlevel import RunVar
 
-__all__ = [
-    "IdleSelector",
-    "ThreadWork",
-    "WatchedEventLoop",
-    "idleness",
-    "new_event_loop",
-    "ready_callbacks",
-    "thread_work",
-    "wait_until_idle",
-]
+__all__ = ["ThreadWork", "idleness", "thread_work", "wait_until_idle"]
 
 logger = logging.getLogger("turtleact")
 
@@ -44,14 +32,6 @@ CALLBACK_TURNS = 3
 
 A finished task wakes its parent with a callback that belongs to no task. Until this callback runs,
 the loop looks idle although the parent is about to run."""
-
-
-def new_event_loop() -> asyncio.AbstractEventLoop:
-    """Make an asyncio event loop that knows when it is idle.
-
-    Pass this function as the argument ``loop_factory`` of `asyncio.Runner`.
-    """
-    return WatchedEventLoop()
 
 
 async def wait_until_idle() -> None:
@@ -70,75 +50,11 @@ def idleness() -> Callable[[], Awaitable[None]]:
     """
     if anyio.get_cancelled_exc_class() is not asyncio.CancelledError:
         return anyio.wait_all_tasks_blocked  # trio's own
-    loop = asyncio.get_running_loop()
-    if isinstance(loop, WatchedEventLoop):
-        return loop.idle_selector.wait_until_idle
     turns = _turns.get(None)
     if turns is None:
-        turns = _Turns(loop)
+        turns = _Turns(asyncio.get_running_loop())
         _turns.set(turns)
     return turns.wait_until_idle
-
-
-class IdleSelector(selectors.DefaultSelector):
-    """Before this selector blocks, it wakes every task that waits in `wait_until_idle`."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._watchers: list[asyncio.Future[None]] = []
-
-    async def wait_until_idle(self) -> None:
-        """Wait until the event loop has nothing to do. Cancelling: safe."""
-        watcher = asyncio.get_running_loop().create_future()
-        self._watchers.append(watcher)
-        await watcher
-
-    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Return the events that have arrived; if there are none, wait for events.
-
-        If a callback is ready, asyncio passes 0 as the ``timeout``.
-        """
-        events = super().select(0)
-        if events or (timeout is not None and timeout <= 0):
-            return events
-        if any(not watcher.done() for watcher in self._watchers):
-            self._wake()
-            return []  # the watchers' callbacks are ready now: the loop must not wait
-        return self.wait_for_events(timeout)
-
-    def wait_for_events(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Block until an event arrives or the timeout ends.
-
-        This is called only while the loop is idle and no task is in `wait_until_idle`.
-        """
-        return super().select(timeout)
-
-    def _wake(self) -> None:
-        watchers, self._watchers = self._watchers, []
-        for watcher in watchers:
-            if not watcher.done():
-                watcher.set_result(None)
-
-
-class WatchedEventLoop(asyncio.SelectorEventLoop):
-    """asyncio's selector event loop, with an `IdleSelector`.
-
-    Attributes:
-        idle_selector: The selector of this loop.
-    """
-
-    def __init__(self, selector: IdleSelector | None = None) -> None:
-        self.idle_selector = IdleSelector() if selector is None else selector
-        super().__init__(self.idle_selector)
-
-
-def ready_callbacks(loop: asyncio.AbstractEventLoop) -> Sized | None:
-    """Return the callbacks that an asyncio loop runs next; None if the loop hides them.
-
-    This reads a private attribute of the loop, because asyncio has no public function for it. On a
-    loop without the attribute, virtual time still works, but slowly.
-    """
-    return cast("Sized | None", getattr(loop, "_ready", None))
 
 
 class ThreadWork:
@@ -212,7 +128,7 @@ def thread_work() -> ThreadWork:
 
 
 class _Turns:
-    """Detects when an asyncio event loop is idle if `new_event_loop` did not make the loop.
+    """Detects when an asyncio event loop is idle.
 
     Each call of `wait_until_idle` sleeps for one turn of the loop at a time, so each call always
     has one callback in the loop's queue. If a call finds only callbacks of other `wait_until_idle`
@@ -220,7 +136,7 @@ class _Turns:
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._ready = ready_callbacks(loop)
+        self._ready = cast("Sized | None", getattr(loop, "_ready", None))
         self._watchers = 0
         self._idle = 0
         if self._ready is None:

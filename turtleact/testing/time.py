@@ -29,7 +29,6 @@ import anyio
 import anyio.to_thread
 
 from turtleact.errors import SimError
-from turtleact.tasks.idle import IdleSelector, WatchedEventLoop
 
 if TYPE_CHECKING:
     import trio
@@ -102,7 +101,7 @@ def virtual_backend(
 # asyncio
 
 
-class VirtualEventLoop(WatchedEventLoop):
+class VirtualEventLoop(asyncio.SelectorEventLoop):
     """asyncio's event loop, with a selector that moves time forward instead of waiting.
 
     Attributes:
@@ -116,7 +115,8 @@ class VirtualEventLoop(WatchedEventLoop):
         self._jobs = 0
         self._limiter: anyio.CapacityLimiter | None = None
         self._children: list[asyncio.SubprocessTransport] = []
-        super().__init__(_Selector(self, patience))
+        self._selector_of_events = _Selector(self, patience)
+        super().__init__(self._selector_of_events)
 
     def time(self) -> float:
         """Virtual seconds since the loop was made."""
@@ -136,7 +136,7 @@ class VirtualEventLoop(WatchedEventLoop):
         """Whether a socket, pipe or child process is open, so that data may still arrive."""
         self._children = [child for child in self._children if child.get_returncode() is None]
         own = 1  # the pipe that wakes the loop
-        return bool(self._children) or len(self.idle_selector.get_map()) > own
+        return bool(self._children) or len(self._selector_of_events.get_map()) > own
 
     def run_forever(self) -> None:
         """Run until the loop is stopped."""
@@ -182,7 +182,7 @@ class VirtualEventLoop(WatchedEventLoop):
         return started
 
 
-class _Selector(IdleSelector):
+class _Selector(selectors.DefaultSelector):
     """Moves time forward instead of waiting, unless a thread is working or data may arrive."""
 
     def __init__(self, loop: VirtualEventLoop, patience: float) -> None:
@@ -190,13 +190,19 @@ class _Selector(IdleSelector):
         self._loop = loop
         self._patience = patience
 
-    def wait_for_events(self, timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Move time forward to the next timer, or wait for data or a thread if necessary."""
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        """Return the events that have arrived; if there are none, move time to the next timer.
+
+        If a callback is ready, asyncio passes 0 as the ``timeout``.
+        """
+        events = super().select(0)
+        if events or (timeout is not None and timeout <= 0):
+            return events
         if timeout is None or self._loop.has_jobs:  # there is no timer, or a thread is working
-            return super().wait_for_events(None)
+            return super().select(None)
         if self._patience and self._loop.has_peers:
             patience = None if self._patience == math.inf else self._patience
-            events = super().wait_for_events(patience)
+            events = super().select(patience)
             if events:
                 return events
         self._loop.leap(timeout)

@@ -13,10 +13,9 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeAlias
 
-from turtleact.errors import ServerUnavailable, ServiceError, TurtleactError
+from turtleact.errors import ServerUnavailable, ServiceError, TurtleactError, summary
 from turtleact.tasks import Signal, current_tasks
 from turtleact.tasks.clock import Clock, WallClock
-from turtleact.tasks.failures import summary
 from turtleact.transports.base import (
     EVERY_SERVER,
     Caller,

@@ -34,7 +34,7 @@ from turtleact.recording.recorded_goals import ENDED, RecordedGoal, goals
 from turtleact.recording.schemas import class_of
 from turtleact.recording.selection import part_of
 from turtleact.recording.storage import Channel, Range, Raw
-from turtleact.tasks.opening import opening
+from turtleact.tasks import opening
 from turtleact.web.bridge import HEADERS, page_response, plain_text
 from turtleact.web.page_values import hues
 

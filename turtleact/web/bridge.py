@@ -26,8 +26,7 @@ from starlette.websockets import WebSocket
 from turtleact.errors import TurtleactError
 from turtleact.http_server import Access
 from turtleact.node import Node
-from turtleact.tasks import Background
-from turtleact.tasks.opening import opening
+from turtleact.tasks import Background, opening
 from turtleact.web.connection import TRY_AGAIN_LATER, Connection
 from turtleact.web.shared import BridgeState, Limits
 

@@ -24,7 +24,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from turtleact.errors import TurtleactError
 from turtleact.http_server import Access, Config, bound, is_loopback, serving, token_for
 from turtleact.node import Node
-from turtleact.tasks.opening import opening
+from turtleact.tasks import opening
 from turtleact.web.bridge import Bridge, open_bridge
 from turtleact.web.shared import Limits
 

@@ -28,7 +28,6 @@ import msgspec
 from turtleact.errors import TurtleactError
 from turtleact.node.type_descriptions import offer_descriptions
 from turtleact.rclpy.messages.codec import hash_of
-from turtleact.tasks import new_event_loop
 from turtleact.transports import Transport, ZenohTransport
 from turtleact.transports.base import (
     EVERY_SERVER,
@@ -132,7 +131,7 @@ class EventLoop:
     def _running(self) -> asyncio.AbstractEventLoop:
         with self._lock:
             if self._loop is None:
-                self._loop = new_event_loop()
+                self._loop = asyncio.new_event_loop()
                 self._thread = threading.Thread(
                     target=self._loop.run_forever, name="turtleact-loop", daemon=True
                 )

@@ -21,9 +21,14 @@ from typing import TYPE_CHECKING
 import anyio
 import msgspec
 
-from turtleact.errors import InvalidMessage, ServerUnavailable, ServiceError, TurtleactError
+from turtleact.errors import (
+    InvalidMessage,
+    ServerUnavailable,
+    ServiceError,
+    TurtleactError,
+    summary,
+)
 from turtleact.tasks import GRACE
-from turtleact.tasks.failures import summary
 from turtleact.transports.base import (
     REQUEST_NOTE,
     Caller,

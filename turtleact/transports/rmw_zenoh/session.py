@@ -24,7 +24,7 @@ import zenoh
 from zenoh import ext
 from zenoh.handlers import Callback
 
-from turtleact.errors import InvalidOption, TurtleactError
+from turtleact.errors import InvalidOption, TurtleactError, encodable
 from turtleact.transports.rmw_zenoh.config import (
     PATIENCE,
     Mode,
@@ -460,8 +460,6 @@ class Query:
 
     def fail(self, text: str, kind: str) -> None:
         """Answer the request with an error: a text for people, and a kind that turtleact reads."""
-        from turtleact.tasks.failures import encodable  # slow to import, for completion
-
         with _mapped("reply"), self._query:
             self._query.reply_err(encodable(text).encode(), encoding=f"text/plain;{kind}")
 

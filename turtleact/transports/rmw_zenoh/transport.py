@@ -26,9 +26,8 @@ import anyio.to_thread
 import msgspec
 
 from turtleact.errors import TurtleactError
-from turtleact.tasks import current_tasks
+from turtleact.tasks import current_tasks, opening
 from turtleact.tasks.clock import Clock, check_timeout
-from turtleact.tasks.opening import opening
 from turtleact.transports.base import (
     EVERY_SERVER,
     Caller,

@@ -51,6 +51,8 @@ from turtleact.errors import (
     ServiceError,
     ServiceTimeout,
     TurtleactError,
+    shortened,
+    summary,
 )
 from turtleact.transports.base import Endpoint, EndpointKind, QoS, TimePolicies
 from turtleact.transports.rmw_zenoh.config import PATIENCE
@@ -462,8 +464,6 @@ def _invalid(problem: str) -> InvalidMessage:
 
 def encode_error(error: TurtleactError) -> tuple[str, str]:
     """Encode an error as the text and the kind from which `decode_error` restores the error."""
-    from turtleact.tasks.failures import shortened, summary  # slow to import, for completion
-
     if isinstance(error, InvalidMessage):
         return shortened(str(error)), "InvalidMessage"
     if isinstance(error, ServerUnavailable):
