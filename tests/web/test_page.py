@@ -87,8 +87,8 @@ async def test_the_page_drives_patrols_pauses_and_cancels(devtools):
         await page.click("#draft-send")
         await page.until("document.querySelector('#active progress, #active .track:not([hidden])')")
         await page.until("/index/.test($('active').innerText)")
-        shown = await page.text("#active article")
-        assert "/patrol" in shown
+        shown = await page.text("#active details")
+        assert "/patrol · turtle1" in shown
         assert re.search(r"target [12] \(index [01]\)", shown)
         assert "0 of 2" in shown or "1 of 2" in shown
         assert re.search(r"distance remaining\s+[\d.]+ m", shown)
@@ -220,7 +220,6 @@ async def test_a_goal_does_not_seem_to_run_without_a_connection(devtools):
                 handle.detach()
                 await page.until(f"{pill} === 'executing'")
                 await page.click("#tab-turtles")
-                await page.click("#tab-topics")
                 await page.until("document.querySelector('#rows .run')")
         await page.until(f"{pill} === 'connection lost'")
         before = await page.text("#active .clock")
@@ -228,18 +227,69 @@ async def test_a_goal_does_not_seem_to_run_without_a_connection(devtools):
         await page.until("/^not connected, trying again in/.test($('line').textContent)")
         assert await page.text("#active .clock") == before
         assert await page.text("#rows .scale span + span") == "connection lost"
-        assert await page.run(STILL_ENABLED) == ["turtle", "copy", "defaults", "Choose turtle1"]
+        assert await page.run(STILL_ENABLED) == ["turtle", "copy", "defaults"]
 
         # the world begins anew, and knows nothing of the goal
         async with open_world() as node, open_web(node, port=web.port):
-            ended = "document.querySelector('#ended summary')"
-            await page.until(f"{ended}?.innerText.startsWith('end unknown')")
-            assert "The connection was lost before it ended" in await page.text("#ended")
-            assert await page.run("$('active').children.length") == 0
-            assert await page.text("#rows .scale span + span") == "now"
-            bar = "document.querySelector('#rows .lane i').getBoundingClientRect().right"
-            lane = "document.querySelector('#rows .lane').getBoundingClientRect().right"
-            assert await page.run(f"{bar} <= {lane}")
+            await page.until("$('line').textContent === 'connected'")
+            await page.until("$('active').children.length === 0 && $('timeline').hidden")
+
+
+@in_a_browser
+@on_asyncio
+async def test_a_paused_world_shows_its_turtles_and_those_that_are_spawned(devtools):
+    async with open_world(turtles=2, paused=True) as node, open_web(node, port=0) as web:
+        for count in (3, 4):
+            async with connected(devtools, web.url) as page:
+                await page.until("!$('spawn-here').disabled")
+                await page.run("void (Math.random = () => 0.95)")
+                await page.click("#spawn-here")
+                await page.until(f"$('turtle').options.length === {count}")
+                for name in ("turtle1", f"turtle{count}"):
+                    await page.run(f"$('turtle').value = '{name}'; $('turtle').onchange()")
+                    await page.until("$('state').innerText.includes('x ')")
+
+
+@in_a_browser
+@on_asyncio
+async def test_of_many_goals_the_first_are_open_and_each_names_its_turtle(devtools):
+    async with (
+        open_world(turtles=5) as node,
+        open_web(node, port=0) as web,
+        connected(devtools, web.url) as page,
+    ):
+        await page.until("$('turtle').options.length === 5")
+        client = node.action_client(Patrol, "/patrol")
+        far = [Point(x=9.0, y=9.0), Point(x=2.0, y=2.0)]
+        async with AsyncExitStack() as stack:
+            for number in range(5):
+                order = Patrol.Goal(turtle=f"turtle{number + 1}", targets=far)
+                await stack.enter_async_context(client.send_goal(order))
+            names = (
+                "[...document.querySelectorAll('#active b')].map(each => each.textContent).sort()"
+            )
+            wanted = [f"/patrol · turtle{number + 1}" for number in range(5)]
+            await page.until(f"JSON.stringify({names}) === JSON.stringify({wanted})")
+            assert await page.run("document.querySelectorAll('#active details[open]').length") == 3
+            # goals that run at the same time do not cover each other
+            tops = "[...document.querySelectorAll('#rows i')].map(each => each.offsetTop)"
+            await page.until(f"new Set({tops}).size === 5")
+
+
+@in_a_browser
+@on_asyncio
+async def test_a_form_offers_the_turtles_and_begins_where_the_turtle_is(devtools):
+    async with world_page(devtools) as (_, page):
+        await page.until("$('turtle').options.length === 1 && $('fields').children.length")
+        await page.click("#tab-send")
+        options = "[...document.querySelectorAll('#fields option')].map(each => each.value)"
+        assert (await page.run(options))[0] == "turtle1"
+        await page.until("$('state').innerText.includes('x 5.54')")
+        await page.run(
+            "[...document.querySelectorAll('#fields button')].find("
+            "each => each.textContent === 'Add to targets').click()"
+        )
+        assert await page.run("document.activeElement.value") == "5.54"
 
 
 @in_a_browser
@@ -264,7 +314,7 @@ async def test_turtles_keep_their_colours_when_others_come(devtools):
 
         # a place outside of the world, and a name that is taken, are told before anything happens
         await page.run(f"{spawn} x.value = '99'; name.value = 'anna'; {click}")
-        assert await page.text("#said") == "x and y are numbers from 0 to 11.08"
+        assert await page.run(f"{spawn} x.validity.rangeOverflow && document.activeElement === x")
         await page.run(f"{spawn} x.value = '3'; name.value = 'turtle1'; {click}")
         assert await page.text("#said") == "There is a turtle named turtle1 already"
         await page.run(f"{spawn} name.value = 'no name'; {click}")
@@ -497,8 +547,11 @@ async def test_the_page_fits_a_phone_and_a_screen_reader(devtools):
 
         # topics are shown, and turtles come and go
         assert "geometry_msgs/msg/Twist" in await page.run("$('topics').textContent")
-        await page.click("[aria-label='Show /turtle2/pose']")
-        await page.until("document.querySelector('.topic dl')?.innerText.includes('theta')")
+        await page.run(
+            "[...document.querySelectorAll('#topics summary')].find("
+            "each => each.textContent.startsWith('/turtle2/pose')).click()"
+        )
+        await page.until("document.querySelector('#topics [open] dl')?.innerText.includes('theta')")
         await page.click("[aria-label='Kill turtle2']")
         await page.until("$('turtle').options.length === 1")
         await page.click("#turtles form[aria-label='Pen'] button")

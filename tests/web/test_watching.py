@@ -453,6 +453,18 @@ async def test_a_turtle_of_the_world_is_followed():
         assert news["trails"]["turtle1"]["points"][0][:2] == [5.544, 5.544]
 
 
+async def test_a_page_learns_where_the_turtles_of_a_paused_world_are():
+    async with (
+        open_world(turtles=2, paused=True) as node,
+        open_bridge(node) as bridge,
+        line(bridge) as client,
+    ):
+        news = await watch(client)
+        while "turtle2" not in news["poses"]:
+            news = await watch(client, session=news["session"], since=news["revision"])
+        assert news["poses"]["turtle1"] == pytest.approx([5.544, 5.544, 0.0], abs=0.001)
+
+
 @pytest.mark.parametrize(
     ("service", "args", "problem"),
     [

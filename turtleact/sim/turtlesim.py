@@ -15,6 +15,7 @@ Source: turtlesim 1.8.2, ``turtle_frame.cpp``.
 from __future__ import annotations
 
 import logging
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Final
 
@@ -30,6 +31,7 @@ from turtleact.sim.paint import BACKGROUND, Colour
 from turtleact.sim.pictures import Figure, Snapshot, thumbnail
 from turtleact.sim.turtle import TOPIC_QOS, Habitat, Turtle
 from turtleact.sim.world_services import Pictures, Poses, Simulation, Ticking, poses_of
+from turtleact.tasks import current_tasks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -85,7 +87,10 @@ class Turtlesim:
         self._told: list[tuple[int, Publisher[TurtlePose]]] = []  # by index; somebody reads them
         self._sensed: set[str] = set()
         self._have_readers_changed = True
-        self._poses = None if beside is None else beside.publisher(Poses, "~/poses", TOPIC_QOS)
+        self._poses = None
+        if beside is not None:
+            ask = partial(current_tasks().call_soon, self._tell_paused)
+            self._poses = beside.publisher(Poses, "~/poses", TOPIC_QOS, on_matched=ask)
         self._welcome_all()
         node.service(Spawn, "spawn", self._spawn)
         node.service(Kill, "kill", self._kill)
@@ -181,8 +186,7 @@ class Turtlesim:
         if self._have_readers_changed:
             self._look_around()
         self._tell_poses()
-        if self._poses is not None and self._poses.has_subscriptions:
-            self._poses.publish(poses_of(world, stamp_of(self._node.clock.now())))
+        self._tell_fleet()
         for name, colour in self._pens.follow(self._sensed).items():
             self._turtles[name].tell_colour(colour)
 
@@ -202,6 +206,16 @@ class Turtlesim:
         for i, publisher in self._told:
             pose = TurtlePose(x[i], y[i], theta[i], linear[i], angular[i])
             publish_unchecked(publisher, pose)
+
+    def _tell_fleet(self) -> None:
+        """Publish all poses in one message, if somebody reads that."""
+        if self._poses is not None and self._poses.has_subscriptions:
+            self._poses.publish(poses_of(self._world, stamp_of(self._node.clock.now())))
+
+    def _tell_paused(self) -> None:
+        """Tell a new reader where all turtles are while the world is paused and makes no ticks."""
+        if self.is_paused:
+            self._tell_fleet()
 
     # turtles that come and go
 

@@ -43,6 +43,7 @@ from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.standard import GoalStatusArray
 from turtleact.node import Node
 from turtleact.node.topics import Subscription
+from turtleact.sim.world_services import Poses
 from turtleact.tasks import Background, current_tasks
 from turtleact.transports import QoS
 from turtleact.transports.base import STATUS_QOS
@@ -131,6 +132,8 @@ class Watch:
         self._graph_revision = 0
         self._actions: dict[tuple[str, str], _Action] = {}
         self._poses: dict[str, Subscription[Any]] = {}
+        self._places: dict[str, tuple[float, float, float]] = {}
+        self._locating: Background | None = None
         self._following: dict[str, Background] = {}
         self._handles: dict[str, Handle] = {}
         self._requests: dict[str, Plain] = {}
@@ -223,6 +226,8 @@ class Watch:
 
     async def aclose(self) -> None:
         """Stop watching."""
+        if self._locating is not None:
+            await self._locating.aclose()
         # A copy, because each task removes itself from the dict when it ends.
         for following in list(self._following.values()):
             await following.aclose()
@@ -258,6 +263,7 @@ class Watch:
         changes = self.history.since(since)
         if since and not changes.is_complete:
             return self._news(0)
+        trails = self.trails.since(since)
         news = {
             "session": self._session,
             "revision": self._revision,
@@ -265,7 +271,9 @@ class Watch:
             "now": self._now(),
             "goals": [record.told() for record in changes.goals],
             "dropped": changes.dropped,
-            "trails": self.trails.since(since),
+            "trails": trails,
+            # In a paused world, a page hears no pose from the topics.
+            "poses": {name: self._places[name] for name in trails if name in self._places},
         }
         return news if self._graph_revision <= since else {**news, "graph": self._graph}
 
@@ -338,16 +346,37 @@ class Watch:
     def _look_for_turtles(self, found: dict[str, str]) -> None:
         for topic in self._poses.keys() - found.keys():
             self._poses.pop(topic).close()
+            self._places.pop(_turtle(topic), None)
             self.trails.lift(_turtle(topic))
         for topic, type in found.items():
             if topic not in self._poses and len(self._poses) < MOST_TURTLES:
                 self._follow_turtle(topic, message_class(type))
+        is_idle = self._locating is None or self._locating.has_ended
+        if is_idle and not self._places.keys() >= {_turtle(topic) for topic in self._poses}:
+            self._locating = Background(self._locate(), "looking for turtles")
+
+    async def _locate(self) -> None:
+        """Learn where the turtles of a world are. While it is paused, they publish no poses."""
+        for topic, type in self._graph["topics"].items():
+            if type == Poses.type_name:
+                subscription = self._node.subscription(Poses, topic, QoS(depth=1))
+                try:
+                    poses = await anext(subscription)
+                finally:
+                    subscription.close()
+                for name, *place in zip(poses.names, poses.x, poses.y, poses.theta, strict=True):
+                    if f"/{name}{POSE}" in self._poses:
+                        self._move(name, *place)
+
+    def _move(self, name: str, x: float, y: float, theta: float) -> None:
+        self._places[name] = x, y, theta
+        self.trails.follow(name, x, y)
 
     def _follow_turtle(self, topic: str, pose_type: type[Message]) -> None:
-        name, follow = _turtle(topic), self.trails.follow
+        name = _turtle(topic)
 
         def take(pose: Any) -> bool:  # noqa: ANN401  # of either package
-            follow(name, pose.x, pose.y)
+            self._move(name, pose.x, pose.y, pose.theta)
             return True
 
         subscription: Subscription[Any] = self._node.subscription(pose_type, topic, QoS(depth=1))

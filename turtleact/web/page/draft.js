@@ -8,6 +8,7 @@ export class Draft extends EventTarget {
   #controls = new Map();
   #forms = new Map();
   #turtle = "";
+  #turtles = new Map();
   #isPicked = false;
   #sent = null;
   #blamed = null;
@@ -138,13 +139,22 @@ export class Draft extends EventTarget {
     this.chooseTurtle(this.#turtle);
   }
 
-  #make(action, form) {
-    const control = messageControl(form.goal), turtle = control.controls.get("turtle");
-    this.#controls.set(action, control);
-    if (turtle instanceof Leaf) {
-      turtle.input.setAttribute("list", "turtle-names");
-      if (this.#turtle) turtle.write(this.#turtle);
+  // The turtles of the map, of which the form lets one be chosen.
+  offerTurtles(turtles) {
+    this.#turtles = turtles;
+    for (const {controls} of this.#controls.values()) {
+      const field = controls.get("turtle");
+      if (field?.input?.tagName === "SELECT") field.offer([...turtles.keys()]);
     }
+  }
+
+  #make(action, form) {
+    const isChoice = ({name, type}) => this.#turtles.size && name === "turtle" && type === "string";
+    const fields = form.goal.map(field => (isChoice(field) ? {...field, values: []} : field));
+    this.#controls.set(action, messageControl(fields));
+    this.offerTurtles(this.#turtles);
+    const list = this.#placeList(), pose = () => this.#turtles.get(this.turtle)?.pose;
+    if (list) list.first = () => pose() && {x: +pose().x.toFixed(2), y: +pose().y.toFixed(2)};
   }
 
   #placeList() {

@@ -25,23 +25,12 @@ export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-export function say(text) {
-  setText($("said"), text);
-}
+export const say = text => setText($("said"), text);
 
 // Says how a promise ends.
 export function report(promise, told = () => "") {
   promise.then(answer => say(told(answer)), error => say(error.message));
 }
 
-// News for screen readers: what comes within a second is said together.
-let waiting = [];
-export function announce(text) {
-  if (!waiting.length) setTimeout(tell, 1000);
-  waiting.push(text);
-}
-function tell() {
-  const many = waiting.length > 3;
-  setText($("live"), many ? `${waiting.length} changes, the last one: ${waiting.at(-1)}` : waiting.join(". "));
-  waiting = [];
-}
+// News for screen readers.
+export const announce = text => setText($("live"), text);

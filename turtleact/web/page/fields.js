@@ -81,6 +81,14 @@ export class Leaf {
     this.complain("");
   }
 
+  // Gives a select other values to choose from.
+  offer(names) {
+    const {value} = this.input;
+    this.field.values = names.map(name => [name, name]);
+    this.input.replaceChildren(...names.map(name => make("option", {}, name)));
+    this.write(value);
+  }
+
   // What is wrong with it, or an empty text.
   complain(text) {
     setText(this.error, text);
@@ -160,13 +168,16 @@ class Group {
 export class List {
   controls = [];
 
+  // The value that the first item begins with; undefined for its type's default.
+  first() {}
+
   constructor(field, isOutermost) {
     this.field = field;
     this.items = make("div", {class: field.fields ? "items" : "items short"});
     this.error = make("small", {class: "error", role: "alert"});
     this.isFixed = field.array.form === "fixed";
     this.add = make("button", {type: "button", hidden: this.isFixed, onclick: () => {
-      this.append().focus();
+      this.append(this.controls.at(-1)?.read([]) ?? this.first()).focus();
       this.#changed();
     }}, `Add to ${label(field.name)}`);
     const hint = isOutermost && field.fields && takesXY(field.fields) ? "You can also choose them on the map." : "";

@@ -10,7 +10,7 @@ const KIND = {
 };
 export const kindOf = status => KIND[status] ?? "";
 
-const MOST_STEPS = 30;
+const MOST_OPEN = 3; // cards that run and show everything from the start
 
 export class Goals {
   #cards = new Map();
@@ -78,13 +78,6 @@ export class Goals {
 
 const tail = goal => (goal.duration === null ? "" : ` after ${seconds(goal.duration)}`);
 
-function heading(goal) {
-  const pill = make("span", {class: "pill"});
-  const clock = make("span", {class: "clock"});
-  const title = make("h3", {}, goal.action);
-  return {pill, clock, title, element: make("div", {class: "head"}, title, pill, clock)};
-}
-
 export const stateOf = goal => (goal.status === "UNKNOWN" ? "end unknown" : goal.status.toLowerCase());
 
 function setPill(pill, goal, isLost = false) {
@@ -99,7 +92,9 @@ class Card {
 
   constructor(goals, goal) {
     this.goals = goals;
-    this.head = heading(goal);
+    this.title = make("b");
+    this.pill = make("span", {class: "pill"});
+    this.clock = make("span", {class: "clock"});
     this.bar = make("i");
     this.track = make("div", {class: "track", role: "progressbar", "aria-label": `Progress of ${goal.action}`,
       "aria-valuemin": 0, "aria-valuemax": 100, hidden: true}, this.bar);
@@ -107,9 +102,11 @@ class Card {
     this.fields = new FieldList();
     this.cancel = make("button", {"aria-label": `Cancel ${goal.action}`, onclick: () => goals.cancel(this.goal)}, "Cancel");
     this.pause = make("button", {onclick: () => goals.setPaused(this.goal, !this.goal.is_paused)});
-    this.element = make("article", {class: "goal", "aria-label": goal.action}, this.head.element, this.track,
-      this.steps, this.fields.element, make("div", {class: "foot"}, this.cancel, this.pause,
-        make("span", {class: "dim", title: goal.id}, `${goal.id.slice(0, 8)} · since ${timeOfDay(goal.at)}`)));
+    const foot = make("div", {class: "foot"}, this.cancel, this.pause,
+      make("span", {class: "dim", title: goal.id}, `${goal.id.slice(0, 8)} · since ${timeOfDay(goal.at)}`));
+    this.element = make("details", {class: "goal", open: $("active").children.length < MOST_OPEN},
+      make("summary", {}, this.title, this.pill, this.clock, this.track),
+      make("div", {}, this.steps, this.fields.element, foot));
   }
 
   show(goal) {
@@ -117,9 +114,9 @@ class Card {
     const switchTo = goal.is_paused ? "Resume" : "Pause";
     setText(this.pause, switchTo);
     this.pause.setAttribute("aria-label", `${switchTo} ${goal.action}`);
-    const progress = progressOf(goal), facts = {}, turtle = turtleOf(goal, this.goals.names());
-    if (turtle) facts.turtle = turtle;
-    if (progress?.of) facts.reached = `${progress.done} of ${progress.of}`;
+    const progress = progressOf(goal), facts = progress?.of ? {reached: `${progress.done} of ${progress.of}`} : {};
+    const turtle = turtleOf(goal, this.goals.names());
+    setText(this.title, turtle && !goal.action.startsWith(`/${turtle}/`) ? `${goal.action} · ${turtle}` : goal.action);
     const shown = goal.feedback ? "feedback" : "request";
     this.fields.show({...facts, ...goal[shown], ...facts}, this.notations[shown], goal.series);
     this.#showProgress(progress);
@@ -128,10 +125,10 @@ class Card {
   }
 
   tick(goal) {
-    const {watch} = this.goals, isLost = !watch.connection.isUp || "seen" in goal;
-    setPill(this.head.pill, goal, isLost);
+    const {watch} = this.goals, isLost = !watch.connection.isUp;
+    setPill(this.pill, goal, isLost);
     this.cancel.disabled = this.pause.disabled = isLost || !["ACCEPTED", "EXECUTING"].includes(goal.status);
-    setText(this.head.clock, seconds(Math.max(0, (goal.seen ?? watch.time()) - goal.accepted)));
+    setText(this.clock, seconds(Math.max(0, watch.time() - goal.accepted)));
   }
 
   #showProgress(progress) {
@@ -144,7 +141,7 @@ class Card {
 
   #showSteps(goal, progress) {
     const count = progress?.of ? placesIn(goal.request?.targets).length : 0;
-    this.steps.hidden = !count || count > MOST_STEPS;
+    this.steps.hidden = !count || count > 30;
     if (this.steps.hidden) return;
     while (this.steps.children.length < count) this.steps.append(make("li"));
     const next = progress.done % count, isOver = progress.done >= progress.of;

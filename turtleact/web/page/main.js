@@ -14,8 +14,6 @@ import {World} from "./world.js";
 
 const connection = new Connection(), watch = new Watch(connection), draft = new Draft(connection, watch);
 const chosen = () => $("turtle").value;
-const turtleNames = make("datalist", {id: "turtle-names"});
-document.body.append(turtleNames);
 
 function choose(name) {
   driving.stop();
@@ -28,7 +26,7 @@ function choose(name) {
 
 const world = new World(connection, watch, draft, {chosen, choose});
 const driving = new Driving(connection, world, chosen);
-const turtles = new Turtles(connection, watch, world, {chosen, choose});
+const turtles = new Turtles(connection, watch, world, chosen);
 new Goals(watch, {names: () => world.names, describe: (action, type) => draft.describe(action, type)});
 new Topics(connection, watch);
 new Timeline(watch);
@@ -45,7 +43,7 @@ function tell(text, kind) {
   setText($("line"), text);
   $("line").className = `pill ${kind}`;
   document.body.classList.toggle("down", kind !== "good");
-  for (const each of document.querySelectorAll("#pause, #clear, #action, [data-drive], .topic button")) each.disabled = !connection.isUp;
+  for (const each of document.querySelectorAll("#pause, #clear, #action, [data-drive]")) each.disabled = !connection.isUp;
   turtles.refresh();
 }
 
@@ -85,7 +83,7 @@ world.onchange = () => {
   const names = world.names, before = chosen();
   $("turtle").replaceChildren(...names.map(name => make("option", {}, name)));
   $("turtle").disabled = !names.length;
-  turtleNames.replaceChildren(...names.map(name => make("option", {value: name})));
+  draft.offerTurtles(world.turtles);
   choose(names.includes(before) ? before : names[0] ?? "");
 };
 $("turtle").onchange = () => choose(chosen());

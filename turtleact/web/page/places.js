@@ -28,9 +28,5 @@ export function progressOf({request, feedback, series, status}) {
   if (of && typeof feedback.reached === "number") {
     return {done: feedback.reached, of, share: Math.max(share ?? 0, feedback.reached / of)};
   }
-  if (typeof feedback.completed_steps === "number" && typeof feedback.remaining_steps === "number") {
-    const steps = feedback.completed_steps + feedback.remaining_steps;
-    return {done: feedback.completed_steps, of: steps, share: steps ? feedback.completed_steps / steps : 1};
-  }
   return share === null ? null : {share: Math.min(1, Math.max(0, share))};
 }

@@ -41,6 +41,13 @@ export class Timeline {
     const lane = this.#rows.get(name)[1];
     while (lane.children.length > goals.length) lane.lastChild.remove();
     while (lane.children.length < goals.length) lane.append(make("i"));
+    // Goals that ran at the same time lie below each other.
+    const ends = [], slots = goals.sort((a, b) => a.accepted - b.accepted).map(goal => {
+      const free = ends.findIndex(end => end <= goal.accepted), slot = free < 0 ? ends.length : free;
+      ends[slot] = endOf(goal, now);
+      return slot;
+    });
+    lane.style.height = `${Math.max(14, 7 * ends.length)}px`;
     goals.forEach((goal, index) => {
       const [from, to] = [goal.accepted, endOf(goal, now)].map(at => Math.min(Math.max(1 - (now - at) / span, 0), 1));
       const bar = lane.children[index];
@@ -48,10 +55,12 @@ export class Timeline {
       bar.title = `${stateOf(goal)}${goal.duration === null ? "" : `, ${seconds(goal.duration)}`}`;
       bar.style.left = `min(${(from * 100).toFixed(2)}%, 100% - 4px)`; // min-width
       bar.style.width = `${((to - from) * 100).toFixed(2)}%`;
+      bar.style.top = `${100 * slots[index] / ends.length}%`;
+      bar.style.height = `calc(${100 / ends.length}% - ${ends.length > 1 ? 1 : 0}px)`;
     });
     lane.setAttribute("aria-label", `${goals.length} ${goals.length === 1 ? "goal" : "goals"} of ${name} in the last ${inWords(span)}`);
   }
 }
 
 const inWords = span => (span < 60 ? `${span} s` : `${span / 60} min`);
-const endOf = (goal, now) => goal.seen ?? (goal.has_ended ? goal.accepted + (goal.duration ?? 0) : now);
+const endOf = (goal, now) => goal.has_ended ? goal.accepted + (goal.duration ?? 0) : now;

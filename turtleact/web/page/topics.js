@@ -15,10 +15,10 @@ export class Topics {
 
   #list() {
     const {topics} = this.watch.graph;
-    for (const [topic, row] of this.#rows) {
-      if (topics[topic] === row.type) continue;
-      this.#close(topic, row);
-      row.element.remove();
+    for (const [topic, {type, element}] of this.#rows) {
+      if (topics[topic] === type) continue;
+      element.open = false;
+      element.remove();
       this.#rows.delete(topic);
     }
     for (const [topic, type] of Object.entries(topics)) if (!this.#rows.has(topic)) this.#add(topic, type);
@@ -26,37 +26,13 @@ export class Topics {
   }
 
   #add(topic, type) {
-    const row = {type, list: null, body: make("div")};
-    row.button = make("button", {"aria-expanded": "false", "aria-label": `Show ${topic}`, onclick: () => {
-      if (row.list) this.#close(topic, row);
-      else this.#open(topic, row);
-    }}, "Show");
-    row.element = make("div", {class: "topic"}, make("div", {class: "head"}, make("span", {}, topic, " ",
-      make("span", {class: "dim"}, type)), row.button), row.body);
-    this.#rows.set(topic, row);
-  }
-
-  #open(topic, row) {
-    row.list = new FieldList();
-    row.body.replaceChildren(make("p", {class: "dim"}, "No message yet"));
-    this.#mark(row, "Hide");
-    row.heard = message => {
-      row.list.show(message);
-      if (row.body.firstChild !== row.list.element) row.body.replaceChildren(row.list.element);
+    const list = new FieldList(), heard = message => list.show(message);
+    const summary = make("summary", {}, make("b", {}, topic), make("span", {class: "what"}, type));
+    const element = make("details", {class: "goal"}, summary, make("div", {}, list.element));
+    element.ontoggle = () => {
+      if (element.open) this.connection.subscribe(topic, type, heard, EVERY);
+      else this.connection.unsubscribe(topic, heard);
     };
-    this.connection.subscribe(topic, row.type, row.heard, EVERY);
-  }
-
-  #mark({button, list}, text) {
-    button.setAttribute("aria-expanded", list !== null);
-    button.textContent = text;
-  }
-
-  #close(topic, row) {
-    if (!row.list) return;
-    row.list = null;
-    row.body.replaceChildren();
-    this.#mark(row, "Show");
-    this.connection.unsubscribe(topic, row.heard);
+    this.#rows.set(topic, {type, element});
   }
 }

@@ -7,19 +7,22 @@ import {SIDE} from "./world.js";
 export class Turtles {
   #rows = new Map();
 
-  constructor(connection, watch, world, {chosen, choose}) {
-    Object.assign(this, {connection, watch, world, chosen, choose});
+  constructor(connection, watch, world, chosen) {
+    Object.assign(this, {connection, watch, world, chosen});
     const input = (name, attributes) => make("label", {}, `${name} `, (this[name] = make("input", attributes)));
     this.body = make("tbody");
     this.setPen = make("button", {}, "Set pen");
     this.pen = make("form", {class: "row", "aria-label": "Pen", onsubmit: event => { event.preventDefault(); this.#pen(); }},
-      input("Colour", {type: "color", value: "#b3b8ff"}), input("Width", {inputmode: "numeric", value: "3"}),
+      input("Colour", {type: "color", value: "#b3b8ff"}), input("Width", {type: "number", min: 1, max: 255, value: 3}),
       make("label", {}, this.off = make("input", {type: "checkbox"}), " off"), this.setPen);
     this.doSpawn = make("button", {}, "Spawn");
+    const place = {type: "number", min: 0, max: SIDE.toFixed(2), step: "any", value: 3, required: true};
     this.form = make("form", {class: "row", "aria-label": "Spawn a turtle", onsubmit: event => { event.preventDefault(); this.#spawnThere(); }},
-      input("x", {inputmode: "decimal", value: "3"}), input("y", {inputmode: "decimal", value: "3"}),
+      input("x", place), input("y", place),
       input("Name", {placeholder: "any", autocomplete: "off"}), this.doSpawn);
-    this.reset = make("button", {onclick: () => report(connection.call("/reset"), () => "The world was reset")}, "Reset world");
+    this.reset = make("button", {class: "bad", onclick: () => {
+      if (confirm("Reset the world? Its trails and all turtles but turtle1 go.")) report(connection.call("/reset"), () => "The world was reset");
+    }}, "Reset world …");
     const head = make("tr", {}, ...["name", "x", "y", "heading", "speed"].map(text => make("th", {scope: "col"}, text)),
       make("th", {scope: "col"}, make("span", {class: "unseen"}, "actions")));
     this.title = make("h3");
@@ -36,10 +39,7 @@ export class Turtles {
     this.setPen.disabled = !this.connection.isUp;
     this.doSpawn.disabled = $("spawn-here").disabled = !has("/spawn");
     this.reset.disabled = !has("/reset");
-    for (const [id, [, , buttons]] of this.#rows) {
-      buttons[0].setAttribute("aria-pressed", id === name);
-      buttons[1].disabled = !has("/kill");
-    }
+    for (const [, , kill] of this.#rows.values()) kill.disabled = !has("/kill");
   }
 
   show() {
@@ -58,28 +58,23 @@ export class Turtles {
 
   #add(name) {
     const cells = [0, 1, 2, 3].map(() => make("td"));
-    const buttons = [
-      make("button", {onclick: () => this.choose(name), "aria-label": `Choose ${name}`}, "Choose"),
-      make("button", {onclick: () => report(this.connection.call("/kill", {name})), "aria-label": `Kill ${name}`}, "Kill"),
-    ];
-    const row = make("tr", {}, make("th", {scope: "row"}, name), ...cells, make("td", {}, make("div", {class: "row"}, ...buttons)));
+    const kill = make("button", {onclick: () => report(this.connection.call("/kill", {name})), "aria-label": `Kill ${name}`}, "Kill");
+    const row = make("tr", {}, make("th", {scope: "row"}, name), ...cells, make("td", {}, kill));
     this.body.append(row);
-    this.#rows.set(name, [cells, row, buttons]);
+    this.#rows.set(name, [cells, row, kill]);
   }
 
   #pen() {
-    const [r, g, b] = [1, 3, 5].map(at => parseInt(this.Colour.value.slice(at, at + 2), 16)), width = +this.Width.value;
-    if (!Number.isInteger(width) || width < 1 || width > 255) return say("The width of a pen is a whole number from 1 to 255");
-    const args = {r, g, b, width, off: +this.off.checked};
+    const [r, g, b] = [1, 3, 5].map(at => parseInt(this.Colour.value.slice(at, at + 2), 16));
+    const args = {r, g, b, width: +this.Width.value, off: +this.off.checked};
     const name = this.chosen();
     report(this.connection.call(`/${name}/set_pen`, args), () => `The pen of ${name} was set`);
   }
 
   #spawnThere() {
-    const [x, y] = [this.x, this.y].map(({value}) => (value.trim() ? +value : NaN)), name = this.Name.value.trim();
-    if (![x, y].every(each => each >= 0 && each <= SIDE)) return say("x and y are numbers from 0 to 11.08");
+    const name = this.Name.value.trim();
     if (this.world.turtles.has(name)) return say(`There is a turtle named ${name} already`);
-    this.#spawn(x, y, name);
+    this.#spawn(+this.x.value, +this.y.value, name);
   }
 
   #spawn(x, y, wanted) {

@@ -1,9 +1,6 @@
 // What the server watches for all pages: goals, trails, the graph, and the time.
 
-const MOST_LINES = 128;
 const MOST_POINTS = 2000;
-const MOST_GOALS = 400;
-const AGAIN_WITHIN = 3000; // ms
 
 export class Watch extends EventTarget {
   goals = new Map();
@@ -26,7 +23,7 @@ export class Watch extends EventTarget {
   }
 
   // Events: "graph", "goal" (detail: {goal, before}), "dropped" (id), "trails" (detail:
-  // whether lines were replaced), and "time".
+  // whether lines were replaced), "poses" (of turtles with new trails), and "time".
   async follow() {
     const run = ++this.#run;
     this.#measured = [0, 0];
@@ -57,19 +54,13 @@ export class Watch extends EventTarget {
   }
 
   #take(news) {
-    const isOther = this.#session && news.session !== this.#session && this.goals.size < MOST_GOALS;
-    const seen = this.time();
     this.#stopped = null;
     this.#session = news.session;
     this.#revision = news.revision;
     this.#setTime(news.now);
     if (news.is_whole) {
       const kept = new Set(news.goals.map(goal => goal.id));
-      for (const [id, goal] of this.goals) {
-        if (kept.has(id)) continue;
-        if (isOther) this.#lose(goal, seen);
-        else this.#drop(id);
-      }
+      for (const id of this.goals.keys()) if (!kept.has(id)) this.#drop(id);
       for (const name of this.trails.keys()) if (!(name in news.trails)) this.trails.delete(name);
     }
     if (news.graph) {
@@ -83,6 +74,7 @@ export class Watch extends EventTarget {
     }
     for (const id of news.dropped) this.#drop(id);
     this.#takeTrails(news.trails, news.is_whole);
+    this.#tell("poses", news.poses);
     this.#tell("time");
   }
 
@@ -92,7 +84,6 @@ export class Watch extends EventTarget {
       isReplaced ||= tail.is_whole;
       const points = tail.is_whole ? tail.points : [...(this.trails.get(name) ?? []), ...tail.points];
       this.trails.set(name, points.slice(-MOST_POINTS));
-      if (this.trails.size > MOST_LINES) this.trails.delete(this.trails.keys().next().value);
     }
     if (isReplaced || Object.keys(tails).length) this.#tell("trails", isReplaced);
   }
@@ -112,18 +103,6 @@ export class Watch extends EventTarget {
     }
     this.now = now;
     this.#heardAt = here;
-  }
-
-  // A server that was started again may not know a goal, or not yet.
-  #lose(goal, seen) {
-    if (goal.has_ended) return;
-    goal.seen = seen;
-    setTimeout(() => {
-      if (this.goals.get(goal.id) !== goal) return;
-      const lost = {...goal, has_ended: true, status: "UNKNOWN", reason: "The connection was lost before it ended"};
-      this.goals.set(goal.id, lost);
-      this.#tell("goal", {goal: lost, before: goal, isNews: true});
-    }, AGAIN_WITHIN);
   }
 
   #drop(id) {

@@ -1,6 +1,6 @@
 // The map: turtles, their trails, and the places that goals lead to.
 
-import {$} from "./elements.js";
+import {$, setText} from "./elements.js";
 import {placesIn, progressOf, turtleOf} from "./places.js";
 import {number} from "./values.js";
 
@@ -29,6 +29,7 @@ export class World {
     watch.addEventListener("graph", () => this.#look());
     watch.addEventListener("trails", ({detail}) => { if (detail) this.#inked = ""; this.#isStale = true; });
     watch.addEventListener("goal", () => { this.#isStale = true; });
+    watch.addEventListener("poses", ({detail}) => this.#placeAt(detail));
     draft.addEventListener("change", () => { this.#isStale = true; });
     new ResizeObserver(() => { this.#isStale = true; }).observe(this.#canvas);
     this.#listen();
@@ -81,6 +82,15 @@ export class World {
     this.connection.subscribe(topic, type, turtle.heard, rate);
   }
 
+  // In a paused world, turtles publish no poses.
+  #placeAt(poses) {
+    for (const [name, [x, y, theta]] of Object.entries(poses)) {
+      const turtle = this.turtles.get(name);
+      if (turtle) turtle.pose ??= {x, y, theta, linear_velocity: 0};
+    }
+    this.#isStale = true;
+  }
+
   // drawing
 
   #draw() {
@@ -93,17 +103,40 @@ export class World {
     const shift = [width / 2 - this.#view.x * unit, height / 2 - (SIDE - this.#view.y) * unit];
     pen.setTransform(1, 0, 0, 1, 0, 0);
     pen.clearRect(0, 0, width, height);
+    const size = dots / unit;
+    pen.setTransform(unit, 0, 0, unit, ...shift);
+    this.#drawGrid(size);
     this.#drawTrails(width, height, unit, shift);
+    pen.setTransform(1, 0, 0, 1, 0, 0);
     pen.drawImage(this.#ink.canvas, 0, 0);
     pen.setTransform(unit, 0, 0, unit, ...shift);
-    pen.strokeStyle = "rgb(255 255 255 / .35)";
-    pen.lineWidth = dots / unit;
-    pen.strokeRect(0, 0, SIDE, SIDE);
     this.#drawEnds();
-    const size = dots / unit;
     for (const goal of this.watch.goals.values()) if (!goal.has_ended) this.#drawGoal(goal, size);
     this.#drawPlaces(this.draft.places(), {size, turtle: this.draft.turtle, isDraft: true});
     for (const turtle of this.turtles.values()) if (turtle.pose) this.#drawTurtle(turtle, size);
+  }
+
+  // A line each metre, numbers at each second one, and a darker ground outside of the world.
+  #drawGrid(size) {
+    const pen = this.#pen;
+    pen.fillStyle = "rgb(0 0 40 / .45)";
+    pen.beginPath();
+    pen.rect(-SIDE, -SIDE, 3 * SIDE, 3 * SIDE);
+    pen.rect(0, 0, SIDE, SIDE);
+    pen.fill("evenodd");
+    pen.strokeStyle = "rgb(255 255 255 / .13)";
+    pen.fillStyle = "rgb(255 255 255 / .75)";
+    pen.lineWidth = size;
+    pen.font = `${11 * size}px system-ui, sans-serif`;
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
+    for (let at = 1; at < SIDE; at++) {
+      pen.strokeRect(at, 0, 0, SIDE);
+      pen.strokeRect(0, SIDE - at, SIDE, 0);
+      if (at % 2) continue;
+      pen.fillText(at, at, SIDE - 9 * size);
+      pen.fillText(at, 9 * size, SIDE - at);
+    }
   }
 
   // Trails have a canvas of their own, which is kept while the view is the same.
@@ -259,7 +292,12 @@ export class World {
       if (pointers.size === 1) this.#moved = 0;
       this.#spread = 0;
     };
-    canvas.onpointermove = event => this.#move(event);
+    canvas.onpointermove = event => {
+      const {x, y} = this.#place(event);
+      setText($("at"), `${x.toFixed(2)}, ${y.toFixed(2)}`);
+      this.#move(event);
+    };
+    canvas.onpointerleave = () => setText($("at"), "");
     canvas.onpointerup = event => {
       if (pointers.size === 1 && this.#moved <= 6) this.#pick(this.#place(event));
       pointers.delete(event.pointerId);
