@@ -9,7 +9,7 @@ import pytest
 
 from turtleact import QoS, open_node
 from turtleact.commands.doctor import fact_lines
-from turtleact.doctor.snapshot import Answer, NodeSeen, Router, Snapshot
+from turtleact.doctor.checks import Answer, NodeSeen, Router, Snapshot
 from turtleact.interfaces.standard import Twist
 from turtleact.transports.base import Endpoint
 

@@ -7,8 +7,16 @@ from typing import Any
 import msgspec
 import pytest
 
-from turtleact.doctor.checks import Fault, find_faults
-from turtleact.doctor.snapshot import Answer, EndpointSeen, NodeSeen, Report, Router, Snapshot
+from turtleact.doctor.checks import (
+    Answer,
+    EndpointSeen,
+    Fault,
+    NodeSeen,
+    Report,
+    Router,
+    Snapshot,
+    find_faults,
+)
 from turtleact.transports.base import Endpoint, EndpointKind, QoS, TimePolicies
 
 OURS, THEIRS = f"RIHS01_{'a' * 64}", f"RIHS01_{'b' * 64}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from turtleact.doctor.snapshot import own_fields
+from turtleact.doctor.checks import own_fields
 from turtleact.interfaces import implied, load_interface
 from turtleact.interfaces.standard import Point
 

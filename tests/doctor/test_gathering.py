@@ -11,7 +11,7 @@ import anyio
 import pytest
 
 import turtleact
-from turtleact import QoS, TurtleactError
+from turtleact import QoS
 from turtleact.doctor import gathering
 from turtleact.doctor.checks import Fault, find_faults
 from turtleact.doctor.gathering import take_snapshot
@@ -106,24 +106,6 @@ async def test_a_healthy_graph_has_no_faults(address):
         assert await graph.faults() == []
 
 
-async def test_two_nodes_of_one_name_are_named(address):
-    async with graph_at(address) as graph:
-        for _ in range(2):
-            await graph.node("lab")
-        fault = await graph.only_fault()
-        assert (fault.kind, fault.names) == ("duplicate-node", ("/lab",))
-
-
-async def test_two_servers_of_one_action_are_named(address):
-    async with graph_at(address) as graph:
-        # Both begin before either has seen the other.
-        nodes = [await graph.node(name) for name in ("one", "two")]
-        for node in nodes:
-            node.action_server(Count, "count", count)
-        fault = await graph.only_fault(endpoints=10)
-        assert (fault.kind, fault.names) == ("several-servers", ("/count", "/one", "/two"))
-
-
 async def test_different_definitions_are_named_with_their_fields(address):
     class Here(Message, type_name="lab_interfaces/msg/Level"):
         height: int32 = 0
@@ -166,25 +148,6 @@ async def test_a_process_that_does_not_answer_is_named(address, monkeypatch):
         assert (fault.kind, fault.names) == ("silent-node", ("/hung",))
 
 
-async def test_qualities_of_service_that_do_not_fit_are_named(address):
-    async with graph_at(address) as graph:
-        node = await graph.node("sensor")
-        node.publisher(Twist, "speed", QoS(reliability="best_effort"))
-        node.subscription(Twist, "speed")
-        fault = await graph.only_fault(endpoints=2)
-        assert (fault.kind, fault.names) == ("qos", ("/speed", "/sensor", "/sensor"))
-
-
-async def test_an_interface_that_is_not_known_here_is_named(address):
-    async with graph_at(address) as graph:
-        kept = plant(
-            await graph.session(), "/arm", "grippers_interfaces/msg/Grip", f"RIHS01_{'0' * 64}"
-        )
-        fault = await graph.only_fault(endpoints=1)
-        assert fault.names == ("grippers_interfaces/msg/Grip", "/planted")
-        kept.clear()
-
-
 async def test_a_node_of_an_old_release_is_named(address):
     async with graph_at(address) as graph:
         kept = plant(await graph.session(), "/humble", Twist.type_name, OLD)
@@ -205,9 +168,7 @@ async def test_what_a_process_reports_is_named_also_to_a_doctor_that_comes_later
         reports.close()
 
 
-@pytest.mark.parametrize(
-    ("until", "is_fault"), [("", True), ("soon", True), ("9e9", True), ("1e9", False)]
-)
+@pytest.mark.parametrize(("until", "is_fault"), [("", True), ("9e9", True), ("1e9", False)])
 async def test_a_reported_fault_ends_at_its_time(address, until, is_fault):
     values = [KeyValue("advice", "mend it"), KeyValue("until", until)]
     async with graph_at(address) as graph:
@@ -235,20 +196,6 @@ async def test_the_facts_name_the_router_and_its_version(address):
         [router] = snapshot.routers or ()
         assert router.version == snapshot.zenoh
         assert (router.sessions, snapshot.domain) == (1, transport.context.domain)
-
-
-async def test_a_graph_that_is_lost_meanwhile_is_one_clear_error(address, monkeypatch):
-    async with graph_at(address) as graph:
-        (await graph.node("lab")).action_server(Count, "count", count)
-        transport = await graph.session()
-
-        async def fail() -> Any:
-            raise TurtleactError("the Zenoh session has closed")
-
-        monkeypatch.setattr(transport, "routers", fail)
-        async with turtleact.open_node("_doctor", transport=transport) as node:
-            with pytest.raises(TurtleactError, match="the Zenoh session has closed"):
-                await take_snapshot(node)
 
 
 async def test_a_graph_within_one_process_is_looked_at_too():

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from turtleact import open_node
-from turtleact.doctor.snapshot import described_fields, own_fields
+from turtleact.doctor.checks import described_fields, own_fields
 from turtleact.interfaces import get_interface, implied, interface_source, type_hash
 from turtleact.interfaces.standard import Fibonacci, GoalStatusArray, Parameter, Point
 from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION, TYPE_HASH, offer_descriptions

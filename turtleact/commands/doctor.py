@@ -16,8 +16,7 @@ from turtleact.errors import TurtleactError, UsageError
 
 if TYPE_CHECKING:
     from turtleact.commands.settings import ConnectOptions
-    from turtleact.doctor.checks import Fault
-    from turtleact.doctor.snapshot import Snapshot
+    from turtleact.doctor.checks import Fault, Snapshot
     from turtleact.node import Node
 
 __all__ = ["app", "fact_lines"]

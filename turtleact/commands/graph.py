@@ -261,8 +261,7 @@ def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str
         known: The type hashes that this process has, by type name. Each type of the endpoints is
             also compared with the definition in this process.
     """
-    from turtleact.doctor.checks import differing_definitions
-    from turtleact.doctor.snapshot import EndpointSeen, Snapshot
+    from turtleact.doctor.checks import EndpointSeen, Snapshot, differing_definitions
 
     own = node.fully_qualified_name
     seen = tuple(EndpointSeen(each) for each in endpoints if each.node != own)

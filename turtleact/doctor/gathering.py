@@ -14,16 +14,15 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final
 
 import anyio
 import msgspec
 
-from turtleact.doctor.checks import HASHED
-from turtleact.doctor.snapshot import (
+from turtleact.doctor.checks import (
+    HASHED,
     Answer,
     EndpointSeen,
     Fields,
@@ -80,7 +79,8 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
             done only if there are no other nodes on the graph.
 
     Raises:
-        TurtleactError: if the node is closed, or loses its connection to the graph meanwhile.
+        ExceptionGroup: with a `TurtleactError`, if the node is closed, or loses its connection to
+            the graph meanwhile.
     """
     nodes, endpoints = _seen(node)
     answers: list[Answer] = []
@@ -88,13 +88,12 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
     around: list[Snapshot] = []
     known = _known({each.endpoint.type_name for each in endpoints})
     fields: dict[tuple[str, str], Fields] = {}
-    with _one_error():
-        async with anyio.create_task_group() as group:
-            for session, asked in _to_ask(endpoints).items():
-                group.start_soon(_ask, node, session, asked, answers)
-            group.start_soon(_collect_reports, node, reports)
-            group.start_soon(_look_around, node, around, with_domains or not nodes)
-            group.start_soon(_find_fields, node, endpoints, known, fields)
+    async with anyio.create_task_group() as group:
+        for session, asked in _to_ask(endpoints).items():
+            group.start_soon(_ask, node, session, asked, answers)
+        group.start_soon(_collect_reports, node, reports)
+        group.start_soon(_look_around, node, around, with_domains or not nodes)
+        group.start_soon(_find_fields, node, endpoints, known, fields)
     return msgspec.structs.replace(
         around[0],
         nodes=nodes,
@@ -104,21 +103,6 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
         known=known,
         fields=fields,
     )
-
-
-@contextmanager
-def _one_error() -> Iterator[None]:
-    """Replace an exception group that contains only turtleact's errors with the first error."""
-    try:
-        yield
-    except ExceptionGroup as group:
-        known, others = group.split(TurtleactError)
-        if known is None or others is not None:
-            raise
-        first: Exception = known
-        while isinstance(first, ExceptionGroup):
-            first = first.exceptions[0]
-        raise first from None
 
 
 def _seen(node: Node) -> tuple[tuple[NodeSeen, ...], tuple[EndpointSeen, ...]]:
@@ -213,22 +197,13 @@ async def _collect_reports(node: Node, reports: list[Report]) -> None:
             async for message in subscription:
                 for status in message.status:
                     said = {each.key: each.value for each in status.values}
-                    if _is_over(said.get(UNTIL, "")):
-                        continue
-                    reports.append(Report(status.name, status.message, said.get(ADVICE, "")))
+                    if float(said.get(UNTIL) or "inf") > time.time():
+                        reports.append(Report(status.name, status.message, said.get(ADVICE, "")))
                 left -= 1
                 if left <= 0:
                     return
     finally:
         await subscription.aclose()
-
-
-def _is_over(until: str) -> bool:
-    """Whether the time at which a fault ends has passed; False if the text is not a time."""
-    try:
-        return bool(until) and float(until) < time.time()
-    except ValueError:  # another program may publish on the topic, too
-        return False
 
 
 # the session and its routers
@@ -244,7 +219,7 @@ async def _look_around(node: Node, around: list[Snapshot], with_domains: bool) -
         Snapshot(
             domain=transport.context.domain,
             routers=tuple(routers),
-            zenoh=_own_zenoh(),
+            zenoh=version("eclipse-zenoh"),
             domains=await transport.domains() if with_domains else (),
         )
     )
@@ -265,13 +240,6 @@ class _Told(msgspec.Struct):
 
     version: str = ""
     sessions: list[object] = []
-
-
-def _own_zenoh() -> str:
-    try:
-        return version("eclipse-zenoh")
-    except PackageNotFoundError:
-        return ""
 
 
 # definitions of types

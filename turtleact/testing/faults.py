@@ -11,7 +11,6 @@ not change the faults of the others.
 
 from __future__ import annotations
 
-import logging
 import math
 import random
 from collections import Counter, deque
@@ -40,8 +39,6 @@ from turtleact.transports.base import (
 )
 
 __all__ = ["Faults", "FaultyTransport"]
-
-logger = logging.getLogger("turtleact.transport")
 
 
 class Faults(msgspec.Struct, frozen=True):
@@ -162,7 +159,7 @@ class FaultyTransport:
         name = f"{endpoint.node} {endpoint.name}"
         self._names[name] += 1
         chance = random.Random(f"{self._seed} {name} {self._names[name]}")  # noqa: S311  # no secret
-        link = _Link(self, endpoint.name, deliver, chance)
+        link = _Link(self, deliver, chance)
         self._links.append(link)
         link.inner = self._transport.subscribe(endpoint, format, link.take)
         return link
@@ -227,15 +224,10 @@ class FaultyTransport:
         """Wait until a node or endpoint appears or disappears. Cancelling: safe."""
         await self._transport.wait_for_change()
 
-    def forget(self, link: _Link) -> None:
-        """Forget a link that is closed and has no running task."""
-        if link in self._links:
-            self._links.remove(link)
-
     async def aclose(self) -> None:
         """Close the transport: delayed messages are lost, and no more messages arrive."""
         self.cut()
-        for link in tuple(self._links):
+        for link in self._links:
             await link.aclose()
 
     async def __aenter__(self) -> Self:
@@ -255,14 +247,10 @@ class _Link:
 
     inner: Closeable
 
-    def __init__(
-        self, transport: FaultyTransport, topic: str, deliver: Deliver, chance: random.Random
-    ) -> None:
+    def __init__(self, transport: FaultyTransport, deliver: Deliver, chance: random.Random) -> None:
         self._transport = transport
-        self._topic = topic
         self._deliver = deliver
         self._chance = chance
-        self._is_open = True
         self._late: deque[tuple[float, int, object]] = deque()
         self._courier: Background | None = None
 
@@ -284,18 +272,14 @@ class _Link:
 
     def close(self) -> None:
         """Close the link. A second call does nothing."""
-        self._is_open = False
         self._late.clear()
         self.inner.close()
-        if self._courier is None:
-            self._transport.forget(self)
 
     async def aclose(self) -> None:
         """Close the link, and wait for the end of the task that delivers its delayed messages."""
         self.close()
         if self._courier is not None:
             await self._courier.aclose()
-            self._transport.forget(self)
 
     def _send(self, message: object, times: int, delay: float) -> None:
         if not delay and not self._late:
@@ -317,18 +301,9 @@ class _Link:
                 else:
                     self._arrive(message, times)
         self._courier = None
-        if not self._is_open:
-            transport.forget(self)
 
     def _arrive(self, message: object, times: int) -> None:
         self._transport.counts["delivered"] += 1
         self._transport.counts["repeated"] += times - 1
         for _ in range(times):
-            if not self._is_open:  # the first of two deliveries may have closed it
-                return
-            try:
-                self._deliver(message)
-            except Exception:
-                logger.exception(
-                    "a subscription of topic %s failed to handle a message", self._topic
-                )
+            self._deliver(message)
