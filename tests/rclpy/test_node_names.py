@@ -83,7 +83,7 @@ def test_good_names_pass():
 def test_a_name_is_expanded():
     assert expand_topic_name("{node}/{ns}", "arm", "/lab") == "/lab/arm//lab"
     for words in (("a?", "arm", "/lab"), ("a", "arm?", "/lab"), ("a", "arm", "lab")):
-        with pytest.raises(ValueError, match="is invalid"):
+        with pytest.raises(ValueError, match="must"):
             expand_topic_name(*words)
     with pytest.raises(ValueError, match="unknown substitution"):
         expand_topic_name("{me}", "arm", "/lab")

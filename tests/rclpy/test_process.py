@@ -10,7 +10,7 @@ def test_the_end_of_the_process_waits_for_contexts_that_other_threads_shut_down(
     began, goes_on = threading.Event(), threading.Event()
 
     def end():
-        with process.ending():
+        with process.ending:
             began.set()
             goes_on.wait()
 
@@ -28,5 +28,5 @@ def test_the_end_of_the_process_waits_for_contexts_that_other_threads_shut_down(
 
 def test_a_context_that_ends_does_not_wait_for_itself():
     process = Process()
-    with process.ending():
+    with process.ending:
         process.shut_down()

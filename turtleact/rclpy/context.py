@@ -22,7 +22,7 @@ from types import FrameType
 from typing import Self, TypeAlias
 
 from turtleact.rclpy.exceptions import NotInitializedException
-from turtleact.rclpy.impl.arguments import Arguments, parse_arguments, without_ros_arguments
+from turtleact.rclpy.impl.arguments import Arguments, parse_arguments, split_arguments
 from turtleact.rclpy.impl.connection import Connection
 from turtleact.rclpy.impl.entity import Block, Handle
 from turtleact.rclpy.impl.process import PROCESS
@@ -148,7 +148,7 @@ class Context(Block):
 
     def try_shutdown(self) -> bool:
         """Shut down the context and return True. If the context is not `ok`, return False."""
-        with PROCESS.ending():
+        with PROCESS.ending:
             return self._end()
 
     def destroy(self) -> None:
@@ -236,22 +236,32 @@ def ok(*, context: Context | None = None) -> bool:
     return (get_default_context() if context is None else context).ok()
 
 
-def shutdown(*, context: Context | None = None) -> None:
-    """Shut down a context, or the default one. `Context.shutdown` lists the errors."""
+def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
+    """Shut down a context, or the default one. `Context.shutdown` lists the errors.
+
+    Args:
+        context: The context. None means the default context.
+        uninstall_handlers: Whether to restore the handlers of signals. None means to do so for the
+            default context only.
+    """
     (get_default_context(shutting_down=True) if context is None else context).shutdown()
+    if context is None if uninstall_handlers is None else uninstall_handlers:
+        uninstall_signal_handlers()
 
 
-def try_shutdown(*, context: Context | None = None) -> None:
-    """Shut down a context, or the default one, unless it is already shut down."""
+def try_shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
+    """Shut down a context, or the default one, unless it is already shut down; see `shutdown`."""
     given = get_default_context() if context is None else context
     if context is None and given.handle is not None:  # it may also have been shut down by a signal
         get_default_context(shutting_down=True)
     given.try_shutdown()
+    if context is None if uninstall_handlers is None else uninstall_handlers:
+        uninstall_signal_handlers()
 
 
 def remove_ros_args(args: Sequence[str] | None = None) -> list[str]:
     """Return ``args``, by default ``sys.argv``, without the part from ``--ros-args`` to ``--``."""
-    return without_ros_arguments(list(sys.argv if args is None else args))
+    return split_arguments(sys.argv if args is None else args)[0]
 
 
 def timeout_sec_to_nsec(timeout_sec: float | None) -> int:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from enum import IntEnum
 from typing import Final, NamedTuple
 
 from turtleact.rclpy.impl.connection import Connection
@@ -35,14 +34,11 @@ __all__ = [
     "QoSMessageLostInfo",
     "QoSOfferedDeadlineMissedInfo",
     "QoSOfferedIncompatibleQoSInfo",
-    "QoSPublisherEventType",
     "QoSPublisherMatchedInfo",
     "QoSRequestedDeadlineMissedInfo",
     "QoSRequestedIncompatibleQoSInfo",
-    "QoSSubscriptionEventType",
     "QoSSubscriptionMatchedInfo",
     "SubscriptionEventCallbacks",
-    "UnsupportedEventTypeError",
 ]
 
 KINDS: Final[dict[Policy, QoSPolicyKind]] = {
@@ -52,31 +48,6 @@ KINDS: Final[dict[Policy, QoSPolicyKind]] = {
     "lease": QoSPolicyKind.LIVELINESS,
     "reliability": QoSPolicyKind.RELIABILITY,
 }
-
-
-class UnsupportedEventTypeError(RuntimeError):
-    """The middleware does not support this kind of event."""
-
-
-class QoSPublisherEventType(IntEnum):
-    """The events of a publisher."""
-
-    RCL_PUBLISHER_OFFERED_DEADLINE_MISSED = 0
-    RCL_PUBLISHER_LIVELINESS_LOST = 1
-    RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS = 2
-    RCL_PUBLISHER_INCOMPATIBLE_TYPE = 3
-    RCL_PUBLISHER_MATCHED = 4
-
-
-class QoSSubscriptionEventType(IntEnum):
-    """The events of a subscription."""
-
-    RCL_SUBSCRIPTION_REQUESTED_DEADLINE_MISSED = 0
-    RCL_SUBSCRIPTION_LIVELINESS_CHANGED = 1
-    RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS = 2
-    RCL_SUBSCRIPTION_MESSAGE_LOST = 3
-    RCL_SUBSCRIPTION_INCOMPATIBLE_TYPE = 4
-    RCL_SUBSCRIPTION_MATCHED = 5
 
 
 class QoSOfferedDeadlineMissedInfo(NamedTuple):
@@ -157,11 +128,10 @@ class EventHandler(Waitable):
     def __init__(
         self, callback_group: CallbackGroup, callback: Anything, connection: Connection
     ) -> None:
-        super().__init__(callback_group)
         self.callback = callback
         self._connection = connection
         self._info: object | None = None
-        connection.watch(self.wake)
+        super().__init__(callback_group, close=connection.watch(self.wake))
 
     def _poll(self) -> object | None:
         """If an event has happened since the last call, return its info object; otherwise None."""
@@ -186,11 +156,6 @@ class EventHandler(Waitable):
     async def run(self, taken: object) -> None:
         """Call the callback with the info object."""
         await await_or_execute(self.callback, taken)
-
-    def destroy(self) -> None:
-        """Destroy the handler. A second call does nothing."""
-        self._connection.unwatch(self.wake)
-        super().destroy()
 
 
 class _Late(EventHandler):

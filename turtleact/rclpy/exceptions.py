@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from turtleact.rclpy.impl.typing import Anything
 
 __all__ = [
@@ -13,6 +15,7 @@ __all__ = [
     "InvalidParameterValueException",
     "InvalidServiceNameException",
     "InvalidTopicNameException",
+    "NameOfKind",
     "NameValidationException",
     "NoTypeSupportImportedException",
     "NotInitializedException",
@@ -81,32 +84,37 @@ class NameValidationException(Exception):
         self.invalid_index = invalid_index
 
 
-class InvalidNamespaceException(NameValidationException):
+class NameOfKind(NameValidationException):
+    """The base class of the errors about one kind of name, which the attribute ``KIND`` names."""
+
+    KIND: ClassVar[str]
+
+    def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
+        super().__init__(self.KIND, name, error_msg, invalid_index, *args)
+
+
+class InvalidNamespaceException(NameOfKind):
     """A namespace breaks the naming rules."""
 
-    def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
-        super().__init__("namespace", name, error_msg, invalid_index, *args)
+    KIND = "namespace"
 
 
-class InvalidNodeNameException(NameValidationException):
+class InvalidNodeNameException(NameOfKind):
     """The name of a node breaks the naming rules."""
 
-    def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
-        super().__init__("node name", name, error_msg, invalid_index, *args)
+    KIND = "node name"
 
 
-class InvalidTopicNameException(NameValidationException):
+class InvalidTopicNameException(NameOfKind):
     """The name of a topic breaks the naming rules."""
 
-    def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
-        super().__init__("topic name", name, error_msg, invalid_index, *args)
+    KIND = "topic name"
 
 
-class InvalidServiceNameException(NameValidationException):
+class InvalidServiceNameException(NameOfKind):
     """The name of a service breaks the naming rules."""
 
-    def __init__(self, name: str, error_msg: str, invalid_index: int, *args: object) -> None:
-        super().__init__("service name", name, error_msg, invalid_index, *args)
+    KIND = "service name"
 
 
 class ParameterException(Exception):
@@ -124,25 +132,41 @@ class ParameterException(Exception):
         super().__init__(error_msg, names, *args)
 
 
-class ParameterNotDeclaredException(ParameterException):
+class _ParameterProblem(ParameterException):
+    TEXT: ClassVar[str]
+
+    def __init__(self, parameters: str | list[str], *args: object) -> None:
+        super().__init__(self.TEXT, parameters, *args)
+
+
+class ParameterNotDeclaredException(_ParameterProblem):
     """A parameter has not been declared."""
 
-    def __init__(self, parameters: str | list[str], *args: object) -> None:
-        super().__init__("Invalid access to undeclared parameter(s)", parameters, *args)
+    TEXT = "Invalid access to undeclared parameter(s)"
 
 
-class ParameterAlreadyDeclaredException(ParameterException):
+class ParameterAlreadyDeclaredException(_ParameterProblem):
     """A parameter was declared a second time."""
 
-    def __init__(self, parameters: str | list[str], *args: object) -> None:
-        super().__init__("Parameter(s) already declared", parameters, *args)
+    TEXT = "Parameter(s) already declared"
 
 
-class InvalidParameterException(ParameterException):
+class InvalidParameterException(_ParameterProblem):
     """The name of a parameter is invalid."""
 
-    def __init__(self, parameter: str, *args: object) -> None:
-        super().__init__("Invalid parameter name", parameter, *args)
+    TEXT = "Invalid parameter name"
+
+
+class ParameterUninitializedException(_ParameterProblem):
+    """A parameter was declared without a value, and has no value yet."""
+
+    TEXT = "The parameter is not initialized"
+
+
+class ParameterImmutableException(_ParameterProblem):
+    """An operation has tried to change a read-only parameter."""
+
+    TEXT = "Attempted to modify read-only parameter"
 
 
 class InvalidParameterTypeException(ParameterException):
@@ -164,17 +188,3 @@ class InvalidParameterValueException(ParameterException):
     def __init__(self, parameter: str, value: object, reason: str, *args: object) -> None:
         text = f"Invalid parameter value ({value!r}) for parameter. Reason: {reason}"
         super().__init__(text, parameter, *args)
-
-
-class ParameterUninitializedException(ParameterException):
-    """A parameter was declared without a value, and has no value yet."""
-
-    def __init__(self, parameter: str, *args: object) -> None:
-        super().__init__(f"The parameter '{parameter}' is not initialized", parameter, *args)
-
-
-class ParameterImmutableException(ParameterException):
-    """An operation has tried to change a read-only parameter."""
-
-    def __init__(self, parameter: str, *args: object) -> None:
-        super().__init__("Attempted to modify read-only parameter", parameter, *args)

@@ -23,7 +23,6 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from types import TracebackType
 from typing import TypeAlias
 
 from turtleact.rclpy.context import Context, get_default_context
@@ -32,6 +31,7 @@ from turtleact.rclpy.impl.entity import (
     BLOCKED_AFTER,
     NOTHING,
     Block,
+    BusyThreads,
     CallbackGroup,
     Entity,
     note_blocked,
@@ -97,7 +97,7 @@ class Executor(Block):
         self._wakes = 0
         self._ready: deque[Task] = deque()  # those whose next step can run
         self._round: deque[tuple[Anything, Entity]] = deque()
-        self._work = _WorkTracker()
+        self._work = BusyThreads()
         self._context.on_shutdown(self.wake)
 
     @property
@@ -162,7 +162,7 @@ class Executor(Block):
         """
         self._is_shutdown = True
         self.wake()
-        if not self._work.wait(timeout_sec):
+        if not self._work.wait_for_others(timeout_sec):
             return False
         with self._nodes_lock:
             self._nodes.clear()
@@ -442,41 +442,6 @@ class MultiThreadedExecutor(Executor):
         if error is not None and not self._is_from_shutdown(error):
             self._failed.append(task)
             self.wake()
-
-
-class _WorkTracker:
-    """Counts the callbacks that are running."""
-
-    def __init__(self) -> None:
-        self._count = 0
-        self._changed = threading.Condition()
-        self._own = threading.local()
-
-    def __enter__(self) -> None:
-        with self._changed:
-            self._count += 1
-        self._own.count = getattr(self._own, "count", 0) + 1
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._own.count -= 1
-        with self._changed:
-            self._count -= 1
-            self._changed.notify_all()
-
-    def wait(self, timeout_sec: float | None) -> bool:
-        """Wait until no callback runs, except callbacks in the calling thread.
-
-        Return False if other callbacks still run after the timeout.
-        """
-        own = getattr(self._own, "count", 0)
-        timeout = None if timeout_sec is None or timeout_sec < 0 else timeout_sec
-        with self._changed:
-            return self._changed.wait_for(lambda: self._count <= own, timeout)
 
 
 def _in_order(nodes: Iterable[Anything]) -> Iterator[tuple[Anything, Entity]]:

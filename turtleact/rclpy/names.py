@@ -9,6 +9,8 @@ Source: rmw ``validate_*_name.c``; rcl ``expand_topic_name.c``.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from typing import TypeAlias
 
 from turtleact.rclpy.exceptions import (
     InvalidNamespaceException,
@@ -16,6 +18,8 @@ from turtleact.rclpy.exceptions import (
     InvalidParameterException,
     InvalidServiceNameException,
     InvalidTopicNameException,
+    NameOfKind,
+    NameValidationException,
 )
 
 __all__ = [
@@ -33,38 +37,42 @@ __all__ = [
 TOPIC_SEPERATOR_STRING = "/"
 HIDDEN_TOPIC_PREFIX = "_"
 
-FULL_FAULTS = (
-    (re.compile(r"\A\Z"), "must not be empty"),
+Fault: TypeAlias = tuple[re.Pattern[str], str]
+"""A pattern that finds a forbidden part of a name, and what is wrong with it."""
+
+EMPTY: Fault = re.compile(r"\A\Z"), "must not be empty"
+SLASHES: tuple[Fault, ...] = (
+    (re.compile(r"(?<=.)/\Z"), "must not end with a '/'"),
+    (re.compile(r"(?<=/)/"), "must not contain two '/' in a row"),
+)
+FULL_FAULTS: tuple[Fault, ...] = (
+    EMPTY,
     (re.compile(r"\A[^/]"), "must be absolute: it must begin with a '/'"),
     (
         re.compile(r"[^A-Za-z0-9_/]"),
         "must not contain characters other than letters, digits, '_', '/'",
     ),
-    (re.compile(r"(?<=.)/\Z"), "must not end with a '/'"),
-    (re.compile(r"(?<=/)/"), "must not contain two '/' in a row"),
+    *SLASHES,
     (re.compile(r"(?<=/)[0-9]"), "must not contain parts that must not start with a number"),
 )
-RELATIVE_FAULTS = (
-    (re.compile(r"\A\Z"), "must not be empty"),
+RELATIVE_FAULTS: tuple[Fault, ...] = (
+    EMPTY,
     (
         re.compile(r"[^A-Za-z0-9_/~{}]"),
         "must not contain characters other than letters, digits, '_', '/', '~', '{', '}'",
     ),
-    (re.compile(r"(?<=.)/\Z"), "must not end with a '/'"),
-    (re.compile(r"(?<=/)/"), "must not contain two '/' in a row"),
+    *SLASHES,
     (re.compile(r"(?<!\A)~"), "must not contain a '~' except at the beginning"),
     (re.compile(r"(?<=\A~)[^/]"), "must have a '/' after a '~'"),
     (re.compile(r"(?:\A|(?<=/))[0-9]"), "parts must not start with a number"),
     (re.compile(r"\{[^}]*\Z|\A[^{]*\}"), "must not contain a brace without its other half"),
 )
-NODE_FAULTS = (
-    (re.compile(r"\A\Z"), "must not be empty"),
+NODE_FAULTS: tuple[Fault, ...] = (
+    EMPTY,
     (re.compile(r"[^A-Za-z0-9_]"), "must not contain characters other than letters, digits, '_'"),
     (re.compile(r"\A[0-9]"), "must not start with a number"),
+    (re.compile(r"(?<=\A.{255})."), "must not be longer than 255 characters"),
 )
-
-LONGEST = 255
-"""The maximum number of characters in a node's name."""
 
 
 def validate_topic_name(name: str, *, is_service: bool = False) -> bool:
@@ -74,18 +82,12 @@ def validate_topic_name(name: str, *, is_service: bool = False) -> bool:
         InvalidTopicNameException: if the name of a topic breaks the rules.
         InvalidServiceNameException: if the name of a service breaks the rules.
     """
-    fault = _fault(name, RELATIVE_FAULTS)
-    if fault is not None:
-        raise _error(is_service)(name, f"{_noun(is_service)} {fault[0]}", fault[1])
-    return True
+    return _check(name, RELATIVE_FAULTS, _error(is_service))
 
 
 def validate_full_topic_name(name: str, *, is_service: bool = False) -> bool:
     """Check an absolute name, and return True. `validate_topic_name` lists the errors."""
-    fault = _fault(name, FULL_FAULTS)
-    if fault is not None:
-        raise _error(is_service)(name, f"{_noun(is_service)} {fault[0]}", fault[1])
-    return True
+    return _check(name, FULL_FAULTS, _error(is_service))
 
 
 def validate_namespace(namespace: str) -> bool:
@@ -94,10 +96,7 @@ def validate_namespace(namespace: str) -> bool:
     Raises:
         InvalidNamespaceException: if the namespace breaks the rules.
     """
-    fault = _fault(namespace, FULL_FAULTS)
-    if fault is not None:
-        raise InvalidNamespaceException(namespace, f"namespace {fault[0]}", fault[1])
-    return True
+    return _check(namespace, FULL_FAULTS, InvalidNamespaceException)
 
 
 def validate_node_name(node_name: str) -> bool:
@@ -106,12 +105,7 @@ def validate_node_name(node_name: str) -> bool:
     Raises:
         InvalidNodeNameException: if the name breaks the rules.
     """
-    fault = _fault(node_name, NODE_FAULTS)
-    if fault is None and len(node_name) > LONGEST:
-        fault = f"must not be longer than {LONGEST} characters", LONGEST
-    if fault is not None:
-        raise InvalidNodeNameException(node_name, f"node name {fault[0]}", fault[1])
-    return True
+    return _check(node_name, NODE_FAULTS, InvalidNodeNameException)
 
 
 def validate_parameter_name(name: str) -> bool:
@@ -137,12 +131,12 @@ def expand_topic_name(topic_name: str, node_name: str, node_namespace: str) -> s
     Raises:
         ValueError: if a name breaks the rules, or ``topic_name`` has any other text in braces.
     """
-    if _fault(topic_name, RELATIVE_FAULTS) is not None:
-        raise ValueError(f"topic name is invalid: '{topic_name}'")
-    if _fault(node_name, NODE_FAULTS) is not None:
-        raise ValueError(f"node name is invalid: '{node_name}'")
-    if _fault(node_namespace, FULL_FAULTS) is not None:
-        raise ValueError(f"namespace is invalid: '{node_namespace}'")
+    try:
+        validate_topic_name(topic_name)
+        validate_node_name(node_name)
+        validate_namespace(node_namespace)
+    except NameValidationException as error:
+        raise ValueError(str(error)) from error
     base = node_namespace.rstrip("/")
     known = {"node": node_name, "ns": node_namespace, "namespace": node_namespace}
 
@@ -162,18 +156,14 @@ def topic_or_service_is_hidden(name: str) -> bool:
     return any(part.startswith(HIDDEN_TOPIC_PREFIX) for part in name.split("/") if part)
 
 
-def _fault(name: str, faults: tuple[tuple[re.Pattern[str], str], ...]) -> tuple[str, int] | None:
-    """Return the first fault of a name, and where it begins; None if the name has no fault."""
+def _check(name: str, faults: Iterable[Fault], error: type[NameOfKind]) -> bool:
+    """Raise an error about the first fault of a name. Return True if the name has no fault."""
     for pattern, problem in faults:
         match = pattern.search(name)
         if match is not None:
-            return problem, match.start()
-    return None
+            raise error(name, f"{error.KIND} {problem}", match.start())
+    return True
 
 
-def _noun(is_service: bool) -> str:
-    return "service name" if is_service else "topic name"
-
-
-def _error(is_service: bool) -> type[InvalidTopicNameException] | type[InvalidServiceNameException]:
+def _error(is_service: bool) -> type[NameOfKind]:
     return InvalidServiceNameException if is_service else InvalidTopicNameException

@@ -260,7 +260,7 @@ class Client(_ServiceEnd):
             number = self._sequence
             self._pending[number] = future
         future.add_done_callback(self.remove_pending_request)
-        self._end.send(data, partial(self._answered, number), self._failed)
+        self._end.send(data, partial(self._answered, number))
         return future
 
     def get_pending_request(self, sequence_number: int) -> Future:
@@ -312,15 +312,14 @@ class Client(_ServiceEnd):
             future.set_executor(self._node.executor)
             future.set_result(decode(data, self.srv_type.Response))
 
-    def _answered(self, number: int, data: bytes, note: str) -> None:  # noqa: ARG002  # no note
-        self._waiting.append((number, data))
-        self.wake()
-
-    def _failed(self, error: TurtleactError) -> None:
-        if isinstance(error, ServerUnavailable):
-            logger.debug(f"a request to {self._full_name} was lost: {error}")
+    def _answered(self, number: int, response: bytes | TurtleactError, note: str) -> None:  # noqa: ARG002  # no note
+        if isinstance(response, bytes):
+            self._waiting.append((number, response))
+            self.wake()
+        elif isinstance(response, ServerUnavailable):
+            logger.debug(f"a request to {self._full_name} was lost: {response}")
         else:
-            logger.error(f"{self._full_name} sends no response: {error}")
+            logger.error(f"{self._full_name} sends no response: {response}")
 
 
 class Service(_ServiceEnd):

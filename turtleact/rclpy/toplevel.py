@@ -15,14 +15,8 @@ from turtleact.rclpy.context import (
     get_rmw_implementation_identifier,
     install_signal_handlers,
     ok,
-    uninstall_signal_handlers,
-)
-from turtleact.rclpy.context import shutdown as _shutdown
-from turtleact.rclpy.context import try_shutdown as _try_shutdown
-from turtleact.rclpy.event_handler import (
-    QoSPublisherEventType,
-    QoSSubscriptionEventType,
-    UnsupportedEventTypeError,
+    shutdown,
+    try_shutdown,
 )
 from turtleact.rclpy.exceptions import InvalidHandle, RCLError, UnknownROSArgsError
 from turtleact.rclpy.executors import Executor, SingleThreadedExecutor
@@ -111,38 +105,14 @@ def init(
 
 
 def get_global_executor() -> Executor:
-    """Return the global executor, which `spin` uses by default."""
+    """Return the global executor, which `spin` uses by default.
+
+    After a shutdown, there is a new one.
+    """
     with _global.lock:
-        if _global.executor is None:
+        if _global.executor is None or not _global.executor.context.ok():
             _global.executor = SingleThreadedExecutor()
         return _global.executor
-
-
-def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
-    """Shut down a context, or the default one.
-
-    Raises:
-        RuntimeError: if the context was not initialised, or is already shut down.
-    """
-    _drop_executor()
-    _shutdown(context=context)
-    if uninstall_handlers or (uninstall_handlers is None and context is None):
-        uninstall_signal_handlers()
-
-
-def try_shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
-    """Shut down a context, or the default one, unless it is already shut down."""
-    _drop_executor()
-    _try_shutdown(context=context)
-    if uninstall_handlers or (uninstall_handlers is None and context is None):
-        uninstall_signal_handlers()
-
-
-def _drop_executor() -> None:
-    with _global.lock:
-        executor, _global.executor = _global.executor, None
-    if executor is not None:
-        executor.shutdown(0)
 
 
 def create_node(node_name: str, **options: Anything) -> Node:
@@ -246,8 +216,5 @@ class rclpy_implementation:  # rclpy's name
     RCLError = RCLError
     RCLInvalidROSArgsError = RCLError
     UnknownROSArgsError = UnknownROSArgsError
-    UnsupportedEventTypeError = UnsupportedEventTypeError
     rmw_qos_profile_t = rmw_qos_profile_t
-    rcl_publisher_event_type_t = QoSPublisherEventType
-    rcl_subscription_event_type_t = QoSSubscriptionEventType
     rclpy_get_rmw_implementation_identifier = staticmethod(get_rmw_implementation_identifier)

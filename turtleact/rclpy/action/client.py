@@ -274,14 +274,14 @@ class ActionClient(Introspected, Waitable):
         future = Future()
         response_class = self._kind.service(service).Response
 
-        def answered(response: bytes, note: str) -> None:  # noqa: ARG001  # notes are for turtleact
-            self._push(self._answered, future, response_class, response, handle)
+        def answered(response: bytes | TurtleactError, note: str) -> None:  # noqa: ARG001  # notes are for turtleact
+            if isinstance(response, bytes):
+                self._push(self._answered, future, response_class, response, handle)
+            else:
+                # As in ROS 2, a request that nobody answers is lost: its future is never done.
+                self._node.get_logger().debug(f"a request was lost: {response}")
 
-        def failed(error: TurtleactError) -> None:
-            # As in ROS 2, a request that nobody answers is lost: its future is never done.
-            self._node.get_logger().debug(f"a request was lost: {error}")
-
-        self._ends[service].send(data, answered, failed)
+        self._ends[service].send(data, answered)
         return future
 
     def _take_feedback(self, data: bytes) -> None:

@@ -6,6 +6,7 @@ Source: the ROS 2 design article "ROS command line arguments"; rcl ``arguments.c
 
 from __future__ import annotations
 
+import logging
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,7 +26,7 @@ __all__ = [
     "parse_arguments",
     "parse_value",
     "read_parameters",
-    "without_ros_arguments",
+    "split_arguments",
 ]
 
 BEGIN, END = "--ros-args", "--"
@@ -42,24 +43,9 @@ WITH_VALUE = {
     "-e": "ignored",
     "--enclave": "ignored",
 }
-ALONE = {
-    "--enable-rosout-logs",
-    "--disable-rosout-logs",
-    "--enable-stdout-logs",
-    "--disable-stdout-logs",
-    "--enable-external-lib-logs",
-    "--disable-external-lib-logs",
-}
+ALONE = re.compile(r"--(enable|disable)-(rosout|stdout|external-lib)-logs")
 
-LEVELS = {
-    "UNSET": 0,
-    "DEBUG": 10,
-    "INFO": 20,
-    "WARN": 30,
-    "WARNING": 30,
-    "ERROR": 40,
-    "FATAL": 50,
-}
+LEVELS = logging.getLevelNamesMapping()
 
 PARAMETERS = "ros__parameters"
 
@@ -155,14 +141,11 @@ def parse_arguments(args: Sequence[str] | None) -> Arguments:
     parameters: list[ParameterRule] = []
     levels: list[tuple[str, int]] = []
     flags, unknown = set[str](), list[str]()
-    given = sys.argv if args is None else args
-    for arg in given:
-        arg.encode()  # raises UnicodeEncodeError, as in rclpy
-    words = _ros_words(given)
+    words = iter(split_arguments(sys.argv if args is None else args)[1])
     for word in words:
         kind = WITH_VALUE.get(word)
         if kind is None:
-            (flags.add if word in ALONE else unknown.append)(word)
+            (flags.add if ALONE.fullmatch(word) else unknown.append)(word)
             continue
         value = next(words, None)
         if value is None:
@@ -189,31 +172,26 @@ def arguments_of(own: Sequence[str] | None, shared: Arguments, *, use_shared: bo
         shared: The arguments of the program.
         use_shared: Whether to include the arguments of the program.
     """
-    if own is None:
-        return shared if use_shared else Arguments()
-    first = parse_arguments(own)
-    if not use_shared:
-        return first
+    first = Arguments() if own is None else parse_arguments(own)
+    rest = shared if use_shared else Arguments()
     return Arguments(
-        (*first.remaps, *shared.remaps),
-        (*shared.parameters, *first.parameters),
-        (*shared.log_levels, *first.log_levels),
-        first.flags | shared.flags,
+        (*first.remaps, *rest.remaps),
+        (*rest.parameters, *first.parameters),
+        (*rest.log_levels, *first.log_levels),
+        first.flags | rest.flags,
     )
 
 
-def without_ros_arguments(args: Sequence[str]) -> list[str]:
-    """Return the arguments that are not for ROS."""
-    kept: list[str] = []
-    is_inside = False
+def split_arguments(args: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the arguments that are not for ROS, and those that are."""
+    split: tuple[list[str], list[str]] = [], []
+    is_for_ros = False
     for arg in args:
-        if arg == BEGIN:
-            is_inside = True
-        elif is_inside and arg == END:
-            is_inside = False
-        elif not is_inside:
-            kept.append(arg)
-    return kept
+        if arg == BEGIN or (is_for_ros and arg == END):
+            is_for_ros = arg == BEGIN
+        else:
+            split[is_for_ros].append(arg)
+    return split
 
 
 def parse_value(text: str) -> object:
@@ -236,44 +214,18 @@ def read_parameters(path: Path) -> list[ParameterRule]:
         OSError: if the file cannot be read.
     """
     try:
-        trees = _trees(path.read_text("utf-8"), str(path))
+        tree = _tree(path.read_text("utf-8"), "parameters", str(path))
     except (UnicodeDecodeError, InvalidMessage) as error:
         raise RCLError(f"Failed to parse ROS arguments: {path}: {error}") from error
-    if not all(isinstance(tree, dict) for tree in trees):
+    if not isinstance(tree, dict):
         raise RCLError(f"Failed to parse ROS arguments: {path} has no parameters")
-    return [rule for tree in trees if isinstance(tree, dict) for rule in _rules(tree, "")]
-
-
-def _trees(text: str, path: str) -> list[object]:
-    """Parse a parameter file as a whole. If a key appears twice, parse each block separately.
-
-    A block begins with a key at the start of a line. The parser refuses repeated keys in one block,
-    but ROS 2 allows them in a file.
-    """
-    try:
-        return [_tree(text, "parameters", path)]
-    except InvalidMessage as error:
-        if "appears twice" not in str(error):
-            raise
-    blocks = re.split(r"(?m)^(?=[^\s#])", text)
-    return [_tree(block, "parameters", path) for block in blocks]
+    return list(_rules(tree, ""))
 
 
 def _tree(text: str, what: str, path: str) -> object:
     from turtleact.interfaces.text import Document, tree_of  # YAML is slow to import
 
     return _plain(tree_of(Document(text, what, path, allow_nonfinite=True)))
-
-
-def _ros_words(args: Sequence[str]) -> Iterator[str]:
-    is_inside = False
-    for arg in args:
-        if arg == BEGIN:
-            is_inside = True
-        elif arg == END:
-            is_inside = False
-        elif is_inside:
-            yield arg
 
 
 def _read_file(path: str) -> list[ParameterRule]:

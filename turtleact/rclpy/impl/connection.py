@@ -269,18 +269,10 @@ class RequestHandler(ServiceHandler):
 
         Transports call `reply_nowait` instead if they can.
         """
-        loop = asyncio.get_running_loop()
-        answered: asyncio.Future[Reply | TurtleactError] = loop.create_future()
-
-        def settle(reply: Reply | TurtleactError) -> None:
-            if not answered.done():  # the caller's task may have been cancelled
-                answered.set_result(reply)
-
-        def respond(reply: Reply | TurtleactError) -> None:
-            loop.call_soon_threadsafe(settle, reply)
-
-        self.reply_nowait(request, caller, respond)
-        reply = await answered
+        answered: Future[Reply | TurtleactError] = Future()
+        answered.set_running_or_notify_cancel()  # the answer may come after the task was cancelled
+        self.reply_nowait(request, caller, answered.set_result)
+        reply = await asyncio.wrap_future(answered)
         if isinstance(reply, TurtleactError):
             raise reply
         return reply
@@ -302,8 +294,6 @@ class Connection:
 
     def __init__(self, loop: EventLoop, open_transport: OpenTransport, domain: int) -> None:
         self.loop = loop
-        self._watchers: dict[Callable[[], object], None] = {}
-        self._watching: asyncio.Task[None] | None = None
         self._opened = open_transport(domain)
         self._transport = loop.run(self._open)
         self._exploring = loop.start(self._explore)
@@ -332,8 +322,6 @@ class Connection:
 
     async def _close(self) -> None:
         self._exploring.cancel()
-        if self._watching is not None:
-            self._watching.cancel()
         await self._opened.__aexit__(None, None, None)
 
     def close(self) -> None:
@@ -349,24 +337,18 @@ class Connection:
         """How many times a node or endpoint has come or gone."""
         return self._transport.changes
 
-    def watch(self, changed: Callable[[], object]) -> None:
-        """Call ``changed()`` in the event loop whenever a node or endpoint has come or gone."""
-        self.loop.call(partial(self._start_watching, changed))
+    def watch(self, changed: Callable[[], object]) -> Close:
+        """Call ``changed()`` in the event loop whenever a node or endpoint has come or gone.
 
-    def unwatch(self, changed: Callable[[], object]) -> None:
-        """Undo `watch`."""
-        self.loop.post(partial(self._watchers.pop, changed, None))
+        Call the returned function to stop this.
+        """
 
-    def _start_watching(self, changed: Callable[[], object]) -> None:
-        self._watchers[changed] = None
-        if self._watching is None:
-            self._watching = asyncio.get_running_loop().create_task(self._watch())
-
-    async def _watch(self) -> None:
-        while True:
-            await self._transport.wait_for_change()
-            for changed in tuple(self._watchers):
+        async def watch() -> None:
+            while True:
                 changed()
+                await self._transport.wait_for_change()
+
+        return self.loop.start(watch).cancel
 
     def enter(self, node: str) -> Close:
         """Show a node on the graph, until the returned function is called."""
@@ -480,46 +462,33 @@ class CallEnd:
         """Whether a call would reach a server now."""
         return self._caller.is_served
 
-    def send(
-        self,
-        request: bytes,
-        answered: Callable[[bytes, str], object],
-        failed: Callable[[TurtleactError], object],
-    ) -> None:
+    def send(self, request: bytes, respond: Respond) -> None:
         """Send a request.
 
         Args:
             request: The encoded request.
-            answered: Called in any thread, with the response and the note that came with it.
-            failed: Called in any thread, with the error, if no response will come.
+            respond: Called in any thread, with the response and the note that came with it, or with
+                the error if no response will come.
         """
         handler = self._local()
         if handler is not None:
-
-            def respond(response: bytes | TurtleactError, note: str) -> None:
-                if isinstance(response, TurtleactError):
-                    failed(response)
-                else:
-                    answered(response, note)
-
             handler.take(request, self._watched(handler, request, respond))
             return
 
         def ended(call: PendingCall) -> None:
             try:
-                settle(call.take())
+                answer(call.take())
             except TurtleactError as error:
-                failed(error)
+                respond(error, "")
 
         async def call() -> None:
             try:
-                settle(await self._caller.call(request))
+                answer(await self._caller.call(request))
             except TurtleactError as error:
-                failed(error)
+                respond(error, "")
 
-        def settle(reply: Reply) -> None:
-            assert isinstance(reply.message, bytes)  # noqa: S101  # see `Encoded`
-            answered(reply.message, reply.note)
+        def answer(reply: Reply) -> None:
+            respond(cast("bytes", reply.message), reply.note)
 
         with self._lock:
             is_sent = self._caller.ask(request, ended) is not None

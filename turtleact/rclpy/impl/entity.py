@@ -24,6 +24,7 @@ __all__ = [
     "BLOCKED_AFTER",
     "NOTHING",
     "Block",
+    "BusyThreads",
     "CallbackGroup",
     "Destroyable",
     "Entity",
@@ -74,6 +75,35 @@ class Block:
 
     def _leave(self) -> None:
         """Clean up at the end of the block."""
+
+
+class BusyThreads(Block):
+    """The threads that run ``with`` blocks of this object."""
+
+    def __init__(self) -> None:
+        self._threads: list[int] = []
+        self._changed = threading.Condition()
+
+    def __enter__(self) -> Self:
+        with self._changed:
+            self._threads.append(threading.get_ident())
+        return self
+
+    def _leave(self) -> None:
+        with self._changed:
+            self._threads.remove(threading.get_ident())
+            self._changed.notify_all()
+
+    def wait_for_others(self, timeout: float | None) -> bool:
+        """Wait until no other thread runs a block. Return False if the timeout ends first.
+
+        Args:
+            timeout: How long to wait (s). None or a negative number means for ever.
+        """
+        own = {threading.get_ident()}
+        limit = None if timeout is None or timeout < 0 else timeout
+        with self._changed:
+            return self._changed.wait_for(lambda: own.issuperset(self._threads), limit)
 
 
 class Handle(Block):

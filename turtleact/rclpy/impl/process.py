@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import atexit
 import threading
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import (
     AbstractAsyncContextManager,
     AsyncExitStack,
     asynccontextmanager,
-    contextmanager,
 )
 from functools import partial
 from weakref import WeakSet
@@ -23,6 +22,7 @@ import anyio
 from turtleact.errors import TurtleactError
 from turtleact.rclpy.face import SETTINGS, JoinOptions
 from turtleact.rclpy.impl.connection import Connection, EventLoop, OpenTransport
+from turtleact.rclpy.impl.entity import BusyThreads
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.tasks.clock import Clock
 from turtleact.transports import MemoryTransport, Transport, open_zenoh
@@ -108,15 +108,15 @@ class Process:
         loop: The event loop.
         contexts: All contexts that are initialised and not shut down.
         open_transport: A function that opens the graph of a ROS domain.
+        ending: The threads that shut contexts down.
     """
 
     def __init__(self) -> None:
         self.loop = EventLoop()
         self.contexts: WeakSet[Anything] = WeakSet()
         self.open_transport: OpenTransport = open_chosen
+        self.ending = BusyThreads()
         self._lock = threading.Lock()
-        self._ended = threading.Condition(self._lock)
-        self._ending: list[int] = []
         self._is_registered = False
         self._connections: dict[int, tuple[Connection, set[int]]] = {}
 
@@ -147,21 +147,7 @@ class Process:
         """
         for context in list(self.contexts):
             context.try_shutdown()
-        own = threading.get_ident()
-        with self._ended:
-            self._ended.wait_for(lambda: not set(self._ending) - {own}, PATIENCE)
-
-    @contextmanager
-    def ending(self) -> Iterator[None]:
-        """Mark a block in which the calling thread shuts a context down; see `shut_down`."""
-        with self._lock:
-            self._ending.append(threading.get_ident())
-        try:
-            yield
-        finally:
-            with self._ended:
-                self._ending.remove(threading.get_ident())
-                self._ended.notify_all()
+        self.ending.wait_for_others(PATIENCE)
 
     def leave(self, user: object) -> None:
         """Leave each graph that ``user`` has joined, unless the graph has other users."""
