@@ -13,7 +13,7 @@ import turtleact
 from turtleact import Abort, GoalStatus
 from turtleact.goals.observers import FeedbackLost, GoalObserver, News
 from turtleact.goals.server import LocalActionServer
-from turtleact.goals.server_topics import FeedbackTopic, StatusTopic
+from turtleact.goals.server_endpoints import FeedbackTopic, StatusTopic
 from turtleact.goals.state import Goal
 from turtleact.goals.wire import GoalReason, reason_topic
 from turtleact.interfaces import WireFormat, decode

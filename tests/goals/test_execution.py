@@ -24,7 +24,7 @@ from turtleact.errors import (
     InvalidMessage,
     InvalidTransition,
 )
-from turtleact.goals.body import BURST
+from turtleact.goals.running import BURST
 from turtleact.goals.state import CURRENT_GOAL, FeedbackLog
 
 from ..lab import (

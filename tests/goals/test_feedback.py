@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from turtleact import GoalStatus
-from turtleact.goals.body import BURST
+from turtleact.goals.running import BURST
 from turtleact.goals.state import FeedbackLog
 
 from ..lab import Count, Gate, feedback, goal, lab, result, running, settle

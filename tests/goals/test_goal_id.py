@@ -8,7 +8,7 @@ import uuid
 import pytest
 
 from turtleact.errors import InvalidGoalId
-from turtleact.goals.ids import goal_id_bytes, new_goal_id
+from turtleact.goals.server import goal_id_bytes, new_goal_id
 
 SIXTEEN = bytes(range(16))
 

@@ -11,13 +11,7 @@ A body takes the goal message. If it has a second parameter, it also gets the se
 `ActionBody` describes these signatures to type checkers, so that they reject a body that uses
 another action's messages.
 
-A generator body is not iterated with ``async for``. With ``async for``, a body canceled at a
-``yield`` would get GeneratorExit instead of the cancellation. A timeout or task group around the
-``yield`` would not work. Instead, `drive` steps the generator in one task. If a cancellation or
-error occurs between two steps, `drive` raises the exception at the ``yield``. In every case, it
-closes the generator.
-
-Source: PEP 525; PEP 789 for the hazards of generators.
+`turtleact.goals.running` runs bodies.
 """
 
 from __future__ import annotations
@@ -34,12 +28,9 @@ from collections.abc import (
     Coroutine,
     Mapping,
 )
-from functools import partial
-from types import CoroutineType
 from typing import (
     TYPE_CHECKING,
     Any,
-    Final,
     Generic,
     Literal,
     ParamSpec,
@@ -49,14 +40,13 @@ from typing import (
     TypeVar,
     Unpack,
     cast,
-    get_args,
     overload,
 )
 
-from turtleact.errors import Abort, InvalidBody, InvalidMessage, InvalidOption
+from turtleact.errors import InvalidBody
 from turtleact.goals.policies import Policy
 from turtleact.goals.records import GoalJournal, OnRestart
-from turtleact.goals.state import CancelResponse, Goal, GoalResponse
+from turtleact.goals.state import CancelResponse, GoalResponse
 from turtleact.interfaces import Action, Message
 from turtleact.interfaces.types import expect_interface
 from turtleact.names import validate_name
@@ -65,18 +55,14 @@ if TYPE_CHECKING:
     from turtleact.goals.introspection import Introspection
 
 __all__ = [
-    "BURST",
     "ActionBody",
     "ActionDeclaration",
     "ActionType",
     "Body",
-    "RunningBody",
     "ServerOptions",
-    "Steps",
     "action",
     "check_declaration",
     "check_option_names",
-    "drive",
 ]
 
 logger = logging.getLogger("turtleact.server")
@@ -186,39 +172,6 @@ def check_option_names(options: Mapping[str, object]) -> None:
         raise TypeError(f"an action server has no option '{unknown}'")
 
 
-def check_options(options: ServerOptions) -> None:
-    """Check the values of a server's options.
-
-    Raises:
-        InvalidOption: if an option has a wrong value. The error names the first such option.
-    """
-    lost, kept = options.get("on_client_lost", "keep"), options.get("result_timeout")
-    if lost not in ("keep", "cancel"):
-        raise InvalidOption("on_client_lost", f"expected 'keep' or 'cancel', not {lost!r}")
-    is_time = isinstance(kept, int | float) and not isinstance(kept, bool) and 0 <= kept < 1e9
-    if kept is not None and not is_time:
-        problem = f"expected a number of seconds, 0 or more, or None for ever, not {kept!r}"
-        raise InvalidOption("result_timeout", problem)
-    grace = options.get("grace", 0.0)
-    if not isinstance(grace, int | float) or isinstance(grace, bool) or not 0 <= grace < 1e9:
-        raise InvalidOption("grace", f"expected a number of seconds, 0 or more, not {grace!r}")
-    if options.get("on_restart", "abort") not in get_args(OnRestart):
-        problem = f"expected 'abort' or 'resume', not {options.get('on_restart')!r}"
-        raise InvalidOption("on_restart", problem)
-    shown = options.get("introspection")
-    if shown not in (None, "off", "metadata", "contents"):
-        problem = f"expected 'off', 'metadata' or 'contents', not {shown!r}"
-        raise InvalidOption("introspection", problem)
-    for name in ("on_pause", "on_resume"):
-        callback = options.get(name)
-        if callback is not None and not inspect.iscoroutinefunction(callback):
-            raise InvalidOption(name, f"expected a coroutine function, not {callback!r}")
-    for name in ("goal_callback", "cancel_callback"):
-        callback = options.get(name)
-        if callback is not None and not callable(callback):
-            raise InvalidOption(name, f"expected a function, not {callback!r}")
-
-
 class ActionDeclaration(Generic[P, T]):
     """The result of the decorator `turtleact.action`: a body with its action type and its name.
 
@@ -315,9 +268,8 @@ class BackgroundDeclaration(Generic[H]):
     """
 
     def __init__(self, run: Callable[[H], Coroutine[Any, Any, object]]) -> None:
-        if not inspect.iscoroutinefunction(run) or not _takes_one(run):
-            needs = "an 'async def' that can be called with one argument, the node"
-            raise TypeError(f"@turtleact.background needs {needs}, not {_shown(run)}")
+        if not inspect.iscoroutinefunction(run):
+            raise TypeError(f"@turtleact.background needs an 'async def', not {run!r}")
         functools.update_wrapper(self, run)
         self.run = run
 
@@ -336,8 +288,7 @@ def background(run: Callable[[H], Coroutine[Any, Any, object]], /) -> Background
     calls the function, so start it in a task yourself.
 
     Raises:
-        TypeError: if the function is not a coroutine function, or cannot be called with one
-            argument.
+        TypeError: if the function is not a coroutine function.
     """
     return BackgroundDeclaration(run)
 
@@ -346,15 +297,13 @@ class Body:
     """A function that can do the work of an action.
 
     Attributes:
-        run: A function that takes a `RunningBody` and returns the coroutine that does the work. The
-            coroutine returns the result, in whichever style the user's function is written.
         is_generator: Whether the function yields its feedback and result.
 
     Raises:
         InvalidBody: if the function cannot be a body.
     """
 
-    __slots__ = ("is_generator", "run")
+    __slots__ = ("_function", "_takes_handle", "is_generator")
 
     def __init__(self, name: str, execute: Callable[..., object]) -> None:
         function: Any = execute.execute if isinstance(execute, ActionDeclaration) else execute
@@ -362,149 +311,14 @@ class Body:
         self.is_generator = inspect.isasyncgenfunction(target)
         if not self.is_generator and not inspect.iscoroutinefunction(target):
             raise InvalidBody(name, f"must be an 'async def', not {_kind_of(function)}")
-        call = _with_handle if _count_parameters(name, function) == 2 else _without_handle
-        form = _generator if self.is_generator else _coroutine
-        self.run: Callable[[RunningBody], Coroutine[object, object, object]] = partial(
-            form, call, function
-        )
+        self._function = function
+        self._takes_handle = _count_parameters(name, function) == 2
 
-
-def _with_handle(run: RunningBody, function: Callable[..., Any]) -> Any:  # noqa: ANN401
-    return function(run.goal.request, run.make_handle())
-
-
-def _without_handle(run: RunningBody, function: Callable[..., Any]) -> Any:  # noqa: ANN401
-    return function(run.goal.request)
-
-
-def _generator(
-    call: Callable[..., Any], function: Callable[..., Any], run: RunningBody
-) -> Coroutine[object, object, object]:
-    return drive(run, call(run, function))
-
-
-def _coroutine(
-    call: Callable[..., Any], function: Callable[..., Any], run: RunningBody
-) -> Coroutine[object, object, object]:
-    running = run.source = call(run, function)
-    # A decorated function may return another awaitable.
-    return running if isinstance(running, CoroutineType) else _awaiting(running)
-
-
-async def _awaiting(running: Awaitable[object]) -> object:
-    return await running
-
-
-BURST: Final = 16
-"""After this many messages in a row, a generator that never waits must let other tasks run."""
-
-Steps: TypeAlias = AsyncGenerator[object, None]
-
-
-class RunningBody(Protocol):
-    """The run of a body, as the body's form sees it; see `turtleact.goals.running.BodyTask`.
-
-    Attributes:
-        goal: The goal.
-        source: The coroutine or generator that the user's function returned.
-        gate: What the body awaits before its next step; None if the body may go on.
-    """
-
-    goal: Goal
-    source: Any
-    gate: Callable[[], Awaitable[None]] | None
-
-    @property
-    def action(self) -> str:
-        """The name of the action."""
-
-    @property
-    def result_type(self) -> type[Message]:
-        """The class of the action's results."""
-
-    def make_handle(self) -> object:
-        """Make the goal handle for the body."""
-
-    def check_result(self, result: object) -> Message:
-        """Return a copy of a result, or raise `InvalidMessage`."""
-
-    def publish(self, feedback: object) -> None:
-        """Publish a feedback message."""
-
-    async def wait_at_gate(self) -> None:
-        """Wait until there is no gate."""
-
-    async def catch_up(self) -> None:
-        """Let other tasks run, and wait while a reader of feedback is far behind."""
-
-
-async def drive(run: RunningBody, steps: Steps) -> Message:
-    """Run a generator to its end, and return its result.
-
-    Raises:
-        Abort: if the generator yielded no result, or a result that does not fit.
-    """
-    # Everything that happens between two steps belongs to the body: a feedback message that does
-    # not fit, a cancellation during a pause, an error while publishing. It is thrown in at the
-    # `yield`, where the body can handle it. If the body does not, the exception comes back out of
-    # `athrow` and the generator is finished; `aclose` then does nothing.
-    run.source = steps
-    goal, publish, result_type, step = run.goal, run.publish, run.result_type, steps.asend
-    countdown = BURST
-    try:
-        item = await step(None)
-        while type(item) is not result_type:
-            try:
-                status, reason = goal.status, goal.reason
-                publish(item)
-                if goal.status is not status or goal.reason is not reason:
-                    countdown = 1  # a callback has cancelled the goal: deliver that now
-                if run.gate is not None:
-                    await run.wait_at_gate()
-                countdown -= 1
-                if not countdown:
-                    countdown = BURST
-                    await run.catch_up()
-            except GeneratorExit:
-                raise
-            except BaseException as error:
-                item = await steps.athrow(error)
-            else:
-                item = await step(None)
-    except StopAsyncIteration:
-        raise Abort("no result: the last value yielded must be a Result") from None
-    except BaseException:
-        await steps.aclose()
-        raise
-    try:
-        result = run.check_result(item)  # copied now, since the body may change it later
-    except InvalidMessage as misfit:
-        await steps.aclose()
-        raise Abort(f"the body's result does not fit: {misfit}") from None
-    await _finish(run, steps)
-    return result
-
-
-async def _finish(run: RunningBody, steps: Steps) -> None:
-    """Resume a generator that has yielded its result, so that it can end.
-
-    If the generator fails or yields again, its result stays the same.
-    """
-    try:
-        extra = type(await steps.asend(None)).__name__
-        problem = "the body of %s yielded %s after its result: this is ignored, and the body ends"
-        logger.warning(problem, run.action, extra)
-        await steps.aclose()
-    except StopAsyncIteration:
-        return
-    except (GeneratorExit, KeyboardInterrupt, SystemExit):
-        raise
-    except Exception as error:
-        problem = "the body of %s failed after it had yielded its result; the result stands"
-        logger.error(problem, run.action, exc_info=error)
-    except BaseException:
-        problem = "the body of %s was canceled after it had yielded its result; the result stands"
-        logger.info(problem, run.action)
+    def call(self, goal: object, make_handle: Callable[[], object]) -> Any:  # noqa: ANN401
+        """Call the user's function, and return its generator or its coroutine."""
+        if self._takes_handle:
+            return self._function(goal, make_handle())
+        return self._function(goal)
 
 
 def check_declaration(given: object) -> None:
@@ -523,22 +337,6 @@ def _is_function(function: Callable[..., object]) -> bool:
 
 def _kind_of(function: object) -> str:
     return "a plain function" if inspect.isroutine(function) else f"a {type(function).__name__}"
-
-
-def _takes_one(function: Callable[..., object]) -> bool:
-    """Return whether a function can be called with one argument."""
-    try:
-        inspect.signature(function).bind(None)
-    except TypeError:
-        return False
-    return True
-
-
-def _shown(function: Callable[..., object]) -> str:
-    """Return the name and the parameters of a function, or another object's `repr`."""
-    if not inspect.isfunction(function):
-        return repr(function)
-    return f"{function.__name__}{inspect.signature(function)}"
 
 
 def _count_parameters(name: str, function: Callable[..., object]) -> int:

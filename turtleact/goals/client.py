@@ -38,11 +38,10 @@ from turtleact.goals.client_handle import (
     StatusChanged,
     leave_goal,
 )
-from turtleact.goals.ids import goal_id_bytes, new_goal_id
 from turtleact.goals.observers import Detached, GoalObserver, News, Observers
 from turtleact.goals.remote import RemoteActionServer
 from turtleact.goals.running import BodyTask
-from turtleact.goals.server import GoalServer, OffersGoals
+from turtleact.goals.server import GoalServer, OffersGoals, goal_id_bytes, new_goal_id
 from turtleact.goals.state import CURRENT_GOAL, Goal, GoalRequest, GoalStatus, failure
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.definition import nearest

@@ -28,10 +28,9 @@ from turtleact.errors import (
     encodable,
 )
 from turtleact.goals.body import ServerOptions
-from turtleact.goals.ids import new_goal_id
 from turtleact.goals.observers import GoalObserver, Lost
 from turtleact.goals.records import GoalChange, GoalJournal, GoalRecord, Resumed
-from turtleact.goals.server import LocalActionServer
+from turtleact.goals.server import LocalActionServer, new_goal_id
 from turtleact.goals.state import Goal, GoalEvent, GoalRequest, GoalStatus
 from turtleact.interfaces import Action, Message, WireFormat, type_hash
 from turtleact.interfaces.standard import CancelGoal

@@ -38,8 +38,8 @@ from turtleact.errors import (
     summary,
 )
 from turtleact.goals.client_endpoints import ClientEndpoints
-from turtleact.goals.ids import new_goal_id
 from turtleact.goals.observers import FeedbackLost, Observers
+from turtleact.goals.server import new_goal_id
 from turtleact.goals.state import (
     CURRENT_GOAL,
     FeedbackLog,

@@ -3,21 +3,28 @@
 A body always runs in a task of its own, no matter how the client waits for the goal. The server
 owns the task, and therefore cancels the task and waits for its end.
 
+A generator body is not iterated with ``async for``. With ``async for``, a body canceled at a
+``yield`` would get GeneratorExit instead of the cancellation. A timeout or task group around the
+``yield`` would not work. Instead, the task steps the generator itself. If a cancellation or error
+occurs between two steps, it raises the exception at the ``yield``. In every case, it closes the
+generator.
+
 A step is the part of a body between two awaits. During a long step nothing else in the event loop
 can run, so long steps are reported.
 
-Source: asyncio's debug mode, for the report of slow callbacks; rclpy ``action/server.py`` for the
-names and the behaviour of the handle.
+Source: PEP 525; PEP 789 for the hazards of generators; asyncio's debug mode, for the report of slow
+callbacks; rclpy ``action/server.py`` for the names and the behaviour of the handle.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
 from contextvars import Context, copy_context
 from time import monotonic
-from typing import Any, Generic, Self, TypeVar, cast
+from types import CoroutineType
+from typing import Any, Final, Generic, Self, TypeAlias, TypeVar, cast
 
 from turtleact.errors import (
     CUT_OFF,
@@ -39,6 +46,7 @@ from turtleact.tasks import is_cancellation, wait_while
 
 __all__ = [
     "BLOCKING",
+    "BURST",
     "BodyRunner",
     "BodyTask",
     "GoalHandle",
@@ -48,6 +56,11 @@ logger = logging.getLogger("turtleact.server")
 
 BLOCKING = 0.5
 """Steps that take longer than this time are reported (s, wall clock)."""
+
+BURST: Final = 16
+"""After this many messages in a row, a generator that never waits must let other tasks run."""
+
+Steps: TypeAlias = AsyncGenerator[object, None]
 
 _ENDS_PROGRAM = (KeyboardInterrupt, SystemExit)
 
@@ -234,6 +247,7 @@ class BodyTask(Coroutine[object, object, None]):
         goal: The goal.
 
     Attributes:
+        runner: The runner, as passed to the constructor.
         goal: The goal, as passed to the constructor.
         source: The coroutine or generator that the user's function returned; None until the
             function has been called.
@@ -248,13 +262,13 @@ class BodyTask(Coroutine[object, object, None]):
         "_is_cancel_due",
         "_is_dropped",
         "_prune_at",
-        "_runner",
         "_steps",
         "_task",
         "children",
         "gate",
         "goal",
         "on_child",
+        "runner",
         "source",
     )
 
@@ -264,7 +278,7 @@ class BodyTask(Coroutine[object, object, None]):
         self.gate: Callable[[], Awaitable[None]] | None = None
         self.children: dict[Goal, GoalServer] = {}
         self.on_child: Callable[[Goal, GoalServer], None] | None = None
-        self._runner = runner
+        self.runner = runner
         self._steps: Coroutine[object, object, object] | None = None
         self._task: Cancelable | None = None
         self._is_cancel_due = False
@@ -273,7 +287,7 @@ class BodyTask(Coroutine[object, object, None]):
 
     def start(self, context: Context | None) -> None:
         """Start the task in ``context``, or in a copy of the current context."""
-        server = self._runner.server
+        server = self.runner.server
         self._task = server.tasks.spawn(self, server.name, context)
 
     def cancel(self) -> None:
@@ -290,7 +304,7 @@ class BodyTask(Coroutine[object, object, None]):
         elif self._task is not None:
             if self.gate is not None:
                 self.goal.changed.fire()  # a shielded body must leave the gate, too
-            self._is_cancel_due = self._runner.server.tasks.is_shielded(self._task)
+            self._is_cancel_due = self.runner.server.tasks.is_shielded(self._task)
             if not self._is_cancel_due:
                 self._task.cancel()
 
@@ -318,43 +332,10 @@ class BodyTask(Coroutine[object, object, None]):
                 return f"{code.co_filename}:{frame.f_lineno} in {code.co_qualname}"
         return ""
 
-    # what the form of the body needs; see `turtleact.goals.body.RunningBody`
-
-    @property
-    def action(self) -> str:
-        """The name of the action."""
-        return self._runner.server.name
-
-    @property
-    def node(self) -> str:
-        """The fully qualified name of the node."""
-        return self._runner.server.spec.node
-
-    @property
-    def result_type(self) -> type[Message]:
-        """The class of the action's results."""
-        return self._runner.server.result_type
-
-    def make_handle(self) -> object:
-        """Make the goal handle for the body."""
-        return self._runner.server.make_handle(self.goal)
-
-    def check_result(self, result: object) -> Message:
-        """Return a copy of a result, or raise `InvalidMessage`."""
-        return self._runner.server.check_result(result)
-
-    def publish(self, feedback: object) -> None:
-        """Publish a feedback message."""
-        self._runner.server.publish(self.goal, feedback)
-
     async def wait_at_gate(self) -> None:
         """Wait until there is no gate."""
         while self.gate is not None:
             await self.gate()
-
-    async def catch_up(self) -> None:
-        """Let other tasks run, and wait while a reader of feedback is far behind."""
-        await self._runner.server.catch_up(self.goal)
 
     # The coroutine protocol; the event loop calls these methods.
 
@@ -389,21 +370,74 @@ class BodyTask(Coroutine[object, object, None]):
         if self._is_dropped or self.goal.is_ending:
             raise StopIteration
         CURRENT_GOAL.set(self.goal)  # only in this task's context
-        run = self._runner.server.spec.body.run
-        self._steps = run(self) if self.gate is None else self._run_after_gate(run)
+        self._steps = self._open() if self.gate is None else self._open_after_gate()
         return self._steps.send(value)
 
-    async def _run_after_gate(
-        self, run: Callable[[BodyTask], Coroutine[object, object, object]]
-    ) -> object:
+    def _open(self) -> Coroutine[object, object, object]:
+        """Call the user's function, and return the coroutine that does the work."""
+        server, goal = self.runner.server, self.goal
+        body = server.spec.body
+        self.source = body.call(goal.request, lambda: server.make_handle(goal))
+        if body.is_generator:
+            return self._drive(self.source)
+        # A decorated function may return another awaitable.
+        is_plain = isinstance(self.source, CoroutineType)
+        return self.source if is_plain else _awaiting(self.source)
+
+    async def _open_after_gate(self) -> object:
         """Run the body of a goal that begins paused, once the goal is resumed."""
         await self.wait_at_gate()
-        return await run(self)
+        return await self._open()
+
+    async def _drive(self, steps: Steps) -> Message:
+        """Run a generator to its end, and return its result.
+
+        Raises:
+            Abort: if the generator yielded no result, or a result that does not fit.
+        """
+        # Everything that happens between two steps belongs to the body: a feedback message that
+        # does not fit, a cancellation during a pause, an error while publishing. It is thrown in at
+        # the `yield`, where the body can handle it. If the body does not, the exception comes back
+        # out of `athrow` and the generator is finished; `aclose` then does nothing.
+        server, goal, step = self.runner.server, self.goal, steps.asend
+        countdown = BURST
+        try:
+            item = await step(None)
+            while type(item) is not server.result_type:
+                try:
+                    status, reason = goal.status, goal.reason
+                    server.publish(goal, item)
+                    if goal.status is not status or goal.reason is not reason:
+                        countdown = 1  # a callback has cancelled the goal: deliver that now
+                    if self.gate is not None:
+                        await self.wait_at_gate()
+                    countdown -= 1
+                    if not countdown:
+                        countdown = BURST
+                        await server.catch_up(goal)
+                except GeneratorExit:
+                    raise
+                except BaseException as error:
+                    item = await steps.athrow(error)
+                else:
+                    item = await step(None)
+        except StopAsyncIteration:
+            raise Abort("no result: the last value yielded must be a Result") from None
+        except BaseException:
+            await steps.aclose()
+            raise
+        try:
+            result = server.check_result(item)  # copied now, since the body may change it later
+        except InvalidMessage as misfit:
+            await steps.aclose()
+            raise Abort(f"the body's result does not fit: {misfit}") from None
+        await _finish(server.name, steps)
+        return result
 
     def _end_unstarted(self) -> None:
         """End the goal before its body has taken the first step."""
-        self._runner.end_canceled(self.goal)
-        self._runner.let_go(self)
+        self.runner.end_canceled(self.goal)
+        self.runner.let_go(self)
 
     def _step(self, resume: Callable[[Any], object], value: object) -> object:
         """Resume the body, and report the step if it blocks the event loop for long."""
@@ -412,14 +446,40 @@ class BodyTask(Coroutine[object, object, None]):
             waits_for = resume(value)
         except BaseException as error:
             self._task = None  # breaks the cycle with the task, so that both are freed at once
-            self._runner.close_body(self, error)
+            self.runner.close_body(self, error)
             raise StopIteration from None  # the task has ended, too
         finally:
             if (took := monotonic() - began) > BLOCKING:
-                self._runner.report_blocking(self.goal, took)
+                self.runner.report_blocking(self.goal, took)
         if self._is_cancel_due:
             self.cancel()
         return waits_for
+
+
+async def _awaiting(running: Awaitable[object]) -> object:
+    return await running
+
+
+async def _finish(action: str, steps: Steps) -> None:
+    """Resume a generator that has yielded its result, so that it can end.
+
+    If the generator fails or yields again, its result stays the same.
+    """
+    try:
+        extra = type(await steps.asend(None)).__name__
+        problem = "the body of %s yielded %s after its result: this is ignored, and the body ends"
+        logger.warning(problem, action, extra)
+        await steps.aclose()
+    except StopAsyncIteration:
+        return
+    except (GeneratorExit, KeyboardInterrupt, SystemExit):
+        raise
+    except Exception as error:
+        problem = "the body of %s failed after it had yielded its result; the result stands"
+        logger.error(problem, action, exc_info=error)
+    except BaseException:
+        problem = "the body of %s was canceled after it had yielded its result; the result stands"
+        logger.info(problem, action)
 
 
 def _stop_in(error: BaseException) -> BaseException | None:

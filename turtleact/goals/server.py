@@ -9,7 +9,7 @@ This module has the plain path of a goal, without any option:
    the final state, lets the goal go with `retire`, and tells the observers.
 
 Each option is a module of its own. It replaces some of the steps above when the server opens
-(`turtleact.goals.opening`), and calls the replaced step in turn. `turtleact.goals.state` has the
+(`turtleact.goals.options`), and calls the replaced step in turn. `turtleact.goals.state` has the
 rules for a goal's states. Clients in the same process call the `LocalActionServer` and share its
 `Goal` objects. Requests from other processes arrive through `turtleact.goals.server_endpoints`.
 
@@ -19,6 +19,8 @@ Source: rcl_action ``action_server.c``; rclpy ``action/server.py``.
 from __future__ import annotations
 
 import logging
+import os
+import uuid
 from collections.abc import Awaitable, Callable, Mapping
 from contextvars import Context, copy_context
 from functools import partial
@@ -26,8 +28,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, cast, ru
 
 import anyio
 
-from turtleact.errors import STOPS, GoalRejected, InvalidTransition
-from turtleact.goals.ids import new_goal_id
+from turtleact.errors import STOPS, GoalRejected, InvalidGoalId, InvalidTransition
 from turtleact.goals.observers import Observers
 from turtleact.goals.state import (
     CURRENT_GOAL,
@@ -58,6 +59,8 @@ __all__ = [
     "LocalPauses",
     "OffersGoals",
     "ServerSpec",
+    "goal_id_bytes",
+    "new_goal_id",
 ]
 
 
@@ -584,3 +587,38 @@ class LocalActionServer:
             self.evict(goal, self.closing_reason)
         await self.stop_bodies(self.closing_reason)
         await wait_while(lambda: not self.table.is_idle, self.idle, self.grace)
+
+
+def new_goal_id() -> bytes:
+    """Return a new goal id, a UUID of version 4 (RFC 9562)."""
+    noise = bytearray(os.urandom(16))
+    noise[6] = noise[6] & 0x0F | 0x40
+    noise[8] = noise[8] & 0x3F | 0x80
+    return bytes(noise)
+
+
+def goal_id_bytes(goal_id: bytes | str | uuid.UUID) -> bytes:
+    """Convert a goal id in any form to its 16 bytes.
+
+    Raises:
+        InvalidGoalId: if the id is neither 16 bytes nor a UUID nor 32 hexadecimal digits, or is all
+            zeros.
+
+    >>> goal_id_bytes("0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e").hex()
+    '0d4fd2a0d2b74b3f9a3f1f7c2f4f8f2e'
+    """
+    if isinstance(goal_id, str):
+        try:
+            goal_id = uuid.UUID(goal_id).bytes
+        except ValueError:
+            problem = "a goal id has 32 hexadecimal digits"
+            raise InvalidGoalId(str(goal_id), problem, 0) from None
+    if isinstance(goal_id, uuid.UUID):
+        goal_id = goal_id.bytes
+    if not isinstance(goal_id, bytes):
+        raise InvalidGoalId(repr(goal_id), "a goal id has 16 bytes, or is a UUID", 0)
+    if len(goal_id) != 16:
+        raise InvalidGoalId(goal_id.hex(), "a goal id has 16 bytes", 0)
+    if not any(goal_id):
+        raise InvalidGoalId(goal_id.hex(), "a goal id must not be all zeros", 0)
+    return goal_id

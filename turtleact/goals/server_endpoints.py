@@ -12,36 +12,47 @@ status. Messages are created and published only in reply to a request or while a
 ``…/_action/status``      ``action_msgs/msg/GoalStatusArray`` all goals' states, at each change
 ========================  ==================================  ==================================
 
+Each service and topic makes its messages only for a request, or while the topic has readers.
+
 Source: rcl_action ``action_server.c``; the ROS 2 design article "Actions".
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import msgspec
 
 from turtleact.errors import CUT_OFF, STOPPED, GoalRejected
+from turtleact.goals.observers import FeedbackLost, GoalObserver
 from turtleact.goals.pause_endpoints import PauseEndpoints
 from turtleact.goals.server import LocalActionServer
-from turtleact.goals.server_topics import FeedbackTopic, ReasonTopic, StatusTopic
 from turtleact.goals.service_server import LocalServiceServer, service_events
 from turtleact.goals.state import CancelCode, Goal, GoalRequest, GoalStatus
-from turtleact.goals.wire import GoalMetadata
+from turtleact.goals.wire import GoalMetadata, GoalReason, pack_state, reason_topic, write_states
 from turtleact.interfaces import (
+    SECOND,
     Action,
+    FeedbackFormat,
     Implied,
+    Message,
     WireFormat,
     implied,
     nanoseconds,
     stamp_of,
 )
-from turtleact.interfaces.standard import CancelGoal, GoalStatusArray
+from turtleact.interfaces.standard import (
+    UUID,
+    CancelGoal,
+    GoalInfo,
+    GoalStatusArray,
+    GoalStatusMessage,
+)
 from turtleact.names import ActionNames
-from turtleact.tasks import GRACE, Tasks, wait_while
+from turtleact.tasks import GRACE, Background, Tasks, wait_while
 from turtleact.transports.base import (
     STATUS_QOS,
     CallObserver,
@@ -49,17 +60,20 @@ from turtleact.transports.base import (
     Endpoint,
     EndpointKind,
     MakeEndpoint,
+    Publication,
     QoS,
     Reply,
     Respond,
     ServiceHandler,
+    Source,
     Transport,
 )
 
 if TYPE_CHECKING:
+    from turtleact.goals.fault_reports import LostFeedback
     from turtleact.goals.introspection import Introspection
 
-__all__ = ["ActionEndpoints"]
+__all__ = ["ActionEndpoints", "FeedbackTopic", "StatusTopic"]
 
 NAMELESS = "a goal id must not be all zeros"
 """The reason for rejecting a goal with the id zero."""
@@ -73,6 +87,10 @@ A response with a note shows that a turtleact server has sent the response.
 
 LATE_REQUEST = 0.5
 """How long a closing server waits for clients in other processes to request results (s)."""
+
+
+EXPIRED_TOGETHER: Final = 1.0
+"""The shortest time between two status messages that report only expired goals (s)."""
 
 
 class ActionEndpoints:
@@ -183,6 +201,214 @@ class ActionEndpoints:
             and goal.id not in self._get_result.told
             for goal in self._server.held().values()
         )
+
+
+class FeedbackTopic(Source):
+    """Publishes the feedback of a server's goals.
+
+    Args:
+        server: The server.
+        transport: The transport to open the topic on.
+        endpoint: The description of the topic's endpoint.
+    """
+
+    def __init__(self, server: LocalActionServer, transport: Transport, endpoint: Endpoint) -> None:
+        self._server = server
+        self._action = cast("type[Action]", server.spec.action_type)
+        self._format = FeedbackFormat(self._action)
+        self._transport, self._endpoint = transport, endpoint
+        self._lost: LostFeedback | None = None
+        self._publication = transport.advertise(endpoint, self._format, self)
+        self._dropped = 0
+
+    def readers_changed(self, *, has_readers: bool) -> None:
+        """Start to publish feedback if the topic has readers; otherwise stop."""
+        self._server.publisher = self if has_readers else None
+
+    def message_lost(self) -> None:
+        """Report to ``turtleact doctor`` that feedback was dropped."""
+        if self._lost is None:
+            from turtleact.goals.fault_reports import LostFeedback  # few programs need it
+
+            how, advice = "were dropped by", "publish feedback less often, or read it faster"
+            place = self._transport, self._endpoint.node
+            self._lost = LostFeedback(*place, self._server.name, how, advice)
+        self._lost.add(1)
+
+    def expect_readers(self) -> None:
+        """Publish from now on, even if no reader is known yet.
+
+        Called when a client in another process sends a goal, because that client reads feedback.
+        """
+        self._publication.expect_readers()
+
+    def close(self) -> None:
+        """Close the topic."""
+        self._publication.close()
+        if self._lost is not None:
+            self._lost.close()
+
+    @property
+    def is_congested(self) -> bool:
+        """Whether bodies should wait before they publish more feedback."""
+        return self._publication.is_congested
+
+    async def drained(self) -> None:
+        """Wait until the topic is not congested. Cancelling: safe."""
+        await self._publication.drained()
+
+    def send(self, goal: Goal, message: Message) -> None:
+        """Publish feedback that has been checked and copied."""
+        publication = self._publication
+        if publication.has_object_readers:
+            publication.publish(self._message_type(UUID(goal.id), message))
+        else:
+            publication.send(self._format.write(goal.id, message))
+            if publication.dropped != self._dropped:
+                self._tell_of_loss(goal)
+
+    def _tell_of_loss(self, goal: Goal) -> None:
+        """Tell the observers that feedback was dropped.
+
+        The report names ``goal``, but the dropped feedback may belong to another goal.
+        """
+        lost, self._dropped = self._publication.dropped - self._dropped, self._publication.dropped
+        self._server.observers.noted(goal, FeedbackLost(lost))
+
+    @cached_property
+    def _message_type(self) -> type[Any]:
+        return implied(self._action).feedback_message
+
+
+class StatusTopic(Source, GoalObserver):
+    """Publishes the status of all goals that a server holds.
+
+    A message lists all goals, and a server may hold thousands. The topic therefore builds a message
+    only when it sends the message, and one message may report several changes.
+
+    Args:
+        server: The server.
+        transport: The transport to open the topic on.
+        endpoint: The description of the topic's endpoint.
+    """
+
+    def __init__(self, server: LocalActionServer, transport: Transport, endpoint: Endpoint) -> None:
+        self._server = server
+        self._is_stale = False  # whether anything has changed since the last write
+        self._clock = transport.clock
+        self._expiring: Background | None = None
+        self._publication: Publication | None = None  # `readers_changed` may be called in here:
+        self._publication = transport.advertise(endpoint, WireFormat(GoalStatusArray), self)
+
+    def current(self) -> Sequence[object]:
+        """Build the message with all goals that the server holds."""
+        statuses = [
+            GoalStatusMessage(GoalInfo(UUID(goal.id), stamp_of(goal.stamp)), int(goal.status))
+            for goal in self._server.held().values()
+        ]
+        return (GoalStatusArray(statuses),)
+
+    def written(self, encode: Callable[[object], bytes]) -> Sequence[bytes]:  # noqa: ARG002
+        """Build the status message as bytes."""
+        self._is_stale = False
+        packed = [
+            pack_state(goal.id, (*divmod(goal.stamp, SECOND), goal.status))
+            for goal in self._server.held().values()
+        ]
+        return (write_states(packed),)
+
+    def readers_changed(self, *, has_readers: bool) -> None:
+        """Start to observe goals if the topic has readers; otherwise stop observing."""
+        self._is_stale = False
+        self._stop_observing()
+        if has_readers:
+            self._server.observers.add(self)
+            name, tasks = f"the status of {self._server.name}", self._server.tasks
+            self._expiring = Background(self._refresh_at_expiries(), name, tasks)
+
+    def _stop_observing(self) -> None:
+        self._server.observers.remove(self)
+        if self._expiring is not None:
+            self._expiring.cancel()
+
+    async def _refresh_at_expiries(self) -> None:
+        """Publish the status again when goals have expired, so that no reader asks for them."""
+        while True:
+            due = self._server.table.next_expiry()
+            if due is None:
+                await self._server.idle.wait()
+            else:
+                left = (due - self._server.now()) / SECOND
+                await self._clock.sleep(max(left, EXPIRED_TOGETHER))
+                self._refresh()
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
+        """Publish the status of all goals again.
+
+        Readers in this process get a message at each change. Readers in other processes get one
+        message for several changes in quick succession.
+        """
+        self._refresh()
+
+    def _refresh(self) -> None:
+        publication = self._publication
+        if publication is not None and (not self._is_stale or publication.has_local_readers):
+            self._is_stale = True
+            publication.refresh()
+
+    def close(self) -> None:
+        """Close the topic."""
+        self._stop_observing()
+        if self._publication is not None:
+            self._publication.close()
+
+
+class ReasonTopic(Source, GoalObserver):
+    """Publishes, for recorders, why goals were rejected or ended without success.
+
+    ROS 2 has no topic for reasons, and its messages have no field for a reason. Clients get the
+    reason as an attachment of a response, but recorders cannot record attachments.
+
+    Args:
+        server: The server.
+        transport: The transport to open the topic on.
+        endpoint: A function that describes the endpoint.
+    """
+
+    def __init__(
+        self, server: LocalActionServer, transport: Transport, endpoint: MakeEndpoint
+    ) -> None:
+        self._server = server
+        name, type_name = reason_topic(server.name), GoalReason.type_name
+        described = endpoint("publisher", name, type_name, QoS(depth=100))
+        self._publication = transport.advertise(described, WireFormat(GoalReason), self)
+
+    def readers_changed(self, *, has_readers: bool) -> None:
+        """Start to observe goals if the topic has readers; otherwise stop observing.
+
+        Observing costs time for each goal.
+        """
+        self._server.observers.remove(self)
+        if has_readers:
+            self._server.observers.add(self)
+
+    def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:  # noqa: ARG002
+        """If a goal has ended and has a reason, publish the reason."""
+        if after.is_terminal and goal.reason:
+            self._publish(goal.id, after, goal.reason)
+
+    def rejected(self, goal_id: bytes, reason: str) -> None:
+        """Publish why a goal was rejected."""
+        if self._publication.has_readers:
+            self._publish(goal_id, GoalStatus.UNKNOWN, reason)
+
+    def close(self) -> None:
+        """Close the topic."""
+        self._server.observers.remove(self)
+        self._publication.close()
+
+    def _publish(self, goal_id: bytes, status: GoalStatus, reason: str) -> None:
+        self._publication.publish(GoalReason(UUID(goal_id), int(status), reason))
 
 
 class _ActionService(ServiceHandler):

@@ -36,7 +36,7 @@ from mcp.types import (
 )
 
 from turtleact.errors import ServerUnavailable, TurtleactError
-from turtleact.goals.ids import new_goal_id
+from turtleact.goals.server import new_goal_id
 from turtleact.goals.state import GoalStatus
 from turtleact.mcp.messages import data_of, failure, one_line
 from turtleact.tasks import Background

@@ -11,7 +11,7 @@ import anyio
 from mcp.types import CallToolResult, ImageContent, Tool
 
 from turtleact.errors import InvalidMessage, ServerUnavailable, TurtleactError, UnknownGoal
-from turtleact.goals.ids import goal_id_bytes
+from turtleact.goals.server import goal_id_bytes
 from turtleact.interfaces import SECOND, Message, get_message
 from turtleact.interfaces.definition import did_you_mean, names_like
 from turtleact.interfaces.values import describe

@@ -28,7 +28,7 @@ from turtleact.goals.client import ActionClient
 from turtleact.goals.client_endpoints import ClientEndpoints
 from turtleact.goals.durable import Restoring
 from turtleact.goals.observers import Hook
-from turtleact.goals.opening import open_server
+from turtleact.goals.options import open_server
 from turtleact.goals.policies import Slots
 from turtleact.goals.running import GoalHandle
 from turtleact.goals.server import LocalActionServer, ServerSpec

@@ -45,7 +45,8 @@ class GoalFilter(logging.Filter):
         goal = CURRENT_GOAL.get()
         values = "", "", ""
         if goal is not None and isinstance(goal.body, BodyTask):
-            values = goal.hex, goal.body.action, goal.body.node
+            server = goal.body.runner.server
+            values = goal.hex, server.name, server.spec.node
         for field, value in zip(FIELDS, values, strict=True):
             record.__dict__.setdefault(field, value)
         return True

@@ -40,7 +40,6 @@ from opentelemetry.trace import Link, Span, SpanKind, StatusCode
 from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
 from turtleact.errors import GoalRejected, TurtleactError
-from turtleact.goals.ids import new_goal_id
 from turtleact.goals.observers import (
     BodyFailed,
     Detached,
@@ -50,6 +49,7 @@ from turtleact.goals.observers import (
     News,
     Observers,
 )
+from turtleact.goals.server import new_goal_id
 from turtleact.goals.state import Goal, GoalRequest, GoalStatus
 from turtleact.goals.wire import GoalMetadata
 from turtleact.names import action_names

@@ -25,7 +25,7 @@ import msgspec
 from turtleact.errors import GoalRejected, ServerUnavailable, TurtleactError
 from turtleact.goals.body import ActionType
 from turtleact.goals.client import ActionClient, ClientGoalHandle
-from turtleact.goals.ids import new_goal_id
+from turtleact.goals.server import new_goal_id
 from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import Message
 from turtleact.node import Node

@@ -36,7 +36,7 @@ from turtleact.goals.client import (
     ResultReceived,
     StatusChanged,
 )
-from turtleact.goals.ids import new_goal_id
+from turtleact.goals.server import new_goal_id
 from turtleact.goals.state import GoalStatus, status_of
 from turtleact.goals.wire import PausedGoals, paused_topic
 from turtleact.interfaces import Message, nanoseconds

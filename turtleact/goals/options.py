@@ -1,31 +1,114 @@
-"""Calls the user's callbacks, which decide whether to accept a goal and whether to cancel a goal.
+"""Opens an action server: puts the plain server and the options that the user has chosen together.
 
-A callback is a function or a coroutine function. If a callback fails, the request is rejected and
-the failure is logged.
+Each option replaces steps of the server and calls what it replaced. The order matters: the later an
+option comes, the further outside it is. `Callbacks`, in this module, asks the user's functions
+whether to accept a goal and whether to cancel a goal. Slots, the journal and pauses have modules of
+their own.
 """
 
 from __future__ import annotations
 
+import inspect
 import logging
 from collections import Counter
+from collections.abc import Callable
 from inspect import isawaitable
-from typing import Any
+from typing import Any, get_args
 
 import anyio
 import msgspec
 
-from turtleact.errors import GoalRejected, Reject, summary, text_of
+from turtleact.errors import GoalRejected, InvalidOption, Reject, summary, text_of
 from turtleact.goals.body import ServerOptions
-from turtleact.goals.server import LocalActionServer
+from turtleact.goals.durable import DurableGoals
+from turtleact.goals.pausing import Pauses
+from turtleact.goals.policies import Rules, Slots
+from turtleact.goals.records import OnRestart
+from turtleact.goals.running import BodyRunner
+from turtleact.goals.server import LocalActionServer, ServerSpec
+from turtleact.goals.slots import PlaceRequest, SlotUser
 from turtleact.goals.state import CancelResponse, Goal, GoalRequest, GoalResponse
+from turtleact.tasks import GRACE, Tasks
 
-__all__ = ["Callbacks", "cancel_goals_of_lost_clients"]
+__all__ = ["open_server"]
 
 logger = logging.getLogger("turtleact.server")
 
 
+def open_server(
+    spec: ServerSpec,
+    options: ServerOptions,
+    tasks: Tasks,
+    now: Callable[[], int],
+    slots: Slots[PlaceRequest],
+) -> tuple[LocalActionServer, DurableGoals | None]:
+    """Make a server that runs its bodies in tasks of the event loop.
+
+    With a journal, the result has the `DurableGoals` that restore the goals of an earlier process.
+
+    Args:
+        spec: The action, its name and its body.
+        options: The user's options.
+        tasks: The functions that start and manage tasks on asyncio or trio.
+        now: Returns the current time (ns since the epoch).
+        slots: The slots of the node, of which the options may name one.
+
+    Raises:
+        InvalidOption: if the value of an option is not allowed.
+    """
+    _check(options)
+    kept, grace = options.get("result_timeout", 10.0), options.get("grace", GRACE)
+    server = LocalActionServer(spec, tasks, now, kept, grace)
+    BodyRunner(server)
+    server.slot_name = options.get("slot") or ""
+    policy = options.get("policy", "parallel")
+    rules = Rules(policy, options.get("max_active"), options.get("queue_limit"))
+    slot = slots.find(rules, options.get("slot"))
+    if slot is not None:
+        SlotUser(server, slot)
+    if options.get("on_client_lost") == "cancel":
+        _cancel_goals_of_lost_clients(server)
+    consider = None
+    if options.get("goal_callback") is not None or options.get("cancel_callback") is not None:
+        callbacks = Callbacks(server, options)
+        consider = callbacks.consider if options.get("goal_callback") is not None else None
+    durable = None
+    if options.get("journal") is not None:
+        durable = DurableGoals(server, options, consider, starts_at_once=slot is None)
+    server.pauses = Pauses(server, options)
+    return server, durable
+
+
+def _check(options: ServerOptions) -> None:
+    """Check the values of a server's options; the other modules check the rest."""
+    lost, kept = options.get("on_client_lost", "keep"), options.get("result_timeout")
+    if lost not in ("keep", "cancel"):
+        raise InvalidOption("on_client_lost", f"expected 'keep' or 'cancel', not {lost!r}")
+    is_time = isinstance(kept, int | float) and not isinstance(kept, bool) and 0 <= kept < 1e9
+    if kept is not None and not is_time:
+        problem = f"expected a number of seconds, 0 or more, or None for ever, not {kept!r}"
+        raise InvalidOption("result_timeout", problem)
+    grace = options.get("grace", 0.0)
+    if not isinstance(grace, int | float) or isinstance(grace, bool) or not 0 <= grace < 1e9:
+        raise InvalidOption("grace", f"expected a number of seconds, 0 or more, not {grace!r}")
+    if options.get("on_restart", "abort") not in get_args(OnRestart):
+        problem = f"expected 'abort' or 'resume', not {options.get('on_restart')!r}"
+        raise InvalidOption("on_restart", problem)
+    shown = options.get("introspection")
+    if shown not in (None, "off", "metadata", "contents"):
+        problem = f"expected 'off', 'metadata' or 'contents', not {shown!r}"
+        raise InvalidOption("introspection", problem)
+    for name in ("on_pause", "on_resume"):
+        callback = options.get(name)
+        if callback is not None and not inspect.iscoroutinefunction(callback):
+            raise InvalidOption(name, f"expected a coroutine function, not {callback!r}")
+
+
 class Callbacks:
     """Calls the ``goal_callback`` and the ``cancel_callback`` of one server.
+
+    A callback is a function or a coroutine function. If a callback fails, the request is rejected
+    and the failure is logged.
 
     When the server closes, the calls that have not returned yet are cancelled.
 
@@ -140,7 +223,7 @@ class Callbacks:
 _CLOSED = object()
 
 
-def cancel_goals_of_lost_clients(server: LocalActionServer) -> None:
+def _cancel_goals_of_lost_clients(server: LocalActionServer) -> None:
     """Let a server cancel the goals of clients that have gone."""
 
     def client_lost(sender: object) -> None:
