@@ -385,33 +385,3 @@ def test_a_bag_is_cut(turtleact, bag, tmp_path):
     assert (ran.status, ran.err) == (0, f"turtleact: 2 messages written to {out}\n")
     ran = turtleact("bag", "convert", "-i", str(bag), "mcap", "-o", str(tmp_path / "all"))
     assert ran.err == f"turtleact: 6 messages written to {tmp_path}/all\n"
-
-
-def test_a_bag_is_converted_as_a_file_for_ros2_bag_says(turtleact, bag, tmp_path):
-    options = tmp_path / "options.yaml"
-    options.write_text(
-        f"output_bags:\n- {{uri: {tmp_path}/a, all: true, storage_preset_profile: zstd_fast}}\n"
-        f"- {{uri: {tmp_path}/b, topics: [said], start_time_ns: {START}, end_time_ns: {START}}}\n"
-    )
-    ran = turtleact("bag", "convert", "-i", str(bag), "-o", str(options))
-    assert ran.err == (
-        f"turtleact: 6 messages written to {tmp_path}/a\n"
-        f"turtleact: 1 message written to {tmp_path}/b\n"
-    )
-
-
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("a: 1", "KeyError: 'output_bags'"),
-        ("output_bags: [{uri: a, compression_mode: file}]", "no option compression_mode"),
-        ("output_bags: [{uri: a, storage_id: sqlite3}]", "the storage_id is mcap"),
-        ("output_bags: [{uri: a, max_bagfile_size: x}]", "ValueError: invalid literal"),
-    ],
-)
-def test_options_of_a_file_that_make_no_sense_are_refused(turtleact, bag, tmp_path, text, problem):
-    options = tmp_path / "options.yaml"
-    options.write_text(text)
-    ran = turtleact("bag", "convert", "-i", str(bag), "-o", str(options))
-    assert ran.status == 2
-    assert problem in ran.err

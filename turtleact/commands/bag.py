@@ -1,8 +1,6 @@
 """The verbs of ``bag``: ``record``, ``play``, ``convert`` and ``view``, and the options of all.
 
 `turtleact.commands.bag_contents` prints what is in a bag.
-
-Source: rosbag2 ``README.md``, for the format of the file that describes converted bags.
 """
 
 from __future__ import annotations
@@ -11,7 +9,7 @@ import asyncio
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import closing, suppress
 from functools import partial
 from itertools import pairwise
@@ -26,14 +24,13 @@ from turtleact.commands.options import Json, argument, bag_seconds, flag, hertz,
 from turtleact.commands.output import counted, note, say
 from turtleact.commands.output import duration as told_duration
 from turtleact.commands.settings import WrongOptions, quoted
-from turtleact.errors import TurtleactError, UsageError, summary
+from turtleact.errors import TurtleactError
 
 if TYPE_CHECKING:
     from turtleact.commands.settings import ConnectOptions
     from turtleact.node import Node
     from turtleact.recording import Played, Recording, Selection
     from turtleact.recording.bag_writer import Compression
-    from turtleact.recording.converting import Output
 
 __all__ = ["app"]
 
@@ -131,7 +128,6 @@ NewBag = Annotated[
         *("--output", "-o"),
         metavar="NAME",
         text="The folder to create; by default, one with the time in its name.",
-        show_default=False,
     ),
 ]
 
@@ -158,7 +154,7 @@ def record(
     reach: ConnectOptions,
     positional: Annotated[
         list[str] | None,
-        argument("TOPIC", "Topics to record.", completion.topics, show_default=False),
+        argument("TOPIC", "Topics to record.", completion.topics),
     ] = None,
     *,
     taken: dict[str, Any],
@@ -278,7 +274,6 @@ def play(
             metavar="[HZ]",
             text="Publish the time in the bag on /clock, 40 times a second.",
             parser=hertz,
-            show_default=False,
         ),
     ] = None,
     overrides: Overrides = None,
@@ -302,9 +297,7 @@ def play(
 @verb(app, cls=BagVerb, knows=True)
 def goals(
     bag: BagPath,
-    action: Annotated[
-        str | None, argument("ACTION", "Only goals of this action.", show_default=False)
-    ] = None,
+    action: Annotated[str | None, argument("ACTION", "Only goals of this action.")] = None,
     *,
     as_json: Json = False,
 ) -> None:
@@ -319,11 +312,7 @@ def convert(
     bags: Annotated[list[str], value("--input", "-i", metavar="BAG...", text="The bags to read.")],
     output: Annotated[
         Path,
-        value(
-            *("--output", "-o", "--output-options"),
-            metavar="NAME",
-            text="The folder to create, or a YAML file of 'ros2 bag convert'.",
-        ),
+        value(*("--output", "-o"), metavar="NAME", text="The folder to create."),
     ],
     *,
     taken: dict[str, Any],
@@ -338,24 +327,19 @@ def convert(
     from turtleact.recording.bag_writer import Split
 
     inputs = [Path(each) for each in bags if each not in ("mcap", "sqlite3")]  # ids of storages
-    if output.suffix in (".yaml", ".yml"):
-        outputs = _outputs_in(output)
-    else:
-        with closing(Bag(inputs[0])) as bag:
-            start = bag.info.start + round(offset * 1e9)
-        split = Split(
-            max_size=max_size,
-            max_duration=round(max_duration * 1e9),
-            compression=_compression(preset),
-        )
-        end = None if duration is None else start + round(duration * 1e9)
-        outputs = [
-            converting.Output(
-                path=output, selection=_from_bag(taken), start=start, end=end, split=split
-            )
-        ]
-    for each, count in zip(outputs, converting.convert(inputs, outputs), strict=True):
-        note(f"{counted(count, 'message')} written to {each.path}")
+    with closing(Bag(inputs[0])) as bag:
+        start = bag.info.start + round(offset * 1e9)
+    split = Split(
+        max_size=max_size,
+        max_duration=round(max_duration * 1e9),
+        compression=_compression(preset),
+    )
+    end = None if duration is None else start + round(duration * 1e9)
+    wanted = converting.Output(
+        path=output, selection=_from_bag(taken), start=start, end=end, split=split
+    )
+    [count] = converting.convert(inputs, [wanted])
+    note(f"{counted(count, 'message')} written to {output}")
 
 
 @verb(app, cls=BagVerb)
@@ -542,68 +526,3 @@ def _sum_up_playing(played: Played) -> int:
     if played.failed:
         return FAILED
     return 0 if played.messages or played.goals else FAILED
-
-
-# converting
-
-
-def _outputs_in(path: Path) -> Sequence[Output]:
-    """Read the descriptions of output bags from an options file of ``ros2 bag convert``.
-
-    Raises:
-        UsageError: if the file is not a valid options file, or has an option that turtleact lacks.
-    """
-    from turtleact.recording.metadata import read_yaml
-
-    try:
-        text = path.read_text(encoding="utf-8")
-        read: Any = read_yaml(text)
-        return [_output(dict(each)) for each in read["output_bags"]]
-    except OSError as error:
-        raise UsageError(f"'{path}' cannot be read: {error.strerror}") from None
-    except (ValueError, TypeError, LookupError, OverflowError) as error:
-        problem = f"is no file of options for ros2 bag convert: {summary(error)}"
-        raise UsageError(f"'{path}' {problem}") from None
-
-
-def _output(said: dict[str, Any]) -> Output:
-    """Convert one item of ``output_bags``. Each known key is removed from ``said``."""
-    from turtleact.names import resolve_name
-    from turtleact.recording import Selection
-    from turtleact.recording.bag_writer import Split
-    from turtleact.recording.converting import Output
-
-    def names(key: str) -> frozenset[str]:
-        return frozenset(map(resolve_name, said.pop(key, None) or ()))
-
-    path, everything = Path(str(said.pop("uri"))), said.pop("all", False)
-    start, end = int(said.pop("start_time_ns", 0)), int(said.pop("end_time_ns", -1))
-    if said.pop("storage_id", "mcap") not in ("", "mcap"):
-        raise ValueError("the storage_id is mcap")
-    selection = Selection(
-        topics=names("topics"),
-        services=names("services"),
-        actions=names("actions"),
-        types=frozenset(said.pop("topic_types", ())),
-        exclude=names("exclude_topics"),
-        exclude_types=frozenset(said.pop("exclude_topic_types", ())),
-        regex=said.pop("regex", ""),
-        exclude_regex=said.pop("exclude_regex", ""),
-        hidden=True,
-        **{each: bool(said.pop(each, everything)) for each in ALL},
-    )
-    preset = said.pop("storage_preset_profile", "none")
-    split = Split(
-        max_size=int(said.pop("max_bagfile_size", 0)),
-        max_duration=int(said.pop("max_bagfile_duration", 0)) * 10**9,
-        compression=preset if preset in ("zstd_fast", "zstd_small") else "none",
-    )
-    if said:
-        raise ValueError(f"turtleact has no option {', '.join(sorted(said))}")
-    return Output(
-        path=path,
-        selection=selection,
-        start=max(0, start),
-        end=None if end < 0 else end,
-        split=split,
-    )

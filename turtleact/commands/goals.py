@@ -396,7 +396,7 @@ async def find(
     """List the actions of a type."""
     from turtleact.commands import graph
 
-    return await graph.print_found(node, "action", type_name, count=count, hidden=False)
+    return await graph.print_list(node, "action", type_name=type_name, count=count, hidden=False)
 
 
 @verb(action)

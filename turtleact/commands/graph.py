@@ -64,7 +64,6 @@ __all__ = [
     "open_graph",
     "open_transport",
     "print_action_info",
-    "print_found",
     "print_list",
     "print_node_info",
     "print_nodes",
@@ -372,13 +371,29 @@ SIDES: dict[str, EndpointKind] = {"Publish": "publisher", "Subscrib": "subscript
 # all kinds
 
 
-async def print_list(node: Node, kind: Kind, *, types: bool, count: bool, hidden: bool) -> int:
-    """Print the names of all actions, services or topics, or only how many there are."""
+async def print_list(
+    node: Node,
+    kind: Kind,
+    *,
+    type_name: str | None = None,
+    types: bool = False,
+    count: bool,
+    hidden: bool,
+) -> int:
+    """Print the names of all actions, services or topics, or only how many there are.
+
+    Args:
+        node: A node on the graph.
+        kind: What to list.
+        type_name: The type of what to list; None for all.
+        types: Whether to print the types too.
+        count: Whether to print only how many there are.
+        hidden: Whether to include hidden names.
+    """
     found = types_by_name(node.transport.endpoints(), kind, hidden=hidden)
-    if count:
-        say_names(f"{len(found)}\n")
-    else:
-        _say_lines(_with_types(name, found[name] if types else ()) for name in found)
+    names = [name for name, own in found.items() if type_name is None or type_name in own]
+    lines = (_with_types(name, found[name] if types else ()) for name in names)
+    _say_lines([str(len(names))] if count else lines)
     return FOUND
 
 
@@ -390,14 +405,6 @@ async def print_type(node: Node, kind: Kind, name: str) -> int:
     types = types_by_name(node.transport.endpoints(), kind, hidden=True).get(name, ())
     _say_lines(types)
     return FOUND if types else NOT_FOUND
-
-
-async def print_found(node: Node, kind: Kind, type_name: str, *, count: bool, hidden: bool) -> int:
-    """Print the names of the actions, services or topics of a type, or only how many there are."""
-    found = types_by_name(node.transport.endpoints(), kind, hidden=hidden)
-    names = [name for name, types in found.items() if type_name in types]
-    _say_lines([str(len(names))] if count else names)
-    return FOUND
 
 
 # actions

@@ -141,7 +141,7 @@ async def fetch(
     node: Node,
     names: Annotated[
         list[str] | None,
-        argument("NODE", "The nodes.", completion.nodes, show_default=False),
+        argument("NODE", "The nodes.", completion.nodes),
     ] = None,
     *,
     everything: Annotated[bool, flag("--all", text="Fetch the interfaces of all nodes.")] = False,

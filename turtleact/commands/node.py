@@ -307,7 +307,7 @@ async def find(
     """List the services of a type."""
     from turtleact.commands import graph
 
-    return await graph.print_found(node, "service", type_name, count=count, hidden=hidden)
+    return await graph.print_list(node, "service", type_name=type_name, count=count, hidden=hidden)
 
 
 @verb(service, cls=MessageVerb, knows=True)

@@ -117,17 +117,9 @@ def value(
     )
 
 
-def argument(
-    metavar: str,
-    text: str,
-    known: Callable[..., Any] | None = None,
-    *,
-    show_default: bool = True,
-) -> Any:  # noqa: ANN401
+def argument(metavar: str, text: str, known: Callable[..., Any] | None = None) -> Any:  # noqa: ANN401
     """Declare an argument. For the Tab key, ``known`` returns its possible values."""
-    return typer.Argument(
-        metavar=metavar, help=text, autocompletion=known, show_default=show_default
-    )
+    return typer.Argument(metavar=metavar, help=text, autocompletion=known)
 
 
 def in_seconds(*names: str, text: str, panel: str | None = None) -> Any:  # noqa: ANN401
@@ -153,7 +145,7 @@ def name_of(what: str, example: str, known: Callable[..., Any], metavar: str = "
 def message_of(what: str, metavar: str = "VALUES") -> Any:  # noqa: ANN401
     """Declare the argument that takes a message."""
     text = f"The {what}, as YAML or JSON. If left out, {{}}."
-    return argument(metavar, text, completion.messages, show_default=False)
+    return argument(metavar, text, completion.messages)
 
 
 def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401
@@ -161,7 +153,7 @@ def type_of(kind: Kind, *, is_asked: bool = False) -> Any:  # noqa: ANN401
     text = f"The type, pkg/{completion.SUFFIXES[kind]}/Name."
     asked = " If left out, the graph is asked." if is_asked else ""
     known = completion.types(kind, of_name=is_asked)
-    return argument("TYPE", text + asked, known, show_default=False)
+    return argument("TYPE", text + asked, known)
 
 
 # options

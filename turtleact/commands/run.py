@@ -110,7 +110,6 @@ def run(
             "PACKAGE",
             "The package, such as turtlesim, or a Python file such as lab.py.",
             completion.runnable_packages,
-            show_default=False,
         ),
     ] = "",
     executable: Annotated[
@@ -119,11 +118,10 @@ def run(
             "EXECUTABLE",
             "The program in the package, such as turtlesim_node.",
             completion.executables,
-            show_default=False,
         ),
     ] = "",
     arguments: Annotated[
-        list[str] | None, argument("ARGUMENTS", "The program's own arguments.", show_default=False)
+        list[str] | None, argument("ARGUMENTS", "The program's own arguments.")
     ] = None,
     *,
     face: Annotated[
@@ -446,7 +444,7 @@ pkg = new_group("pkg", "Create and list packages, like 'ros2 pkg'. A package nee
 
 @verb(pkg, cls=ManyVerb, epilog=_EXAMPLES)
 def create(
-    name: Annotated[str, argument("NAME", "The name of the package.", show_default=False)],
+    name: Annotated[str, argument("NAME", "The name of the package.")],
     *,
     dependencies: Annotated[
         list[str] | None,

@@ -157,7 +157,7 @@ async def find(
     """List the topics of a type."""
     from turtleact.commands import graph
 
-    return await graph.print_found(node, "topic", type_name, count=count, hidden=hidden)
+    return await graph.print_list(node, "topic", type_name=type_name, count=count, hidden=hidden)
 
 
 @verb(app, knows=True)
