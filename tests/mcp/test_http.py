@@ -9,7 +9,6 @@ from mcp import Client
 from starlette.applications import Starlette
 from starlette.routing import Mount
 
-from turtleact.errors import InvalidOption
 from turtleact.mcp import open_app, open_http
 
 from .line import MODES, open_lab, text_of
@@ -115,27 +114,6 @@ async def test_the_app_can_be_mounted_beside_others():
         async with httpx.AsyncClient(transport=outer, base_url="http://localhost") as client:
             reply = await client.post("/robot/mcp", json={})
     assert reply.status_code == 400  # the server of MCP answers; another would say 404
-
-
-async def test_a_port_is_taken_once():
-    async with open_lab() as (_, _, server), open_http(server) as address:
-        with pytest.raises(InvalidOption, match=r"cannot be bound: .*; choose another"):
-            async with open_http(server, port=address.port):
-                pass
-
-
-@pytest.mark.parametrize(
-    ("host", "token", "problem"),
-    [
-        ("0.0.0.0", "", "must not be empty"),
-        ("nowhere.invalid", "x", "nowhere.invalid:0 cannot be bound"),
-    ],
-)
-async def test_a_host_that_cannot_be_served_is_refused(host, token, problem):
-    async with open_lab() as (_, _, server):
-        with pytest.raises(InvalidOption, match=problem):
-            async with open_http(server, host, token=token):
-                pass
 
 
 async def test_other_machines_need_a_token_that_is_made_for_the_run():

@@ -18,15 +18,6 @@ def taken(queue: ClientQueue) -> list[Any]:
     return list(iter(queue.take, None))
 
 
-def test_frames_go_in_the_order_of_their_coming():
-    queue = ClientQueue(MOST)
-    queue.put("a", "1")
-    queue.keep("2")
-    queue.put("b", "3")
-    assert len(queue) == 3
-    assert taken(queue) == ["1", "2", "3"]
-
-
 def test_of_many_frames_of_topics_the_newest_stay():
     queue = ClientQueue(100_000)
     queue.keep("a result")
@@ -34,14 +25,6 @@ def test_of_many_frames_of_topics_the_newest_stay():
         queue.put("a", f"{number}")
     assert queue.dropped == 3
     assert taken(queue)[:2] == ["a result", "3"]
-
-
-def test_large_frames_push_out_the_oldest():
-    queue, large = ClientQueue(MOST), "x" * (MOST // 2)
-    for source in "abc":
-        queue.put(source, large)
-    assert queue.dropped == 1
-    assert taken(queue) == [large, large]
 
 
 def test_one_frame_waits_whatever_its_size():
@@ -59,23 +42,6 @@ def test_a_queue_of_what_must_arrive_is_overfull_beyond_its_limit(size, is_overf
     for _ in range(2):
         queue.keep("x" * size)
     assert (queue.is_overfull, queue.dropped) == (is_overfull, 1)
-
-
-def test_frames_of_a_topic_nobody_wants_any_more_go():
-    queue = ClientQueue(MOST)
-    queue.put("a", "1")
-    queue.put("b", "2")
-    queue.keep("3")
-    queue.forget("a")
-    assert (taken(queue), queue.dropped) == (["2", "3"], 0)
-
-
-def test_what_may_be_dropped_goes_when_the_client_is_closed():
-    queue = ClientQueue(MOST)
-    queue.put("a", "1")
-    queue.keep("2")
-    queue.drop_all()
-    assert taken(queue) == ["2"]
 
 
 @given(st.lists(st.sampled_from(["take", "forget", "keep", "a", "b"])))

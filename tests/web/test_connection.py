@@ -18,7 +18,7 @@ from turtleact.interfaces import Message, Service, decode, get_interface, int32,
 from turtleact.interfaces.standard import CancelGoal, GoalStatusArray, Point, Twist, Vector3
 from turtleact.web import Limits
 
-from ..lab import Count, Gate, Running, count, goal, running, settle
+from ..lab import Count, Gate, Running, goal, running, settle
 from .line import Line, bridged, line, websocket_scope
 
 Log: Any = get_interface("rcl_interfaces/msg/Log")
@@ -59,14 +59,6 @@ async def test_a_client_reads_a_topic():
         publisher.publish(Point(x=1.0))
         expected = {"op": "publish", "topic": "/here", "msg": {"x": 1.0, "y": 0.0, "z": 0.0}}
         assert await client.hear() == expected
-
-
-async def test_the_type_of_a_topic_may_be_left_out():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        publisher = node.publisher(Point, "here")
-        await subscribe(client, "here")
-        publisher.publish(Point(x=1.0))
-        assert (await client.hear())["topic"] == "here"
 
 
 async def test_a_topic_that_is_not_there_yet_is_read_once_it_is():
@@ -111,16 +103,6 @@ async def test_many_clients_are_one_subscription_to_the_graph():
 
 def kinds(node: turtleact.Node, name: str) -> list[str]:
     return [e.kind for e in node.transport.endpoints() if e.name == name]
-
-
-async def test_after_unsubscribe_nothing_is_heard():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        publisher = node.publisher(Point, "here")
-        await subscribe(client, "/here")
-        client.say("unsubscribe", topic="/here")
-        assert await client.hears_nothing()
-        publisher.publish(Point())
-        assert await client.hears_nothing()
 
 
 @pytest.mark.parametrize("compression", ["png", "cbor-raw"])
@@ -454,15 +436,6 @@ async def test_who_calls_a_client_that_goes_is_told(caplog):
         assert isinstance(call.error, ServerUnavailable | ServiceError)
         with pytest.raises(ServerUnavailable):
             await caller.call(Add.Request())
-
-
-async def test_a_service_can_be_withdrawn():
-    async with bridged() as (node, bridge), line(bridge) as client:
-        client.say("advertise_service", type="lab_interfaces/AddInts", service="/add")
-        client.say("unadvertise_service", service="/add")
-        assert await client.hears_nothing()
-        await settle()
-        assert kinds(node, "/add") == []
 
 
 async def test_a_service_that_is_advertised_again_is_served_anew():
@@ -843,22 +816,6 @@ def test_a_bridge_waits_for_a_client_that_takes_nothing_no_longer_than_it_must(c
 
     for backend in ("asyncio", "trio"):
         assert 1.5 < testing.run(close, backend=backend) < 2.5
-
-
-async def test_count_is_a_body():
-    """The laboratory's plain body, by way of the bridge: feedback first, then one result."""
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", count)
-        client.say(
-            "send_action_goal",
-            id="g",
-            action="/count",
-            action_type="lab_interfaces/Count",
-            args={"upto": 2},
-            feedback=True,
-        )
-        heard = [await client.hear() for _ in range(3)]
-        assert [frame["op"] for frame in heard] == ["action_feedback"] * 2 + ["action_result"]
 
 
 # the memory of a client

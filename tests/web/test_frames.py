@@ -13,7 +13,7 @@ import pytest
 
 from turtleact.interfaces import decode
 from turtleact.interfaces.standard import Point
-from turtleact.web.message_conversion import Rendering, png, reply, request
+from turtleact.web.message_conversion import Rendering, png
 
 
 def read_png(picture: bytes) -> tuple[int, int, bytes]:
@@ -36,18 +36,6 @@ def read_png(picture: bytes) -> tuple[int, int, bytes]:
     return width, height, b"".join(rows[at + 1 : at + step] for at in range(0, len(rows), step))
 
 
-def test_a_frame_has_its_operation_first():
-    assert request("status", level="info") == '{"op":"status","level":"info"}'
-
-
-def test_a_reply_has_the_id_of_what_it_answers():
-    assert reply("status", "a:1", msg="") == '{"op":"status","msg":"","id":"a:1"}'
-
-
-def test_a_reply_to_what_had_no_id_has_none():
-    assert reply("status", None, msg="") == '{"op":"status","msg":""}'
-
-
 @pytest.mark.parametrize(
     "text", ["{}", '{"a":"b"}', '{"word":"é€😀"}', '{"a":"' + "x" * 5000 + '"}']
 )
@@ -62,11 +50,6 @@ def test_a_picture_is_padded_with_line_breaks():
     width, height, pixels = read_png(base64.b64decode(json.loads(png('{"a":1}'))["data"]))
     assert pixels == b'{"a":1}\n\n'
     assert (width, height) == (1, 3)
-
-
-def test_a_topics_message_is_published_as_text():
-    frame = Rendering(Point(x=1.0), 0).frame("none", "/here")
-    assert frame == '{"op":"publish","topic":"/here","msg":{"x":1.0,"y":0.0,"z":0.0}}'
 
 
 def test_it_is_published_inside_a_picture():

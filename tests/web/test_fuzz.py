@@ -50,7 +50,6 @@ NAMES = [
     "",
     "/",
     "no name",
-    "a" * 300,
     "\x00",
     "\ud800",
 ]
@@ -65,7 +64,6 @@ TYPES = [
     "a/Nope",
     "",
     "/",
-    "A" * 300,
 ]
 
 anything: st.SearchStrategy[Any] = st.recursive(

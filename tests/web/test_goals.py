@@ -9,7 +9,6 @@ import anyio
 import pytest
 
 from turtleact import Abort, GoalAborted, GoalResponse, Reject, testing
-from turtleact.web import shared
 from turtleact.web.bridge import FAREWELL
 
 from ..lab import Count, Gate, Running, count, feedback, goal, result, running, settle
@@ -150,18 +149,6 @@ async def test_an_id_that_is_in_use_is_refused():
         assert (await client.hear())["status"] == 4
         send(client)
         assert (await client.hear())["status"] == 4
-
-
-async def test_there_is_an_end_to_goals(monkeypatch):
-    monkeypatch.setattr(shared, "MOST_GOALS", 1)
-    gate = Gate()
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", gate.wait)
-        send(client, "g:1")
-        send(client, "g:2")
-        assert (await client.hear())["values"] == "1 goals are under way: wait for some"
-        gate.opened.set()
-        assert (await client.hear())["id"] == "g:1"
 
 
 async def test_goals_need_no_id():
@@ -500,14 +487,3 @@ async def test_feedback_that_does_not_fit_is_told_of_and_ends_nothing():
             assert (await handle.result()).counted == [1]
             client.say("action_feedback", id=asked["id"], values={"so_far": [1]})
             assert await client.hears_nothing()
-
-
-async def test_one_client_sends_goals_to_another():
-    async with bridged() as (_, bridge), line(bridge) as server, line(bridge) as client:
-        await serve(server)
-        send(client, upto=1, feedback=True)
-        asked = await server.hear()
-        server.say("action_feedback", id=asked["id"], values={"so_far": [1]})
-        server.say("action_result", id=asked["id"], values={"counted": [1]}, status=4, result=True)
-        assert of(await client.hear()) == ("action_feedback", {"so_far": [1]}, None, None)
-        assert of(await client.hear()) == ("action_result", {"counted": [1]}, 4, True)

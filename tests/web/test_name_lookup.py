@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.errors import InvalidName, UnknownInterface
+from turtleact.errors import UnknownInterface
 from turtleact.interfaces import get_interface
 from turtleact.web.name_lookup import (
-    absolute,
     action_class,
     message_class,
     service_class,
@@ -55,22 +54,3 @@ def test_a_type_of_another_kind_is_unknown():
 def test_a_type_that_does_not_exist_is_unknown(spelled):
     with pytest.raises(UnknownInterface):
         message_class(spelled)
-
-
-def test_a_type_too_long_to_be_a_files_name_is_unknown():
-    with pytest.raises(UnknownInterface, match="…"):
-        message_class(f"a/msg/{'A' * 5000}")
-
-
-def test_a_name_may_lack_its_slash():
-    assert absolute("turtle1/pose") == absolute("/turtle1/pose") == "/turtle1/pose"
-
-
-@pytest.mark.parametrize("name", ["", "a b", "/a//b", "~", "a" * 256])
-def test_a_name_that_breaks_the_rules_is_refused(name):
-    with pytest.raises(InvalidName):
-        absolute(name)
-
-
-def test_a_name_of_255_characters_is_one():
-    assert absolute("/" + "a" * 254) == "/" + "a" * 254

@@ -251,27 +251,6 @@ async def test_a_reader_that_never_reads_is_cut_off_and_slows_nobody(caplog, mon
         assert "a web client was disconnected: it read nothing for 0.05 s" in caplog.text
 
 
-@ON_ASYNCIO
-async def test_a_client_that_has_its_answer_is_let_go():
-    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
-        reader, writer = await asyncio.open_connection(web.host, web.port)
-        writer.write(b"GET /favicon.ico HTTP/1.1\r\nHost: localhost\r\n\r\n")
-        assert b"<svg" in await reader.read()
-        writer.close()
-
-
-@ON_ASYNCIO
-async def test_an_app_that_fails_is_logged_with_its_traceback(caplog, monkeypatch):
-    async def fail(*_: object) -> None:
-        raise ZeroDivisionError
-
-    monkeypatch.setattr("turtleact.web.bridge.Connection.run", fail)
-    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
-        with pytest.raises(InvalidStatus, match="500"):
-            await connect(address(web))
-    assert "ZeroDivisionError" in caplog.text
-
-
 HANDSHAKE = (
     b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n"

@@ -6,7 +6,7 @@ from typing import Any
 
 from turtleact.interfaces.standard import UUID, GoalStatusMessage, Twist
 from turtleact.web.name_lookup import action_class, service_class
-from turtleact.web.rosapi import full_text, short_name, typedefs
+from turtleact.web.rosapi import typedefs
 
 
 def test_a_message_is_described_with_the_messages_in_it():
@@ -52,14 +52,3 @@ def test_constants_are_described():
 def test_a_part_of_a_service_goes_by_its_own_name():
     (described,) = typedefs(service_class("turtlesim/Spawn").Request)
     assert described["type"] == "turtlesim/Spawn_Request"
-
-
-def test_the_full_text_holds_each_message_once():
-    text = full_text(Twist)
-    assert text.startswith("Vector3 linear\nVector3 angular\n" + "=" * 80)
-    assert text.count("\nMSG: geometry_msgs/Vector3\n") == 1
-    assert text.endswith("float64 x\nfloat64 y\nfloat64 z")
-
-
-def test_a_short_name_has_no_kind():
-    assert short_name("turtlesim/msg/Pose") == "turtlesim/Pose"

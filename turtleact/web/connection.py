@@ -31,6 +31,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import Message
+from turtleact.names import resolve_name
 from turtleact.node.topics import Publisher
 from turtleact.transports import QoS
 from turtleact.web import operations
@@ -42,7 +43,6 @@ from turtleact.web.message_conversion import (
     read_message,
     reply,
 )
-from turtleact.web.name_lookup import absolute
 from turtleact.web.operations import CallService, Id, Malformed, Operation, parse
 from turtleact.web.serving import Serving
 from turtleact.web.shared import BridgeState, Feed
@@ -314,7 +314,7 @@ class Connection:
         if reader is None or said.id not in reader.wishes:
             self._check_room()
         if reader is None:
-            topic = absolute(said.topic)
+            topic = resolve_name(said.topic)
             message_type = self._shared.directory.topic_class(topic, said.type or "")
             reader = _Reader(said.topic, self.put)
             reader.feed = self._shared.feeds.join(topic, message_type, reader.deliver)
@@ -339,7 +339,7 @@ class Connection:
         if writer is None or said.id not in writer.ids:
             self._check_room()
         if writer is None:
-            topic = absolute(said.topic)
+            topic = resolve_name(said.topic)
             message_type = self._shared.directory.topic_class(topic, said.type)
             depth = int(min(max(said.queue_size or 1, 1), LONGEST_QUEUE))
             qos = QoS(depth=depth, durability="transient_local" if said.latch else "volatile")

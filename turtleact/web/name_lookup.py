@@ -14,10 +14,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Literal, cast
 
-from turtleact.errors import InvalidName, InvalidOption, ServerUnavailable, UnknownInterface
+from turtleact.errors import InvalidOption, ServerUnavailable, UnknownInterface
 from turtleact.interfaces import Action, Message, Service
 from turtleact.interfaces.loading import find_interface
-from turtleact.names import resolve_name
 from turtleact.transports import Transport
 from turtleact.transports.base import Endpoint, EndpointKind
 
@@ -29,7 +28,6 @@ __all__ = [
     "SERVICE_KINDS",
     "Directory",
     "Kind",
-    "absolute",
     "action_class",
     "class_of_action",
     "message_class",
@@ -40,29 +38,11 @@ __all__ = [
 Kind = Literal["msg", "srv", "action"]
 Interface = type[Message] | type[Service] | type[Action]
 
-LONGEST = 255
-"""The maximum length of the name of a topic, service, action or type, as in DDS (characters)."""
-
 TOPIC_KINDS: tuple[EndpointKind, ...] = ("publisher", "subscription")
 SERVICE_KINDS: tuple[EndpointKind, ...] = ("service",)
 
 ALWAYS = {"/rosout": "rcl_interfaces/msg/Log"}
 """The names and types of topics that every ROS 2 graph has. ROS 2 nodes log to ``/rosout``."""
-
-
-def absolute(name: str) -> str:
-    """Return the absolute name of a topic, service or action.
-
-    Raises:
-        InvalidName: if the name breaks ROS 2's rules, or is longer than `LONGEST`.
-
-    >>> absolute("turtle1/pose")
-    '/turtle1/pose'
-    """
-    if len(name) > LONGEST:
-        shown = f"{name[:40]}…"
-        raise InvalidName(shown, f"{len(name)} characters are too many: at most {LONGEST}", 40)
-    return resolve_name(name)
 
 
 def type_name(spelled: str, kind: Kind) -> str:
@@ -181,8 +161,6 @@ class Directory:
 
 
 def _class(spelled: str, kind: Kind, base: type) -> Interface:
-    if len(spelled) > LONGEST:
-        raise UnknownInterface(f"{spelled[:40]}…")
     name = type_name(spelled, kind)
     found = find_interface(name)
     if not issubclass(found, base):

@@ -15,7 +15,8 @@ Source: rosapi ``rosapi_node.py``, ``proxy.py``, ``params.py``, ``objectutils.py
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any, Final, Protocol, TypeAlias, TypeVar, cast
 
 import msgspec
@@ -32,6 +33,7 @@ from turtleact.interfaces.standard import (
     SetParametersResult,
 )
 from turtleact.interfaces.types import constants, nested_classes
+from turtleact.names import resolve_name
 from turtleact.node import Node
 from turtleact.node.parameter_rules import fitted, value_of
 from turtleact.node.services import ServiceType
@@ -40,7 +42,6 @@ from turtleact.web.name_lookup import (
     ALWAYS,
     SERVICE_KINDS,
     Directory,
-    absolute,
     action_class,
     message_class,
     service_class,
@@ -48,8 +49,6 @@ from turtleact.web.name_lookup import (
 )
 
 __all__ = [
-    "LONGEST_PARAMETER",
-    "MOST_PARAMETERS",
     "Parameters",
     "Rosapi",
     "full_text",
@@ -69,8 +68,6 @@ Req = TypeVar("Req", bound=Message)
 Res = TypeVar("Res", bound=Message)
 
 LIST: Final = "/list_parameters"
-MOST_PARAMETERS: Final = 1000
-LONGEST_PARAMETER: Final = 2**16
 
 PROBLEM: Final = "expected true, false, a number, text, or a list of one of these"
 
@@ -106,12 +103,7 @@ class Rosapi:
             "action_servers": ((), self._action_servers),
             "action_type": (("action",), self._action_type),
             "interfaces": ((), self._interfaces),
-            "message_details": (("type",), _message_details),
-            "service_request_details": (("type",), _service_request_details),
-            "service_response_details": (("type",), _service_response_details),
-            "action_goal_details": (("type",), _action_goal_details),
-            "action_result_details": (("type",), _action_result_details),
-            "action_feedback_details": (("type",), _action_feedback_details),
+            **{name: (("type",), partial(_details, find)) for name, find in DETAILS.items()},
             "get_param": (("name", "default_value"), parameters.get),
             "set_param": (("name", "value"), parameters.set),
             "has_param": (("name",), parameters.has),
@@ -207,7 +199,7 @@ class Rosapi:
         return {"nodes": list(self._node.graph().nodes)}
 
     def _node_details(self, node: str) -> Values:
-        name = absolute(node)
+        name = resolve_name(node)
         return {
             member: sorted(
                 {
@@ -223,7 +215,7 @@ class Rosapi:
         return {"action_servers": list(self._node.graph().actions)}
 
     def _action_type(self, action: str) -> Values:
-        return {"type": next(iter(self._node.graph().actions.get(absolute(action), ())), "")}
+        return {"type": next(iter(self._node.graph().actions.get(resolve_name(action), ())), "")}
 
     def _interfaces(self) -> Values:
         return {"interfaces": list(known_interfaces())}
@@ -236,10 +228,12 @@ class Rosapi:
         return {"time": {**time, "secs": seconds, "nsecs": nanoseconds}}
 
     def _first_type(self, kinds: tuple[EndpointKind, ...], name: str) -> str:
-        return next(iter(self._directory.types(kinds, absolute(name))), "")
+        return next(iter(self._directory.types(kinds, resolve_name(name))), "")
 
     def _nodes_of(self, kinds: tuple[EndpointKind, ...], name: str) -> list[str]:
-        return sorted({endpoint.node for endpoint in self._directory.find(kinds, absolute(name))})
+        return sorted(
+            {endpoint.node for endpoint in self._directory.find(kinds, resolve_name(name))}
+        )
 
 
 class Ask(Protocol):
@@ -273,11 +267,6 @@ class Parameters:
         """Answer ``set_param``."""
         if ":" in name:
             return await self._set_of_node(name, value)
-        if name not in self._own and len(self._own) >= MOST_PARAMETERS:
-            return {"successful": False, "reason": f"{MOST_PARAMETERS} parameters are set: delete"}
-        if len(name) + len(value) > LONGEST_PARAMETER:
-            reason = f"name and value are at most {LONGEST_PARAMETER} characters"
-            return {"successful": False, "reason": reason}
         self._own[name] = value
         return {"successful": True, "reason": ""}
 
@@ -328,7 +317,7 @@ class Parameters:
             TurtleactError: if the node does not answer.
         """
         node, _, parameter = name.partition(":")
-        service = absolute(f"{node}/get_parameters")
+        service = resolve_name(f"{node}/get_parameters")
         answer = await self._ask(service, GetParameters, GetParameters.Request([parameter]))
         return next(iter(answer.values), ParameterValue())
 
@@ -340,7 +329,7 @@ class Parameters:
         wanted = _as_parameter(value, (await self._held(name)).type)
         node, _, parameter = name.partition(":")
         request = SetParameters.Request([Parameter(parameter, wanted)])
-        answer = await self._ask(absolute(f"{node}/set_parameters"), SetParameters, request)
+        answer = await self._ask(resolve_name(f"{node}/set_parameters"), SetParameters, request)
         result = next(iter(answer.results), SetParametersResult(reason="the node does not answer"))
         return {"successful": result.successful, "reason": result.reason}
 
@@ -392,28 +381,19 @@ def _definition(name: str) -> str:
         return f"# {error}"
 
 
-def _message_details(type: str) -> Values:
-    return {"typedefs": typedefs(message_class(type))}
+def _details(find: Callable[[str], type[Message]], type: str) -> Values:
+    return {"typedefs": typedefs(find(type))}
 
 
-def _service_request_details(type: str) -> Values:
-    return {"typedefs": typedefs(service_class(type).Request)}
-
-
-def _service_response_details(type: str) -> Values:
-    return {"typedefs": typedefs(service_class(type).Response)}
-
-
-def _action_goal_details(type: str) -> Values:
-    return {"typedefs": typedefs(action_class(type).Goal)}
-
-
-def _action_result_details(type: str) -> Values:
-    return {"typedefs": typedefs(action_class(type).Result)}
-
-
-def _action_feedback_details(type: str) -> Values:
-    return {"typedefs": typedefs(action_class(type).Feedback)}
+DETAILS: Final[dict[str, Callable[[str], type[Message]]]] = {
+    "message_details": message_class,
+    "service_request_details": lambda type: service_class(type).Request,
+    "service_response_details": lambda type: service_class(type).Response,
+    "action_goal_details": lambda type: action_class(type).Goal,
+    "action_result_details": lambda type: action_class(type).Result,
+    "action_feedback_details": lambda type: action_class(type).Feedback,
+}
+"""The services that describe a type, each with the function that finds the described message."""
 
 
 def _get_ros_version() -> Values:
@@ -435,17 +415,12 @@ def _as_parameter(value: object, declared: int) -> ParameterValue:
 
 
 def _with_nested(cls: type[Message]) -> list[type[Message]]:
-    found: dict[type[Message], None] = {}
-    _collect(cls, found)
-    return list(found)
-
-
-def _collect(cls: type[Message], found: dict[type[Message], None]) -> None:
-    if cls not in found:
-        found[cls] = None
-        for nested in nested_classes(cls):
-            if nested is not None:
-                _collect(nested, found)
+    """Return a message and all messages in it, each once and the outermost first."""
+    found = [cls]
+    for each in found:  # which grows meanwhile
+        nested = [inner for inner in nested_classes(each) if inner is not None]
+        found += [inner for inner in dict.fromkeys(nested) if inner not in found]
+    return found
 
 
 def _typedef(cls: type[Message]) -> dict[str, object]:
@@ -453,7 +428,7 @@ def _typedef(cls: type[Message]) -> dict[str, object]:
     return {
         "type": short_name(cls.type_name),
         "fieldnames": [field.name for field in known],
-        "fieldtypes": list(_field_types(cls)),
+        "fieldtypes": [_field_type(field) for field in known],
         "fieldarraylen": [_array_length(field) for field in known],
         "examples": [_example(cls, field) for field in known],
         "constnames": [constant.name for constant in constants(cls)],
@@ -461,9 +436,8 @@ def _typedef(cls: type[Message]) -> dict[str, object]:
     }
 
 
-def _field_types(cls: type[Message]) -> Iterator[str]:
-    for field in fields(cls):
-        yield short_name(field.type.name) if field.type.is_nested else field.type.name
+def _field_type(field: Field) -> str:
+    return short_name(field.type.name) if field.type.is_nested else field.type.name
 
 
 def _array_length(field: Field) -> int:

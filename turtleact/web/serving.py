@@ -20,12 +20,13 @@ from turtleact.goals.body import ActionType
 from turtleact.goals.state import GoalStatus
 from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import Message
+from turtleact.names import resolve_name
 from turtleact.node import Node, ServerGoalHandle
 from turtleact.node.services import ServiceType
 from turtleact.tasks import current_tasks
 from turtleact.transports.base import REQUEST_NOTE
 from turtleact.web.message_conversion import json_values, read_message, request
-from turtleact.web.name_lookup import absolute, action_class, service_class
+from turtleact.web.name_lookup import action_class, service_class
 from turtleact.web.operations import (
     ActionFeedback,
     ActionResult,
@@ -82,7 +83,7 @@ class Serving:
         if isinstance(said, AdvertiseService):
             service_type = cast("ServiceType[Message, Message]", service_class(said.type))
             handle = partial(self._handle, said, service_type)
-            service = self._node.service(service_type, absolute(said.service), handle)
+            service = self._node.service(service_type, resolve_name(said.service), handle)
             self._servers["service", said.service] = service
             return
         action_type = cast("ActionType[Message, Message, Message]", action_class(said.type))
@@ -90,7 +91,7 @@ class Serving:
         async def execute(goal: Message, handle: Handle) -> Message:
             return await self._execute(said, action_type, goal, handle)
 
-        action = self._node.action_server(action_type, absolute(said.action), execute)
+        action = self._node.action_server(action_type, resolve_name(said.action), execute)
         self._servers["action", said.action] = action
 
     def withdraw(self, kind: str, name: str) -> Server:

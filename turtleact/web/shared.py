@@ -28,6 +28,7 @@ from turtleact.goals.client import ActionClient, ClientGoalHandle
 from turtleact.goals.server import new_goal_id
 from turtleact.goals.wire import GoalMetadata
 from turtleact.interfaces import Message
+from turtleact.names import resolve_name
 from turtleact.node import Node
 from turtleact.node.services import ServiceClient, ServiceType
 from turtleact.node.topics import Subscription
@@ -35,7 +36,7 @@ from turtleact.tasks import Background, current_tasks
 from turtleact.transports import QoS
 from turtleact.transports.base import REQUEST_NOTE
 from turtleact.web.message_conversion import Rendering, json_values, read_message, reply
-from turtleact.web.name_lookup import Directory, absolute, class_of_action
+from turtleact.web.name_lookup import Directory, class_of_action
 from turtleact.web.operations import CallService, CancelActionGoal, Id, SendActionGoal
 from turtleact.web.rosapi import Parameters, Rosapi
 from turtleact.web.watching import Watch
@@ -60,12 +61,6 @@ Deliver: TypeAlias = Callable[[Rendering], None]
 
 DEPTH = 32
 """How many messages may wait for the task that hands them to all clients."""
-
-MOST_GOALS: Final = 1024
-"""The maximum number of goals followed at once, including those of disconnected clients."""
-
-TRACE: Final = 512
-"""The maximum number of characters of a client's trace that are passed on."""
 
 NO_SERVER: Final = "No action server available"
 CLOSING: Final = "The server is closing: you will not hear of this goal any more"
@@ -109,7 +104,7 @@ class BridgeState:
         self.directory = Directory(node.transport)
         self.feeds = TopicHub(node, self.directory)
         self.goals = Goals(node, cancel_on_disconnect=cancel_on_disconnect)
-        self.watch = self.goals.watch = Watch(node, self.goals.client)
+        self.watch = self.goals.watch
         self.rosapi = Rosapi(node, self.directory, Parameters(node, self._ask))
         self._clients: dict[tuple[str, object], ServiceClient[Message, Message]] = {}
 
@@ -126,7 +121,7 @@ class BridgeState:
             values = await self.watch.call(said.service, said.args)
         if values is not None:
             return values
-        name = absolute(said.service)
+        name = resolve_name(said.service)
         service_type = self.directory.service_class(name, said.type or "")
         request = await read_message(service_type.Request, said.args, root="args")
         timeout = said.timeout if said.timeout is not None and said.timeout > 0 else None
@@ -264,7 +259,7 @@ class Goals:
     """
 
     def __init__(self, node: Node, *, cancel_on_disconnect: bool = False) -> None:
-        self.watch: Watch | None = None
+        self.watch = Watch(node, self.client)
         self._cancel_on_disconnect = cancel_on_disconnect
         self._node = node
         self._clients: dict[tuple[str, object], Client] = {}
@@ -292,8 +287,6 @@ class Goals:
             _tell_failure(
                 said, teller, f"a goal of the id '{said.id}' is under way: use another id"
             )
-        elif len(self._sent) >= MOST_GOALS:
-            _tell_failure(said, teller, f"{len(self._sent)} goals are under way: wait for some")
         else:
             # Numbered by us: two clients may use one id, and one client an id again.
             self._count += 1
@@ -367,39 +360,25 @@ class Goals:
     async def _run(self, sent: _Sent) -> None:
         said = sent.said
         if said.traceparent is not None:  # only in the context of this task
-            note = GoalMetadata(
-                traceparent=said.traceparent[:TRACE], tracestate=(said.tracestate or "")[:TRACE]
-            )
+            note = GoalMetadata(traceparent=said.traceparent, tracestate=said.tracestate or "")
             REQUEST_NOTE.set(note.write())
-        name = absolute(said.action)
+        name = resolve_name(said.action)
         action_type = class_of_action(self._node, name, said.action_type)
         goal = await read_message(action_type.Goal, said.args, root="goal")
-        key = (name, cast("ActionType[Message, Message, Message]", action_type))
+        client = self.client(name, cast("ActionType[Message, Message, Message]", action_type))
+        on_feedback = sent.tell_feedback if said.feedback else None
+        sending = client.send_goal(goal, goal_id=sent.goal_id, feedback_callback=on_feedback)
         try:
-            await self._carry_out(sent, key, goal)
-        except GoalRejected as rejected:
-            if self.watch is not None:
-                self.watch.note_rejection((name, action_type.type_name), goal, rejected.reason)
-            raise
-
-    async def _carry_out(
-        self,
-        sent: _Sent,
-        key: tuple[str, ActionType[Message, Message, Message]],
-        goal: Message,
-    ) -> None:
-        on_feedback = sent.tell_feedback if sent.said.feedback else None
-        sending = self.client(*key).send_goal(
-            goal, goal_id=sent.goal_id, feedback_callback=on_feedback
-        )
-        async with sending as handle:
-            if self.watch is not None:
+            async with sending as handle:
                 self.watch.note_request(sent.goal_id, goal)
-            # Detached: leaving this block, when the bridge closes, must not cancel the goal.
-            handle.detach()
-            sent.accept(handle)
-            outcome = await handle.outcome()
-            sent.tell("action_result", outcome.result, status=int(outcome.status), result=True)
+                # Detached: leaving this block, when the bridge closes, must not cancel the goal.
+                handle.detach()
+                sent.accept(handle)
+                outcome = await handle.outcome()
+                sent.tell("action_result", outcome.result, status=int(outcome.status), result=True)
+        except GoalRejected as rejected:
+            self.watch.note_rejection((name, action_type.type_name), goal, rejected.reason)
+            raise
 
 
 class _Sent:

@@ -41,13 +41,14 @@ from turtleact.goals.state import GoalStatus, status_of
 from turtleact.goals.wire import PausedGoals, paused_topic
 from turtleact.interfaces import Message, nanoseconds
 from turtleact.interfaces.standard import GoalStatusArray
+from turtleact.names import resolve_name
 from turtleact.node import Node
 from turtleact.node.topics import Subscription
 from turtleact.sim.world_services import Poses
 from turtleact.tasks import Background, current_tasks
 from turtleact.transports import QoS
 from turtleact.transports.base import STATUS_QOS
-from turtleact.web.name_lookup import absolute, class_of_action, message_class
+from turtleact.web.name_lookup import class_of_action, message_class
 from turtleact.web.page_history import REJECTED, GoalHistory, GoalRecord, Pen, PenTrails
 from turtleact.web.page_values import Plain, excerpt, form, hues
 
@@ -281,7 +282,7 @@ class Watch:
         action, wanted = args.get("action"), args.get("type")
         if not isinstance(action, str) or not isinstance(wanted, str):
             raise InvalidMessage("args", "expected an action and its type, as text")
-        return form(class_of_action(self._node, absolute(action), wanted))
+        return form(class_of_action(self._node, resolve_name(action), wanted))
 
     async def _clear_trails(self, _args: Values) -> Values:
         self.trails.clear()
