@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import signal
 import sys
 import threading
-import time
 from contextlib import suppress
 from typing import Any
 
@@ -19,7 +17,7 @@ from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.context import Context, SignalHandlerOptions
 from turtleact.rclpy.exceptions import NotInitializedException
 from turtleact.rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from turtleact.rclpy.impl.connection import EventLoop
+from turtleact.rclpy.impl.process import Process
 from turtleact.rclpy.task import Future
 
 
@@ -59,6 +57,28 @@ def test_an_early_context_has_no_domain_and_no_graph():
     with pytest.raises(RuntimeError, match="should not be lower than zero"):
         context.init([], domain_id=-1)
     context.try_shutdown()
+
+
+def test_the_end_of_the_process_waits_for_contexts_that_other_threads_shut_down():
+    process = Process()
+    began, goes_on = threading.Event(), threading.Event()
+
+    def end():
+        with process.ending:
+            began.set()
+            goes_on.wait()
+            process.shut_down()  # which does not wait for this thread itself
+
+    ending = threading.Thread(target=end)
+    ending.start()
+    began.wait()
+    leaving = threading.Thread(target=process.shut_down)
+    leaving.start()
+    leaving.join(0.05)
+    assert leaving.is_alive()
+    goes_on.set()
+    ending.join()
+    leaving.join()
 
 
 def test_the_domain_comes_from_the_call_or_the_environment(monkeypatch):
@@ -159,13 +179,6 @@ def test_arguments_for_ros_can_be_removed(monkeypatch):
     assert context_module.remove_ros_args(given) == ["program", "a", "b"]
     monkeypatch.setattr("sys.argv", given)
     assert context_module.remove_ros_args() == ["program", "a", "b"]
-    assert context_module.timeout_sec_to_nsec(None) == context_module.timeout_sec_to_nsec(-1) == -1
-    assert context_module.timeout_sec_to_nsec(0.5) == 500_000_000
-    assert context_module.get_available_rmw_implementations() == {"rmw_zenoh_cpp"}
-    own = Context()
-    own.init([])
-    context_module.shutdown(context=own)
-    context_module.try_shutdown(context=own)
 
 
 # --- signals -------------------------------------------------------------------------------------
@@ -214,30 +227,3 @@ def test_handlers_are_left_alone_in_other_threads(handled):
         thread.start()
         thread.join()
         assert context_module.get_current_signal_handlers_options() is SignalHandlerOptions.NO
-
-
-# --- the event loop ------------------------------------------------------------------------------
-
-
-async def sleep(seconds):
-    await asyncio.sleep(seconds)
-    return seconds
-
-
-def test_the_event_loop_is_used_from_any_thread():
-    loop = EventLoop()
-    assert loop.call(threading.current_thread) is not threading.current_thread()
-    assert loop.call(lambda: loop.call(lambda: loop.is_here))
-    with pytest.raises(ZeroDivisionError):
-        loop.call(lambda: 1 // 0)
-    assert loop.run(lambda: sleep(0)) == 0
-    with pytest.raises(TimeoutError):
-        loop.run(lambda: sleep(60), timeout=0.01)
-    called = threading.Event()
-    began = time.monotonic()
-    loop.post_later(0.01, called.set)
-    assert called.wait(5)
-    assert time.monotonic() - began >= 0.009
-    called.clear()
-    loop.post_later(0.0, called.set)
-    assert called.wait(5)

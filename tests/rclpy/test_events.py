@@ -245,18 +245,6 @@ def test_a_coroutine_is_awaited_and_a_destroyed_publisher_has_no_events(node, ex
     assert list(node.waitables) == []
 
 
-def test_lost_messages_are_never_told(node, executor):
-    told: list[Any] = []
-    callbacks = SubscriptionEventCallbacks(message_lost=told.append)
-    node.create_subscription(String, "chatter", print, 1, event_callbacks=callbacks)
-    publisher = node.create_publisher(String, "chatter", 10)
-    for _ in range(3):
-        publisher.publish(String())
-    spin(executor)
-
-    assert told == []
-
-
 def test_an_unknown_event_is_refused():
     with pytest.raises(TypeError, match="unexpected keyword arguments: mached, message_lost"):
         PublisherEventCallbacks(mached=print, message_lost=print)

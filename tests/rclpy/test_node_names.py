@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from turtleact.rclpy import context as context_module
 from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.exceptions import (
     InvalidNamespaceException,
@@ -87,17 +86,3 @@ def test_a_name_is_expanded():
             expand_topic_name(*words)
     with pytest.raises(ValueError, match="unknown substitution"):
         expand_topic_name("{me}", "arm", "/lab")
-
-
-# --- the default context ------------------------------------------------------------------------
-
-
-def test_facts_of_the_installation_are_told():
-    assert rclpy.get_rmw_implementation_identifier() == "rmw_zenoh_cpp"
-    assert context_module.get_available_rmw_implementations() == {"rmw_zenoh_cpp"}
-    assert [context_module.timeout_sec_to_nsec(each) for each in (None, -1, 0.5, 1e12)] == [
-        -1,
-        -1,
-        500_000_000,
-        -1,
-    ]

@@ -18,7 +18,6 @@ from turtleact.rclpy.exceptions import (
     NoTypeSupportImportedException,
 )
 from turtleact.rclpy.executors import SingleThreadedExecutor
-from turtleact.rclpy.graph import TopicEndpointInfo
 from turtleact.rclpy.impl.rcutils_logger import Console, LoggingSeverity
 from turtleact.rclpy.messages.classes import (
     check_for_type_support,
@@ -36,7 +35,7 @@ from turtleact.rclpy.qos import (
     QoSProfile,
     ReliabilityPolicy,
 )
-from turtleact.rclpy.time import Duration, Time
+from turtleact.rclpy.time import Duration, Infinite, Time
 from turtleact.rclpy.topics import InvalidQosOverridesError, QoSOverridingOptions, wait_for_message
 from turtleact.rclpy.toplevel import rclpy_implementation
 
@@ -98,9 +97,12 @@ def test_endpoints_are_shown_with_their_quality(node):
     assert (publisher.node_name, publisher.node_namespace) == ("lab", "/")
     assert publisher.qos_profile.deadline == Duration(seconds=1)
     assert subscription.endpoint_type.name == "SUBSCRIPTION"
-    assert "History (Depth): KEEP_LAST (3)" in str(publisher)
-    assert "INVALID" in str(TopicEndpointInfo())
-    assert TopicEndpointInfo() == TopicEndpointInfo()
+    assert publisher.qos_profile.depth == 3
+    assert publisher.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
+    assert publisher.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+    assert publisher.qos_profile.liveliness is LivelinessPolicy.MANUAL_BY_TOPIC
+    assert publisher.qos_profile.lifespan == Infinite
+    assert publisher.endpoint_type.name == "PUBLISHER"
 
 
 def test_actions_are_shown_as_one_name(node):

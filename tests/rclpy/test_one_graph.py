@@ -9,9 +9,8 @@ import pytest
 import turtleact
 from turtleact.interfaces.standard import ExampleFibonacci
 from turtleact.rclpy import toplevel as rclpy
-from turtleact.rclpy.action import ActionClient, ActionServer
+from turtleact.rclpy.action import ActionServer
 from turtleact.rclpy.context import Context
-from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.face import SETTINGS, JoinOptions
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.transports import ZenohTransport
@@ -34,29 +33,6 @@ def address(monkeypatch):
 async def fibonacci(goal):
     yield ExampleFibonacci.Feedback(sequence=[goal.order])
     yield ExampleFibonacci.Result(sequence=[goal.order, goal.order])
-
-
-def send_a_goal():
-    """What an rclpy program does, from `init` to `shutdown`."""
-    context = Context()
-    context.init([])
-    try:
-        executor = SingleThreadedExecutor(context=context)
-        node = rclpy.create_node("guest", context=context)
-        executor.add_node(node)
-        client = ActionClient(node, Fibonacci, "fibonacci")
-        assert client.wait_for_server(timeout_sec=5)
-        heard = []
-        sent = client.send_goal_async(
-            Fibonacci.Goal(order=7), feedback_callback=lambda message: heard.append(message)
-        )
-        executor.spin_until_future_complete(sent, timeout_sec=5)
-        ended = sent.result().get_result_async()
-        executor.spin_until_future_complete(ended, timeout_sec=5)
-        sequences = [list(message.feedback.sequence) for message in heard]
-        return sequences, list(ended.result().result.sequence)
-    finally:
-        context.shutdown()
 
 
 def serve_fibonacci():
@@ -83,15 +59,6 @@ async def test_a_server_says_that_a_built_in_action_makes_way_for_it(address, ca
     assert [line.partition("]: ")[2] for line in told] == [
         "/fibonacci: the built-in action makes way for this one"
     ]
-
-
-async def test_an_rclpy_client_calls_a_turtleact_server_of_its_own_process(address):
-    async with (
-        turtleact.open_zenoh([], listen=[address], mode="router", config={}) as graph,
-        turtleact.open_node("server", transport=graph) as node,
-    ):
-        node.action_server(ExampleFibonacci, "fibonacci", fibonacci)
-        assert await anyio.to_thread.run_sync(send_a_goal) == ([[7]], [7, 7])
 
 
 async def test_a_node_does_not_wait_until_the_graph_is_explored(address, monkeypatch):

@@ -104,18 +104,6 @@ def test_a_destroyed_entity_cannot_publish_events(node, ends, index):
     assert [node.count_publishers(topic) for topic in topics] == [0, 0]
 
 
-def test_an_event_that_cannot_be_published_fails_no_call(node, executor, ends, events, capsys):
-    class Broken:
-        def now_ns(self):
-            raise ValueError("no time")
-
-    ends[1].configure_introspection(
-        Broken(), qos_profile_system_default, ServiceIntrospectionState.METADATA
-    )
-    call(executor, ends[1])
-    assert "an event of /add/_service_event cannot be published: no time" in capsys.readouterr().err
-
-
 def test_an_action_publishes_the_calls_of_its_services(node, executor):
     def execute(goal_handle):
         goal_handle.succeed()

@@ -1,15 +1,9 @@
-"""Eight threads do random things to one node; nobody may wait for ever.
-
-``python tests/rclpy/test_stress.py [SECONDS]`` goes on with new seeds for as long. To repeat a
-run, set its seed: ``python tests/rclpy/test_stress.py 1 SEED``.
-"""
+"""Eight threads do random things to one node; nobody may wait for ever."""
 
 from __future__ import annotations
 
-import faulthandler
 import itertools
 import random
-import sys
 import threading
 import time
 from typing import Any
@@ -21,7 +15,6 @@ from turtleact.rclpy.action import ActionClient, ActionServer, CancelResponse
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
 from turtleact.rclpy.executors import MultiThreadedExecutor
-from turtleact.rclpy.face import SETTINGS, JoinOptions
 from turtleact.rclpy.impl.entity import ReentrantCallbackGroup
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import Parameter
@@ -168,7 +161,6 @@ class Stress:
 
 @pytest.mark.parametrize(("seed", "stops_midway"), [(1, False), (2, True), (3, True)])
 def test_threads_that_do_anything_to_a_node_never_wait_for_ever(seed, stops_midway):
-    print("seed", seed)
     before = set(threading.enumerate())
     stress = Stress(seed)
     assert stress.run(40, stops_midway=stops_midway) == []
@@ -177,23 +169,3 @@ def test_threads_that_do_anything_to_a_node_never_wait_for_ever(seed, stops_midw
     for thread in left:  # those of the executor, which end by themselves
         thread.join(PATIENCE)
     assert [each.name for each in left if each.is_alive()] == []
-
-
-def main():
-    """Go on with new seeds for some seconds."""
-    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 30.0
-    seed = int(sys.argv[2]) if len(sys.argv) > 2 else random.randrange(10**6)
-    SETTINGS.place = JoinOptions(is_alone=True)
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        print("seed", seed, flush=True)
-        faulthandler.dump_traceback_later(3 * PATIENCE, exit=True)
-        stress = Stress(seed)
-        alive = stress.run(300, stops_midway=seed % 2 == 1)
-        if alive or stress.errors:
-            sys.exit(f"alive: {alive}, errors: {stress.errors!r}")
-        seed += 1
-
-
-if __name__ == "__main__":
-    main()

@@ -9,10 +9,7 @@ import pytest
 
 from turtleact.rclpy.clock import ClockChange, JumpThreshold, TimeJump
 from turtleact.rclpy.graph import (
-    TopicEndpointInfo,
-    TopicEndpointTypeEnum,
     TypeHash,
-    info_of,
 )
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import (
@@ -26,20 +23,18 @@ from turtleact.rclpy.qos import (
     HistoryPolicy,
     InvalidQoSProfileException,
     LivelinessPolicy,
-    QoSCompatibility,
     QoSPolicyKind,
     QoSPresetProfiles,
     QoSProfile,
     ReliabilityPolicy,
     profile_of,
-    qos_check_compatible,
     qos_policy_name_from_kind,
     qos_profile_default,
     qos_profile_sensor_data,
 )
 from turtleact.rclpy.time import ClockType, Duration, Infinite, Time
 from turtleact.transports import QoS
-from turtleact.transports.base import Endpoint, TimePolicies
+from turtleact.transports.base import TimePolicies
 
 LARGEST = 2**63
 COMPARE = [operator.lt, operator.le, operator.eq, operator.ne, operator.ge, operator.gt]
@@ -246,11 +241,6 @@ def test_a_number_is_the_depth_of_a_profile():
         profile_of("deep")  # type: ignore[arg-type]
 
 
-def test_all_profiles_fit():
-    fit = qos_check_compatible(qos_profile_default, qos_profile_sensor_data)
-    assert fit == (QoSCompatibility.OK, "")
-
-
 # --- parameters ---------------------------------------------------------------------------------
 
 
@@ -349,28 +339,3 @@ def test_a_hash_is_shown_as_ros_does():
     assert TypeHash.from_text("?") == TypeHash()
     assert str(TypeHash()) == "INVALID"
     assert len({TypeHash(), TypeHash()}) == 1
-
-
-def test_an_endpoint_is_described():
-    times = TimePolicies(deadline=5, liveliness="manual_by_topic")
-    qos = QoS(depth=3, durability="transient_local", reliability="best_effort")
-    info = info_of(
-        Endpoint(
-            "publisher", "/t", "std_msgs/msg/String", "/a/b", qos, gid=b"\x01\xff", times=times
-        )
-    )
-    assert (info.node_name, info.node_namespace) == ("b", "/a")
-    assert info.endpoint_type is TopicEndpointTypeEnum.PUBLISHER
-    lines = str(info).splitlines()
-    assert "GID: 01.ff" in lines
-    assert "  Reliability: BEST_EFFORT" in lines
-    assert "  History (Depth): KEEP_LAST (3)" in lines
-    assert "  Deadline: 5 nanoseconds" in lines
-    assert "  Lifespan: Infinite" in lines
-    assert info == info_of(
-        Endpoint(
-            "publisher", "/t", "std_msgs/msg/String", "/a/b", qos, gid=b"\x01\xff", times=times
-        )
-    )
-    assert TopicEndpointInfo() != info
-    assert "History (Depth): UNKNOWN" in str(TopicEndpointInfo())

@@ -40,16 +40,12 @@ __all__ = [
     "ok",
     "remove_ros_args",
     "shutdown",
-    "timeout_sec_to_nsec",
     "try_shutdown",
     "uninstall_signal_handlers",
 ]
 
 RMW = "rmw_zenoh_cpp"
 """The middleware with the protocol that turtleact speaks."""
-
-LONGEST = 2**63 // 1_000_000_000 // 2
-"""Timeouts longer than this (s) count as no timeout."""
 
 
 class Context(Block):
@@ -262,13 +258,6 @@ def try_shutdown(*, context: Context | None = None, uninstall_handlers: bool | N
 def remove_ros_args(args: Sequence[str] | None = None) -> list[str]:
     """Return ``args``, by default ``sys.argv``, without the part from ``--ros-args`` to ``--``."""
     return split_arguments(sys.argv if args is None else args)[0]
-
-
-def timeout_sec_to_nsec(timeout_sec: float | None) -> int:
-    """Return a timeout in nanoseconds; -1 if it is None, negative or above `LONGEST`."""
-    if timeout_sec is None or timeout_sec < 0 or timeout_sec > LONGEST:
-        return -1
-    return int(float(timeout_sec) * 1_000_000_000)
 
 
 def get_rmw_implementation_identifier() -> str:

@@ -222,7 +222,6 @@ class Executor(Block):
     def wait_for_ready_callbacks(
         self,
         timeout_sec: float | None = None,
-        nodes: list[Anything] | None = None,
         condition: Callable[[], bool] = _never,
     ) -> Work:
         """Wait for the next task, and return it with its entity and its node.
@@ -244,55 +243,46 @@ class Executor(Block):
             if condition():
                 raise ConditionReachedException
             seen = self._wakes  # `_sleep` notices whatever comes from now on
-            work = self._next_work(nodes)
+            work = self._next_task() or self._next_entity()
             if work is not None:
                 return work
-            if condition():
-                raise ConditionReachedException
             if end is not None and time.monotonic() >= end:
                 raise TimeoutException
-            self._sleep(seen, end, nodes)
+            self._sleep(seen, end)
 
     def _wait_for_ready_callbacks(self, **options: Anything) -> Iterator[Work]:
         """Call `wait_for_ready_callbacks` again and again, and yield each result."""
         while True:
             yield self.wait_for_ready_callbacks(**options)
 
-    def _next_work(self, nodes: list[Anything] | None) -> Work | None:
-        """Return a task that can continue, or else a task for the next ready entity, if any."""
-        work = self._next_task(nodes)
-        if work is None and self._round:
-            work = self._next_entity(nodes)
-        if work is None:
-            self._round.extend(_in_order(self.get_nodes()))
-            work = self._next_entity(nodes)
-        return work
-
-    def _next_task(self, nodes: list[Anything] | None) -> Work | None:
-        for _ in range(len(self._ready)):
+    def _next_task(self) -> Work | None:
+        """Return a task whose next step can run; None if there is none."""
+        while self._ready:
             try:
                 task = self._ready.popleft()
             except IndexError:  # another thread has taken it
                 return None
-            entity, node = task.origin
-            if task.done() or task.cancelled():
-                continue
-            if node is None or nodes is None or node in nodes:
-                return task, entity, node
-            self._ready.append(task)
+            if not task.done() and not task.cancelled():
+                return task, *task.origin
         return None
 
-    def _next_entity(self, nodes: list[Anything] | None) -> Work | None:
-        waiting = self._round
-        while waiting:
+    def _next_entity(self) -> Work | None:
+        """Return a task for the next entity that is ready, in this round or in a new one."""
+        work = self._next_in_round()
+        if work is None:
+            self._round.extend(_in_order(self.get_nodes()))
+            work = self._next_in_round()
+        return work
+
+    def _next_in_round(self) -> Work | None:
+        while self._round:
             try:
-                node, entity = waiting.popleft()
+                node, entity = self._round.popleft()
             except IndexError:  # another thread has taken it
                 return None
-            if (nodes is None or node in nodes) and entity.is_ready_now():
-                work = self._begin(node, entity)
-                if work is not None:
-                    return work
+            work = self._begin(node, entity) if entity.is_ready_now() else None
+            if work is not None:
+                return work
         return None
 
     def _begin(self, node: Anything, entity: Entity) -> Work | None:
@@ -331,7 +321,7 @@ class Executor(Block):
         """
         return isinstance(error, InvalidHandle) and not self._context.ok()
 
-    def _sleep(self, seen: int, end: float | None, nodes: list[Anything] | None) -> None:
+    def _sleep(self, seen: int, end: float | None) -> None:
         """Wait until `wake` is called, until an entity is due, or until ``end``.
 
         ``end`` is a time of `time.monotonic` (s). ``seen`` is the number of calls of `wake` that
@@ -341,7 +331,7 @@ class Executor(Block):
         """
         now = time.monotonic()
         left = None if end is None else end - now
-        for _, entity in _in_order(self.get_nodes() if nodes is None else nodes):
+        for _, entity in _in_order(self.get_nodes()):
             due = entity.due_in()
             if entity.blocked_since > 0:
                 due = max(0.01, entity.blocked_since + BLOCKED_AFTER - now)
@@ -361,7 +351,7 @@ class SingleThreadedExecutor(Executor):
     def _spin_once(self, timeout_sec: float | None, future: Future | None = None) -> None:
         condition = _never if future is None else lambda: _is_over(future)
         try:
-            task, _, _ = self.wait_for_ready_callbacks(timeout_sec, None, condition)
+            task, _, _ = self.wait_for_ready_callbacks(timeout_sec, condition)
         except (ShutdownException, TimeoutException, ConditionReachedException):
             return
         with self._work:
@@ -419,7 +409,7 @@ class MultiThreadedExecutor(Executor):
             return bool(self._failed) or (future is not None and _is_over(future))
 
         try:
-            task, _, _ = self.wait_for_ready_callbacks(timeout_sec, None, condition)
+            task, _, _ = self.wait_for_ready_callbacks(timeout_sec, condition)
         except (
             ExternalShutdownException,
             ShutdownException,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum
 from typing import TypeAlias
 
@@ -93,28 +94,6 @@ class TopicEndpointInfo(msgspec.Struct, kw_only=True):
     endpoint_gid: list[int] = []
     qos_profile: QoSProfile = msgspec.field(default_factory=lambda: QoSPresetProfiles.UNKNOWN.value)
 
-    def __str__(self) -> str:
-        qos = self.qos_profile
-        depth = f" ({qos.depth})" if qos.history.name == "KEEP_LAST" else ""
-        return "\n".join(
-            (
-                f"Node name: {self.node_name}",
-                f"Node namespace: {self.node_namespace}",
-                f"Topic type: {self.topic_type}",
-                f"Topic type hash: {self.topic_type_hash}",
-                f"Endpoint type: {self.endpoint_type.name}",
-                f"GID: {'.'.join(format(byte, '02x') for byte in self.endpoint_gid)}",
-                "QoS profile:",
-                f"  Reliability: {qos.reliability.name}",
-                f"  History (Depth): {qos.history.name}{depth}",
-                f"  Durability: {qos.durability.name}",
-                f"  Lifespan: {qos.lifespan}",
-                f"  Deadline: {qos.deadline}",
-                f"  Liveliness: {qos.liveliness.name}",
-                f"  Liveliness lease duration: {qos.liveliness_lease_duration}",
-            )
-        )
-
 
 class NodeGraph:
     """The methods of a node that look at the graph.
@@ -175,34 +154,34 @@ class NodeGraph:
         """Return the services that a node has clients for, each with its types."""
         return _listed(_ends_of_node(self, node_name, node_namespace), "service", "client")
 
-    def count_publishers(self, topic_name: str) -> int:
+    def count_publishers(self: Anything, topic_name: str) -> int:
         """Return how many publishers a topic has."""
-        return len(_ends(self, _topic(self, topic_name), "publisher"))
+        return len(_ends(self, _resolved(self.resolve_topic_name, topic_name), "publisher"))
 
-    def count_subscribers(self, topic_name: str) -> int:
+    def count_subscribers(self: Anything, topic_name: str) -> int:
         """Return how many subscriptions a topic has."""
-        return len(_ends(self, _topic(self, topic_name), "subscription"))
+        return len(_ends(self, _resolved(self.resolve_topic_name, topic_name), "subscription"))
 
-    def count_clients(self, service_name: str) -> int:
+    def count_clients(self: Anything, service_name: str) -> int:
         """Return how many clients a service has."""
-        return len(_ends(self, _service(self, service_name), "client"))
+        return len(_ends(self, _resolved(self.resolve_service_name, service_name), "client"))
 
-    def count_services(self, service_name: str) -> int:
+    def count_services(self: Anything, service_name: str) -> int:
         """Return how many nodes serve a service."""
-        return len(_ends(self, _service(self, service_name), "service"))
+        return len(_ends(self, _resolved(self.resolve_service_name, service_name), "service"))
 
     def get_publishers_info_by_topic(
-        self, topic_name: str, no_mangle: bool = False
+        self: Anything, topic_name: str, no_mangle: bool = False
     ) -> list[TopicEndpointInfo]:
         """Return a `TopicEndpointInfo` for each publisher of a topic."""
-        name = topic_name if no_mangle else _topic(self, topic_name)
+        name = topic_name if no_mangle else _resolved(self.resolve_topic_name, topic_name)
         return [info_of(each) for each in _ends(self, name, "publisher")]
 
     def get_subscriptions_info_by_topic(
-        self, topic_name: str, no_mangle: bool = False
+        self: Anything, topic_name: str, no_mangle: bool = False
     ) -> list[TopicEndpointInfo]:
         """Return a `TopicEndpointInfo` for each subscription of a topic."""
-        name = topic_name if no_mangle else _topic(self, topic_name)
+        name = topic_name if no_mangle else _resolved(self.resolve_topic_name, topic_name)
         return [info_of(each) for each in _ends(self, name, "subscription")]
 
     def wait_for_node(self: Anything, fully_qualified_node_name: str, timeout: float) -> bool:
@@ -240,18 +219,11 @@ def get_action_names_and_types(node: Anything) -> Listed:
     return _listed(node.connection.endpoints(), "action", "service", "client")
 
 
-def _topic(node: Anything, name: str) -> str:
+def _resolved(resolve: Callable[[str], str], name: str) -> str:
     try:
-        return str(node.resolve_topic_name(name))
+        return resolve(name)
     except NameValidationException as error:
-        raise ValueError(f"topic name is invalid: {error}") from error
-
-
-def _service(node: Anything, name: str) -> str:
-    try:
-        return str(node.resolve_service_name(name))
-    except NameValidationException as error:
-        raise ValueError(f"service name is invalid: {error}") from error
+        raise ValueError(f"the name is invalid: {error}") from error
 
 
 def _listed(ends: tuple[Endpoint, ...], kind: Kind, *kinds: EndpointKind) -> Listed:

@@ -229,7 +229,7 @@ class QoSProfile:
 
     __hash__ = None  # type: ignore[assignment]  # profiles are mutable
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         values = (f"{name}={value}" for name, value in self.to_dict().items())
         return f"{type(self).__name__}({', '.join(values)})"
 

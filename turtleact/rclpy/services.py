@@ -10,7 +10,6 @@ Source: rclpy ``client.py``, ``service.py`` and ``service_introspection.py``; rc
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from functools import partial
@@ -26,6 +25,7 @@ from turtleact.rclpy.impl.entity import (
     NOTHING,
     CallbackGroup,
     Entity,
+    QueueEntity,
     await_or_execute,
     wait_for_answer,
     wait_until,
@@ -151,7 +151,7 @@ class Introspected(Entity):
                 each.configure(clock, service_event_qos_profile, introspection_state)
 
 
-class _ServiceEnd(Introspected, Subscriptable):
+class _ServiceEnd(Introspected, Subscriptable, QueueEntity):
     """A client or server of a service.
 
     Args:
@@ -219,7 +219,6 @@ class Client(_ServiceEnd):
         self._node = node
         self._end = end
         self._pending: dict[int, Future] = {}
-        self._waiting: deque[tuple[int, bytes]] = deque()
         self._sequence = 0
         self._lock = threading.Lock()
         super().__init__(node, full_name, description, callback_group, end.events, end.close)
@@ -291,17 +290,6 @@ class Client(_ServiceEnd):
         """
         return wait_until(self.service_is_ready, timeout_sec, self.context.ok)
 
-    def is_ready_now(self) -> bool:
-        """Whether a response waits to be handled."""
-        return bool(self._waiting) and not self.handle.is_destroyed
-
-    def take(self) -> Anything:
-        """Return a response, with the number of its request; `NOTHING` if no response waits."""
-        try:
-            return self._waiting.popleft()
-        except IndexError:
-            return NOTHING
-
     async def run(self, taken: tuple[int, bytes]) -> None:
         """Set the result of the future that waits for the response."""
         number, data = taken
@@ -314,8 +302,7 @@ class Client(_ServiceEnd):
 
     def _answered(self, number: int, response: bytes | TurtleactError, note: str) -> None:  # noqa: ARG002  # no note
         if isinstance(response, bytes):
-            self._waiting.append((number, response))
-            self.wake()
+            self.put((number, response))
         elif isinstance(response, ServerUnavailable):
             logger.debug(f"a request to {self._full_name} was lost: {response}")
         else:
@@ -345,24 +332,18 @@ class Service(_ServiceEnd):
         events: SwitchableEvents,
     ) -> None:
         self.callback = callback
-        self._waiting: deque[tuple[bytes, Respond]] = deque()
         super().__init__(node, endpoint.name, description, callback_group, events, self._close)
         self._leave_graph = node.connection.serve(endpoint, RequestHandler(self._receive, events))
 
     def _receive(self, request: bytes, respond: Respond) -> None:
-        self._waiting.append((request, respond))
-        self.wake()
-
-    def is_ready_now(self) -> bool:
-        """Whether a request waits; False after `destroy`."""
-        return bool(self._waiting) and not self.handle.is_destroyed
+        self.put((request, respond))
 
     def take(self) -> Anything:
         """Remove the oldest request that waits; return it and the function that answers it."""
-        try:
-            data, respond = self._waiting.popleft()
-        except IndexError:
+        item = super().take()
+        if item is NOTHING:
             return NOTHING
+        data, respond = item
         try:
             return decode(data, self.srv_type.Request), respond
         except InvalidMessage as error:

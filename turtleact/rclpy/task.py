@@ -13,6 +13,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Generator
+from functools import partial
 from weakref import ReferenceType, ref
 
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
@@ -191,21 +192,18 @@ class Task(Future):
         super().__init__(executor=executor)
         self.awaited: Future | None = None
         self.origin: tuple[object, object] = None, None
-        self._args = args or ()
-        self._kwargs = kwargs or {}
-        self._handler: Anything = handler
-        if inspect.iscoroutinefunction(handler):
-            self._handler = handler(*self._args, **self._kwargs)
-        self._is_coroutine = inspect.iscoroutine(self._handler)
-        self._executing = False
-        self._task_lock = threading.Lock()
+        self._lock_of_step = threading.Lock()
+        if not inspect.iscoroutine(handler):
+            is_function = not inspect.iscoroutinefunction(handler)
+            call = partial(_call, handler) if is_function else handler
+            handler = call(*(args or ()), **(kwargs or {}))
+        self._coroutine: Anything = handler
 
     def __del__(self) -> None:
         # A task that waited for an executor that was shut down: Python would warn that nobody has
         # awaited its coroutine. An object whose __init__ failed has no attributes.
-        if getattr(self, "_is_coroutine", False) and self._handler is not None:
-            with contextlib.suppress(RuntimeError):
-                self._handler.close()
+        with contextlib.suppress(RuntimeError, AttributeError):
+            self._coroutine.close()
         super().__del__()
 
     def __call__(self) -> None:
@@ -213,18 +211,15 @@ class Task(Future):
 
         If the task is done, cancelled or running, do nothing.
         """
-        if not self._is_pending or self._executing or not self._task_lock.acquire(blocking=False):
+        if not self._is_pending or not self._lock_of_step.acquire(blocking=False):
             return
         before, RUNNING.task, self.awaited = RUNNING.task, self, None
         try:
-            if not self._is_pending:
-                return
-            self._executing = True
-            self._step()
+            if self._is_pending:
+                self._step()
         finally:
             RUNNING.task = before
-            self._executing = False
-            self._task_lock.release()
+            self._lock_of_step.release()
         # Only now that the lock is free may another thread run the next step, which it does as soon
         # as the task is parked or resumed. The future may have become done since the step: then
         # `park` refuses.
@@ -233,23 +228,11 @@ class Task(Future):
 
     def _step(self) -> None:
         try:
-            if not self._is_coroutine:
-                self._end(self._handler(*self._args, **self._kwargs))
-                return
-            self._handler.send(None)
+            self._coroutine.send(None)
         except StopIteration as end:
-            self._end(end.value)
+            self.set_result(end.value)
         except Exception as error:
-            self._forget()
             self.set_exception(error)
-
-    def _end(self, result: Anything) -> None:
-        self._forget()
-        self.set_result(result)
-
-    def _forget(self) -> None:
-        """Drop the handler and its arguments, which may refer to this task."""
-        self._handler, self._args, self._kwargs = None, (), {}
 
     def resume(self) -> None:
         """Make the executor run the next step of the coroutine."""
@@ -259,11 +242,15 @@ class Task(Future):
 
     def executing(self) -> bool:
         """Whether a thread is running the task at the moment."""
-        return self._executing
+        return self._lock_of_step.locked()
 
     def cancel(self) -> None:
         """Cancel the task, unless it is done. The executor runs no further step of a coroutine."""
         super().cancel()
-        if self._is_coroutine and self.cancelled() and not self._executing:
+        if self.cancelled() and not self.executing():
             with contextlib.suppress(Exception):
-                self._handler.close()
+                self._coroutine.close()
+
+
+async def _call(function: Anything, /, *args: Anything, **kwargs: Anything) -> Anything:
+    return function(*args, **kwargs)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import inspect
 import time
-from collections import deque
 from collections.abc import Callable, Iterable
 from enum import Enum
 
@@ -18,7 +17,7 @@ from turtleact.rclpy.impl.entity import (
     NOTHING,
     CallbackGroup,
     Destroyable,
-    Entity,
+    QueueEntity,
     await_or_execute,
 )
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
@@ -158,7 +157,7 @@ class MessageInfo(dict[str, Anything]):
     """
 
 
-class Subscription(_TopicEnd, Entity):
+class Subscription(_TopicEnd, QueueEntity):
     """Receives the messages of a topic. `Node.create_subscription` makes a subscription.
 
     Received messages wait as bytes until the thread that runs the callback decodes them. If more
@@ -195,11 +194,15 @@ class Subscription(_TopicEnd, Entity):
         self.callback = callback
         self.raw = raw
         self._set_up(node, endpoint, description, callback_group, events)
-        self._waiting: deque[tuple[bytes, int]] = deque(maxlen=self.qos_profile.kept)
-        # Latched messages may come before `subscribe` returns, and wake the executor.
-        self._wake = node.wake_executor
-        close = self._connection.subscribe(endpoint, self._deliver)
-        Entity.__init__(self, callback_group, close=close, wake=node.wake_executor)
+        QueueEntity.__init__(
+            self,
+            callback_group,
+            depth=self.qos_profile.kept,
+            close=lambda: leave(),
+            wake=node.wake_executor,
+        )
+        # Latched messages come before this returns.
+        leave = self._connection.subscribe(endpoint, self._deliver)
 
     @property
     def callback(self) -> Anything:
@@ -213,22 +216,16 @@ class Subscription(_TopicEnd, Entity):
 
     def _deliver(self, data: bytes) -> None:
         """Queue a message for the callback. The transport may call this method in any thread."""
-        # A deque needs no lock: with a full one, appending drops the oldest message in one step.
-        self._waiting.append((data, time.time_ns()))
         for each in self.event_handlers:
             each.noted()
-        self.wake()
-
-    def is_ready_now(self) -> bool:
-        """Whether a message waits; False after `destroy`."""
-        return bool(self._waiting) and not self.handle.is_destroyed
+        self.put((data, time.time_ns()))
 
     def take(self) -> Anything:
         """Remove the oldest message that waits; return it and its `MessageInfo`."""
-        try:
-            data, received = self._waiting.popleft()
-        except IndexError:
+        item = super().take()
+        if item is NOTHING:
             return NOTHING
+        data, received = item
         info = MessageInfo(source_timestamp=received, received_timestamp=received)
         if self.raw:
             return data, info

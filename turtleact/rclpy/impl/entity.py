@@ -11,6 +11,7 @@ import inspect
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from types import TracebackType
 from typing import Self
@@ -31,6 +32,7 @@ __all__ = [
     "GuardCondition",
     "Handle",
     "MutuallyExclusiveCallbackGroup",
+    "QueueEntity",
     "ReentrantCallbackGroup",
     "Waitable",
     "await_or_execute",
@@ -286,6 +288,46 @@ class Entity(Destroyable):
     def describe(self) -> str:
         """Describe this entity for a diagnostic message, such as "the timer of 0.5 s"."""
         return type(self).__name__.lower()
+
+
+class QueueEntity(Entity):
+    """An entity with a queue of what its callback has to handle, which any thread may fill.
+
+    A deque needs no lock: with a full one, appending drops the oldest item in one step.
+
+    Args:
+        callback_group: Decides when the callback of the entity may run.
+        depth: The length of the queue; None for no limit.
+        close: Called once, when the entity is destroyed.
+        wake: Called in any thread when the entity may have become ready.
+    """
+
+    def __init__(
+        self,
+        callback_group: CallbackGroup,
+        *,
+        depth: int | None = None,
+        close: Callable[[], object] | None = None,
+        wake: Callable[[], object] | None = None,
+    ) -> None:
+        super().__init__(callback_group, close=close, wake=wake)
+        self._waiting: deque[Anything] = deque(maxlen=depth)
+
+    def put(self, item: Anything) -> None:
+        """Queue an item, and wake the executor."""
+        self._waiting.append(item)
+        self.wake()
+
+    def is_ready_now(self) -> bool:
+        """Whether an item waits; False after `destroy`."""
+        return bool(self._waiting) and not self.handle.is_destroyed
+
+    def take(self) -> Anything:
+        """Remove and return the oldest item."""
+        try:
+            return self._waiting.popleft()
+        except IndexError:
+            return NOTHING
 
 
 class Waitable(Subscriptable, Entity):
