@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import inspect
-import os
 import re
 import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -287,34 +286,6 @@ async def test_the_spans_of_a_client_end_with_it(collector, where, kind):
     assert len(collector.spans) == 2
 
 
-@WHERE
-async def test_a_client_that_closes_while_it_sends_a_goal_ends_one_span(
-    collector, caplog, where, kind
-):
-    gate = Gate()
-
-    async def decide(request):
-        await gate.opened.wait()
-        return turtleact.GoalResponse.ACCEPT
-
-    with exporting_to(collector) as provider:
-        async with (
-            lab(provider, count, where, goal_callback=decide) as made,
-            anyio.create_task_group() as group,
-        ):
-
-            async def send():
-                with suppress(ServerUnavailable):
-                    await made.client.send_goal(goal())
-
-            group.start_soon(send)
-            await settle()
-            await made.client.aclose()
-            gate.opened.set()
-    assert events(collector.the("send_goal /count")) == ["client closed"]
-    assert "ended span" not in caplog.text
-
-
 async def test_goals_that_a_server_leaves_to_its_next_start_are_ended_as_spans(collector, tmp_path):
     async with turtleact.open_journal(tmp_path / "goals.db") as journal:
         options: Any = {"journal": journal, "on_restart": "resume"}
@@ -428,13 +399,6 @@ async def test_lost_feedback_is_an_event(collector):
     assert (lost.name, values(lost.attributes)) == ("feedback lost", {"ros.feedback.count": 7})
 
 
-async def test_feedback_of_goals_that_are_not_sampled_is_sent_as_fast_as_ever():
-    off = TracerProvider(ALWAYS_OFF, shutdown_on_exit=False)
-    async with lab(off, count) as made:
-        assert await made.client.send_goal(goal(1)) == result(0)
-        assert not local_server_of(made.server).observers.want_feedback
-
-
 async def test_goals_that_run_already_are_left_out(collector):
     gate = Gate()
     with exporting_to(collector) as provider:
@@ -478,16 +442,6 @@ async def test_a_goal_that_is_sent_twice_is_joined_and_leaves_no_span_open(colle
     assert names == {"send_goal /count": 2, "execute /count": 1}
 
 
-async def test_a_goal_whose_coroutine_is_thrown_away_ends_its_span(collector):
-    with exporting_to(collector) as provider:
-        async with lab(provider, Gate().wait) as made:
-            sending = made.client.send_goal(goal())
-            sending.send(None)  # one step of the coroutine
-            sending.close()
-    assert [each.name for each in collector.spans if each.status.code == 0]
-    assert len(collector.spans) == 2
-
-
 SERVE = """
 import sys, anyio, turtleact
 from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
@@ -516,13 +470,7 @@ async def main(address, url):
             return await inner.send_goal(request)
 
         node.action_server(Fibonacci, "inner", act)
-        async def check(request):
-            if request.order < 0:
-                raise turtleact.Abort("below zero")
-            return Fibonacci.Result()
-
         node.action_server(Fibonacci, "outer", outer)
-        node.action_server(Fibonacci, "check", check)
         print("ready", flush=True)
         await anyio.to_thread.run_sync(sys.stdin.read)
     provider.shutdown()
@@ -567,34 +515,6 @@ async def test_nested_goals_in_two_processes_are_one_trace_over_zenoh(collector,
         assert [each.parent_span_id for each in chain[1:]] == [each.span_id for each in chain[:-1]]
         assert values(chain[1].attributes)["ros.domain_id"] == 0
     assert {each["service.name"] for each in collector.resources} >= {"the server"}
-
-
-GOALS = int(os.environ.get("TRACED_GOALS", "500"))
-AT_ONCE, FAILS = 50, 10
-
-
-async def test_each_of_many_goals_has_a_span_in_both_processes(collector, free_address):
-    async with traced_process(collector, free_address) as node:
-        client = node.action_client(Fibonacci, "check")
-
-        async def send(number: int) -> None:
-            for order in range(number, GOALS, AT_ONCE):
-                with suppress(GoalAborted):
-                    await client.send_goal(Fibonacci.Goal(order=order if order % FAILS else -1))
-
-        async with anyio.create_task_group() as group:
-            for number in range(AT_ONCE):
-                group.start_soon(send, number)
-    sent = {each.span_id: each for each in collector.named("send_goal /check")}
-    executed = {each.parent_span_id: each for each in collector.named("execute /check")}
-    assert len(collector.spans) == 2 * GOALS
-    assert len(sent) == GOALS
-    assert executed.keys() == sent.keys()
-    for span_id, span in sent.items():
-        assert span.trace_id == executed[span_id].trace_id
-        assert span.end_time_unix_nano > span.start_time_unix_nano
-    said = Counter(failed(each) for each in collector.spans if each.status.code == ERROR)
-    assert said == {(ERROR, "below zero", "GoalAborted", "below zero"): 2 * GOALS // FAILS}
 
 
 def test_the_page_lists_every_event():

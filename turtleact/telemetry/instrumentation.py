@@ -14,10 +14,10 @@ from anyio import sleep_forever
 from turtleact.errors import TurtleactError
 from turtleact.node import Node, check_open, resources_of
 from turtleact.tasks import Background
-from turtleact.telemetry.measuring import measure, watch, watch_loop
+from turtleact.telemetry.measuring import BOUNDS, measure, watch, watch_loop
 
 if TYPE_CHECKING:
-    from opentelemetry.metrics import MeterProvider
+    from opentelemetry.metrics import Histogram, MeterProvider
     from opentelemetry.trace import TracerProvider
 
 __all__ = ["instrument"]
@@ -46,7 +46,6 @@ def instrument(
             runs in another event loop.
     """
     try:
-        from turtleact.telemetry.instruments import Instruments
         from turtleact.telemetry.tracing import Tracing
     except ModuleNotFoundError as missing:
         if (missing.name or "").partition(".")[0] != "opentelemetry":
@@ -59,7 +58,7 @@ def instrument(
     check_open(node)
     if resources.find(_Instrumentation) is not None:
         return
-    tracing, instruments = Tracing(node, tracer_provider), Instruments(meter_provider)
+    tracing, instruments = Tracing(node, tracer_provider), _Instruments(meter_provider)
     if not tracing.is_off:
         watch(node, tracing.add_server, tracing.add_client)
     if not instruments.are_off:
@@ -87,3 +86,62 @@ class _Nothing:
 
     def close(self) -> None:
         """Do nothing."""
+
+
+class _Instruments:
+    """Passes the measurements of `turtleact.telemetry.measuring` on to a meter of OpenTelemetry.
+
+    Args:
+        provider: Provides the meter; None for the program's global provider.
+
+    Attributes:
+        are_off: Whether the program has switched metrics off.
+    """
+
+    def __init__(self, provider: MeterProvider | None) -> None:
+        from opentelemetry import metrics
+
+        meter = metrics.get_meter("turtleact", meter_provider=provider)
+        self.are_off = isinstance(meter, metrics.NoOpMeter)
+
+        def histogram(name: str, about: str) -> Histogram:
+            bounds = list(BOUNDS)
+            return meter.create_histogram(
+                name, "s", about, explicit_bucket_boundaries_advisory=bounds
+            )
+
+        self._goals = meter.create_counter("ros.action.goals", "{goal}", "Goals that have ended.")
+        self._duration = histogram("ros.action.duration", "From a goal's acceptance to its end.")
+        self._wait = histogram(
+            "ros.action.wait", "From a goal's acceptance to the start of its body."
+        )
+        self._active = meter.create_up_down_counter(
+            "ros.action.active", "{goal}", "Goals that have not ended, by state."
+        )
+        self._lost = meter.create_counter(
+            "ros.action.feedback.lost", "{message}", "Feedback that has not reached a client."
+        )
+        self._lag = histogram("turtleact.loop.lag", "How late the event loop is.")
+
+    def ended(self, action: str, status: str, seconds: float | None) -> None:
+        """Count a goal that has ended."""
+        attributes = {"action": action, "status": status}
+        self._goals.add(1, attributes)
+        if seconds is not None:
+            self._duration.record(seconds, attributes)
+
+    def waited(self, action: str, seconds: float) -> None:
+        """Record the time from a goal's acceptance to the start of its body."""
+        self._wait.record(seconds, {"action": action})
+
+    def active_changed(self, action: str, state: str, change: int) -> None:
+        """Add ``change`` to the number of goals in a state."""
+        self._active.add(change, {"action": action, "state": state})
+
+    def feedback_lost(self, action: str, count: int) -> None:
+        """Count feedback messages that have not reached a client."""
+        self._lost.add(count, {"action": action})
+
+    def lagged(self, seconds: float) -> None:
+        """Record how late the event loop was."""
+        self._lag.record(seconds)

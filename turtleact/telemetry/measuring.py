@@ -3,9 +3,9 @@
 `measure` counts how many goals end, how long they take and wait, and how much feedback is lost.
 
 The measurements go to a `Measurements` object: the one in `turtleact.telemetry.prometheus` keeps
-them, and the one in `turtleact.telemetry.instruments` passes them on to OpenTelemetry. The times of
-goals are measured on the graph's clock. No measurement carries a goal id, because each id would
-begin a new time series.
+them, and the one in `turtleact.telemetry.instrumentation` passes them on to OpenTelemetry. The
+times of goals are measured on the graph's clock. No measurement carries a goal id, because each id
+would begin a new time series.
 """
 
 from __future__ import annotations

@@ -47,7 +47,6 @@ from turtleact.goals.observers import (
     GoalObserver,
     Lost,
     News,
-    Observers,
 )
 from turtleact.goals.server import new_goal_id
 from turtleact.goals.state import Goal, GoalRequest, GoalStatus
@@ -97,7 +96,8 @@ class Tracing:
         local = local_server_of(server)
         if local.slot_name:
             attributes["ros.slot"] = local.slot_name
-        local.observers.add(_ServerSpans(server, self._tracer, attributes))
+        spans = _ServerSpans(f"execute {server.name}", self._tracer, attributes)
+        local.observers.add(spans)
 
     def add_client(self, client: AnyClient) -> None:
         """Trace the goals of a client."""
@@ -160,26 +160,32 @@ class _Spans(GoalObserver):
     """Records the events of one server's or client's goals in the goals' spans.
 
     Args:
-        observers: The observers of the server or client.
+        name: The name of each span.
+        tracer: Makes the spans.
+        attributes: The attributes of each span.
     """
 
-    def __init__(self, observers: Observers) -> None:
+    def __init__(self, name: str, tracer: trace.Tracer, attributes: dict[str, str | int]) -> None:
         self.records: dict[bytes | None, _Record] = {}
-        self._observers = observers
-        self._recording: _Recording | None = None
+        self._name = name
+        self._tracer = tracer
+        self._attributes = attributes
 
     def begin(self, span: Span, goal_id: bytes) -> _Record:
         """Record all further events of a goal in ``span``.
 
         If the client has already sent a goal with this id, the goal keeps its first span.
         """
-        if self._recording is None:  # it costs each message something, so there is none before
-            self._recording = _Recording(self.records)
-            self._observers.add(self._recording)
         span.set_attribute("ros.goal.id", goal_id.hex())
         record = _Record(span)
         self.records.setdefault(goal_id, record)
         return record
+
+    def feedback_published(self, goal: Goal, feedback: object) -> None:  # noqa: ARG002
+        """Count a feedback message of a goal that has a span."""
+        record = self.records.get(goal.id)
+        if record is not None:
+            record.feedback()
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Record a change of a goal's state in the goal's span."""
@@ -225,50 +231,22 @@ class _Spans(GoalObserver):
                 record.end("")
 
 
-class _Recording(GoalObserver):
-    """Counts the feedback of goals that have spans, and makes a goal's span current in its body."""
-
-    def __init__(self, records: dict[bytes | None, _Record]) -> None:
-        self._records = records
-
-    def feedback_published(self, goal: Goal, feedback: object) -> None:  # noqa: ARG002
-        """Count a feedback message of a goal that has a span."""
-        record = self._records.get(goal.id)
-        if record is not None:
-            record.feedback()
-
-    def enter_body(self, goal: Goal) -> None:
-        """Make the goal's span the current span in the goal's body."""
-        record = self._records.get(goal.id)
-        if record is not None:
-            contexts.attach(trace.set_span_in_context(record.span))
-            REQUEST_NOTE.set(_note(record.span, is_detached=False))
-            NEW_TRACES.set(False)
-
-
 class _ServerSpans(_Spans):
-    """Makes the spans of one server's goals.
-
-    Args:
-        server: The server.
-        tracer: Makes the spans.
-        attributes: The attributes of each of these spans.
-    """
-
-    def __init__(
-        self, server: AnyServer, tracer: trace.Tracer, attributes: dict[str, str | int]
-    ) -> None:
-        super().__init__(local_server_of(server).observers)
-        self._name = f"execute {server.name}"
-        self._tracer = tracer
-        self._attributes = attributes
+    """Makes the spans of one server's goals."""
 
     def goal_changed(self, goal: Goal, before: GoalStatus, after: GoalStatus) -> None:
         """Begin the span of a new goal, and record each change of a goal's state in its span."""
         if before is GoalStatus.UNKNOWN:
             self._begin(goal)
-        if self.records:
-            super().goal_changed(goal, before, after)
+        super().goal_changed(goal, before, after)
+
+    def enter_body(self, goal: Goal) -> None:
+        """Make the goal's span the current span in the goal's body."""
+        record = self.records.get(goal.id)
+        if record is not None:
+            contexts.attach(trace.set_span_in_context(record.span))
+            REQUEST_NOTE.set(_note(record.span, is_detached=False))
+            NEW_TRACES.set(False)
 
     def noted(self, goal: Goal, news: News) -> None:
         """Record in a goal's span that the body raised, or that feedback or the goal was lost."""
@@ -298,7 +276,7 @@ class _ServerSpans(_Spans):
             self.begin(span, goal.id)
 
 
-class _ClientSpans(GoalObserver):
+class _ClientSpans(_Spans):
     """Begins the spans of one client's goals, and ends the spans of goals that are not accepted.
 
     Args:
@@ -315,14 +293,9 @@ class _ClientSpans(GoalObserver):
         attributes: dict[str, str | int],
         node: Node,
     ) -> None:
-        self._name = f"send_goal {client.name}"
-        self._spans = _Spans(client.observers)
-        self._observers = client.observers
-        self._has_begun = False
+        super().__init__(f"send_goal {client.name}", tracer, attributes)
         self._sending: dict[GoalRequest, _Record] = {}
         self._entered: dict[GoalRequest, tuple[Token[Context], Token[str]]] = {}
-        self._tracer = tracer
-        self._attributes = attributes
         self._transport = node.transport
         type_name = f"{client.action_type.type_name}_SendGoal"
         self._service = action_names(client.name).send_goal, type_name
@@ -342,10 +315,7 @@ class _ClientSpans(GoalObserver):
         self._entered[request] = attached, REQUEST_NOTE.set(note)
         if is_recorded:
             request.goal_id = request.goal_id or new_goal_id()
-            if not self._has_begun:  # it would cost each goal something, so there is none before
-                self._has_begun = True
-                self._observers.add(self._spans)
-            self._sending[request] = self._spans.begin(span, request.goal_id)
+            self._sending[request] = self.begin(span, request.goal_id)
 
     def leave_call(self, request: GoalRequest, error: BaseException | None) -> None:
         """Restore the context, and end the goal's span if the goal was not accepted.
@@ -360,8 +330,8 @@ class _ClientSpans(GoalObserver):
         if record is None or record.is_accepted or not record.span.is_recording():
             return
         # The goal was not accepted, or it has joined one that was sent before with the same id.
-        if self._spans.records.get(request.goal_id) is record:
-            del self._spans.records[request.goal_id]
+        if self.records.get(request.goal_id) is record:
+            del self.records[request.goal_id]
         if isinstance(error, TurtleactError):
             reason = error.reason if isinstance(error, GoalRejected) else str(error)
             record.fail(type(error).__name__, reason)
@@ -370,12 +340,11 @@ class _ClientSpans(GoalObserver):
 
     def closed(self) -> None:
         """End the spans of the client's goals, because a closed client receives no more updates."""
-        sent = self._spans.records
-        for record in {*sent.values(), *self._sending.values()}:
+        for record in {*self.records.values(), *self._sending.values()}:
             if record.span.is_recording():
                 record.span.add_event("client closed")
                 record.end("")
-        sent.clear()
+        self.records.clear()
 
 
 def _current() -> Context:
