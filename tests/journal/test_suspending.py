@@ -16,7 +16,7 @@ from turtleact.errors import ServerUnavailable
 from turtleact.goals.observers import GoalObserver
 from turtleact.journal import read_goals
 
-from ..lab import ON_ASYNCIO, Count, feedback, goal, local_server, result, running, settle
+from ..lab import Count, goal, local_server, result, running, settle
 
 FIRST, SECOND = bytes(range(16)), bytes(range(1, 17))
 
@@ -89,32 +89,3 @@ async def test_a_server_that_stops_gives_up_its_places_in_a_shared_slot(tmp_path
             with anyio.fail_after(1):
                 await next_one.done.wait()
             assert next_one.value == result(7)
-
-
-@ON_ASYNCIO  # trio cannot abandon a body
-@pytest.mark.parametrize("kept", [None, "abort", "resume"])
-@pytest.mark.parametrize("fails", [False, True])
-async def test_a_body_that_yields_after_it_was_given_up_is_logged_once(
-    tmp_path, caplog, kept, fails
-):
-    leave = anyio.Event()
-
-    async def ignore(request: Count.Goal) -> AsyncIterator[Count.Feedback]:
-        with anyio.CancelScope(shield=True):
-            await leave.wait()
-        if fails:
-            raise ValueError
-        yield feedback()
-
-    async with opened(Path(tmp_path, "goals.db")) as (journal, node):
-        options: Any = {"journal": journal, "on_restart": kept} if kept else {}
-        server = node.action_server(Count, "count", ignore, grace=0.01, **options)
-        client = node.action_client(Count, "count")
-        (await client.send_goal(goal(), goal_id=FIRST).__aenter__()).detach()
-        await settle()
-        await server.aclose()
-        leave.set()
-        await settle()
-    given_up, *others = [each.getMessage() for each in caplog.records]
-    assert "so it is given up" in given_up
-    assert others == [f"the body of /count failed (goal {FIRST.hex()})"] * fails

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import inspect
 import logging
-from collections import Counter
 from collections.abc import Callable
 from inspect import isawaitable
 from typing import Any, get_args
@@ -121,10 +120,8 @@ class Callbacks:
         self._server = server
         self._goal_callback: Any = options.get("goal_callback")
         self._cancel_callback: Any = options.get("cancel_callback")
-        self._open: set[anyio.CancelScope] = set()
+        self._open: dict[anyio.CancelScope, object] = {}  # each with the sender of its goal
         self._is_closed = False
-        self._deciding: Counter[object] = Counter()  # goals not decided yet, counted by sender
-        self._lost: set[object] = set()  # those of these senders that have gone
         if self._goal_callback is not None:
             server.admit = self.admit
             if options.get("on_client_lost") == "cancel":
@@ -144,17 +141,8 @@ class Callbacks:
 
     async def consider(self, request: GoalRequest) -> GoalRequest:
         """Ask the ``goal_callback``, and return the checked request. The errors are as above."""
-        message, sender = self._server.check_goal(request.message), request.sender
-        self._deciding[sender] += 1
-        try:
-            await self._ask(message)
-            if sender in self._lost:
-                raise GoalRejected("its client has gone")
-        finally:
-            self._deciding[sender] -= 1
-            if not self._deciding[sender]:
-                del self._deciding[sender]
-                self._lost.discard(sender)
+        message = self._server.check_goal(request.message)
+        await self._ask(message, request.sender)
         return msgspec.structs.replace(request, message=message)
 
     async def may_cancel(self, goal: Goal) -> bool:
@@ -169,22 +157,23 @@ class Callbacks:
 
     def client_lost(self, sender: object) -> None:
         """Reject the goals of a client that is gone, if they are not decided yet."""
-        if sender in self._deciding:
-            self._lost.add(sender)
+        for scope, asking in self._open.items():
+            if asking == sender:
+                scope.cancel()
         self._client_lost(sender)
 
     async def aclose(self) -> None:
         """Cancel the callbacks that have not returned yet, and close the server."""
         self._server.is_open = False
         self._is_closed = True
-        for scope in tuple(self._open):
+        for scope in self._open:
             scope.cancel()
         await self._aclose()
 
-    async def _ask(self, message: object) -> None:
+    async def _ask(self, message: object, sender: object) -> None:
         """Ask the ``goal_callback`` about a goal message; raise GoalRejected unless it agrees."""
         try:
-            answer = await self._answer(self._goal_callback(message))
+            answer = await self._answer(self._goal_callback(message), sender)
         except Reject as verdict:
             raise GoalRejected(text_of(verdict.reason)) from None
         except Exception as error:
@@ -193,18 +182,19 @@ class Callbacks:
             raise GoalRejected(f"the goal_callback failed: {summary(error)}") from None
         if answer is GoalResponse.REJECT:
             raise GoalRejected("the goal_callback rejected it")
-        if answer is _CLOSED:
+        if answer is _CUT_SHORT:
             self._server.check_open()
+            raise GoalRejected("its client has gone")
         if answer is not GoalResponse.ACCEPT:
             raise GoalRejected(f"the goal_callback answered {answer!r}, not a GoalResponse")
 
-    async def _answer(self, given: object) -> object:
+    async def _answer(self, given: object, sender: object = None) -> object:
         """Return the callback's answer; await the answer if it is awaitable."""
         if not isawaitable(given):
             return given
         tasks = self._server.tasks
         with anyio.CancelScope() as scope:
-            self._open.add(scope)
+            self._open[scope] = sender
             if self._is_closed:
                 scope.cancel()
             try:
@@ -216,11 +206,11 @@ class Callbacks:
                 # is a failure of the callback.
                 raise RuntimeError("it waited for something that was canceled") from None
             finally:
-                self._open.remove(scope)
-        return _CLOSED
+                del self._open[scope]
+        return _CUT_SHORT
 
 
-_CLOSED = object()
+_CUT_SHORT = object()
 
 
 def _cancel_goals_of_lost_clients(server: LocalActionServer) -> None:

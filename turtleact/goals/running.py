@@ -32,7 +32,6 @@ from turtleact.errors import (
     Abort,
     Cancel,
     InvalidMessage,
-    InvalidTransition,
     summary,
     text_of,
 )
@@ -172,10 +171,6 @@ class BodyRunner:
         elif isinstance(error, Cancel) and (canceling or goal.reason):
             event = GoalEvent.CANCELED if canceling else GoalEvent.ABORT
             self._end_with(goal, event, error.result, "" if canceling else goal.reason)
-        elif goal.is_ending and isinstance(error, InvalidTransition) and error.goal_id == goal.hex:
-            # The body was given up, which the log says already, and then gave feedback or a partial
-            # result. This error only tells the body that its goal has ended.
-            pass
         else:
             problem = "the body of %s failed (goal %s)"
             logger.error(problem, server.name, goal.hex, exc_info=error)

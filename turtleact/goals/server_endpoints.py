@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 import msgspec
 
-from turtleact.errors import CUT_OFF, STOPPED, GoalRejected
+from turtleact.errors import GoalRejected
 from turtleact.goals.observers import FeedbackLost, GoalObserver
 from turtleact.goals.pause_endpoints import PauseEndpoints
 from turtleact.goals.server import LocalActionServer
@@ -63,7 +63,6 @@ from turtleact.transports.base import (
     Publication,
     QoS,
     Reply,
-    Respond,
     ServiceHandler,
     Source,
     Transport,
@@ -83,10 +82,6 @@ OURS = GoalMetadata().write()
 
 A response with a note shows that a turtleact server has sent the response.
 """
-
-
-LATE_REQUEST = 0.5
-"""How long a closing server waits for clients in other processes to request results (s)."""
 
 
 EXPIRED_TOGETHER: Final = 1.0
@@ -120,8 +115,8 @@ class ActionEndpoints:
         self._transport = transport
         self._endpoint = endpoint
         self._cancel_goal = _CancelGoal(server, names, transport, tasks)
-        self._get_result = _GetResult(server, names, tasks)
-        self._send_goal = _SendGoal(server, names, tasks)
+        self._get_result = _GetResult(server, names.get_result, tasks)
+        self._send_goal = _SendGoal(server, names.send_goal, tasks)
         self._introspection = introspection
         if introspection == "off":
             self._send_goal.goal_server = server
@@ -180,8 +175,6 @@ class ActionEndpoints:
         Call this after all bodies have ended.
         """
         results = self._get_result
-        if self._services:
-            await wait_while(self._is_expected, results.answered, LATE_REQUEST)
         await wait_while(lambda: results.waiting, results.answered, GRACE)
         for opened in self._services:
             opened.close()
@@ -190,17 +183,6 @@ class ActionEndpoints:
         for topic in self._topics:
             topic.close()
         await self._pausing.aclose()
-
-    def _is_expected(self) -> bool:
-        """Whether a client in another process is likely to ask soon how a goal ended just now."""
-        reasons = (self._server.closing_reason, STOPPED, CUT_OFF)
-        return any(
-            isinstance(goal.sender, bytes)
-            and goal.sender != b""
-            and goal.reason in reasons
-            and goal.id not in self._get_result.told
-            for goal in self._server.held().values()
-        )
 
 
 class FeedbackTopic(Source):
@@ -498,8 +480,8 @@ class _SendGoal(_ActionService):
 
     goal_server: LocalActionServer
 
-    def __init__(self, server: LocalActionServer, names: ActionNames, tasks: Tasks) -> None:
-        super().__init__(server, names.send_goal, tasks)
+    def __init__(self, server: LocalActionServer, name: str, tasks: Tasks) -> None:
+        super().__init__(server, name, tasks)
         self.expect_readers: Callable[[], None] | None = None
         self.on_rejection: Callable[[bytes, str], None] | None = None
 
@@ -509,19 +491,6 @@ class _SendGoal(_ActionService):
     def caller_lost(self, caller: bytes) -> None:
         """Tell the server that a client in another process has gone."""
         self.server.client_lost(caller)
-
-    def reply_nowait(self, request: Any, caller: bytes, respond: Respond) -> bool:  # noqa: ANN401
-        """Accept or reject a goal at once. Return False if the decision may take time."""
-        if self.server.admit is not None:
-            return False
-        try:
-            goal = self.server.accept(self._read(request, caller))
-        except GoalRejected as rejected:
-            self.server.observers.goal_rejected(rejected.reason)
-            respond(self._rejected(request, rejected))
-        else:
-            respond(self._accepted(goal))
-        return True
 
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401
         try:
@@ -581,49 +550,10 @@ class _CancelGoal(_ActionService):
 
 
 class _GetResult(_ActionService):
-    """Answers with the results of goals, once the goals have ended.
-
-    Attributes:
-        told: The goals whose results were given after the closing began.
-    """
-
-    def __init__(self, server: LocalActionServer, names: ActionNames, tasks: Tasks) -> None:
-        super().__init__(server, names.get_result, tasks)
-        self._asked: dict[Goal, list[Respond]] = {}  # for goals that have not ended
-        self.told: set[bytes] = set()
-        self._retire, server.retire = server.retire, self.retire
+    """Answers with the results of goals, once the goals have ended."""
 
     def find_type(self) -> Any:  # noqa: ANN401  # a service class
         return self._implied.get_result
-
-    def reply_nowait(
-        self,
-        request: Any,  # noqa: ANN401  # of the action's own class
-        caller: bytes,  # noqa: ARG002
-        respond: Respond,
-    ) -> bool:
-        """Answer as soon as the goal has ended.
-
-        If the goal is unknown, return False. The caller must then call `handle` in a task, because
-        the goals of an earlier process may not be restored yet.
-        """
-        goal = self.server.find(request.goal_id.uuid)
-        if goal is None:
-            return False
-        if goal.ended:
-            respond(self._end(goal))
-            return True
-        self.waiting += 1
-        self._asked.setdefault(goal, []).append(respond)
-        return True
-
-    def retire(self, goal: Goal) -> None:
-        """Let a goal go, and answer the requests for its result."""
-        self._retire(goal)
-        for respond in self._asked.pop(goal, ()):
-            respond(self._end(goal) if goal.error is None else goal.error)
-            self.waiting -= 1
-            self.answered.fire()
 
     async def handle(self, request: Any, caller: bytes) -> Reply:  # noqa: ANN401, ARG002
         await self.server.wait_until_restored()
@@ -636,8 +566,6 @@ class _GetResult(_ActionService):
         return self._end(goal)
 
     def _end(self, goal: Goal) -> Reply:
-        if not self.server.is_open:
-            self.told.add(goal.id)
         result: Any = goal.result
         message = self._implied.get_result.Response(status=int(goal.status), result=result)
         if goal.reason or goal.log.count:

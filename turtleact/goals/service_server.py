@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Awaitable, Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
 from inspect import isasyncgenfunction, isawaitable, isgeneratorfunction, isroutine
@@ -153,15 +154,15 @@ class LocalServiceServer(ServiceHandler, Generic[Req, Res]):
             raise self._closed()
         call = _Call(self._check_request(request), self._tasks.signal(), caller)
         self._calls[call] = None
-        call.run_in(self._tasks.spawn(self._run(call), f"a handler of {self.name}"))
+        call.task = self._tasks.spawn(self._run(call), f"a handler of {self.name}")
         try:
-            while not call.is_answered:
+            while not call.outcome.done():
                 await call.changed.wait()
         except self._tasks.cancelled:
             call.cancel()
             await wait_while(lambda: not call.has_ended, call.changed, GRACE)
             raise
-        return cast("Res", call.take())
+        return cast("Res", call.outcome.result())
 
     async def reply(self, request: object, caller: bytes) -> Reply:
         """Answer a request from another process with the response that `answer` returns."""
@@ -277,61 +278,37 @@ class _Call:
         caller: The gid of the request's client in another process; empty for a client in this
             process.
         changed: A signal that fires when the call is answered, and when the handler has ended.
-        is_answered: Whether the caller has got its answer.
+        outcome: The response, or the error that the caller gets.
         is_canceled: Whether `cancel` was called.
         has_ended: Whether the handler has ended.
+        task: The task of the handler.
     """
 
-    __slots__ = (
-        "_error",
-        "_response",
-        "_task",
-        "caller",
-        "changed",
-        "has_ended",
-        "is_answered",
-        "is_canceled",
-        "request",
-    )
+    __slots__ = ("caller", "changed", "has_ended", "is_canceled", "outcome", "request", "task")
 
     def __init__(self, request: Message, changed: Signal, caller: bytes = b"") -> None:
         self.request = request
         self.caller = caller
         self.changed = changed
-        self.is_answered = False
+        self.outcome = Future[object]()
         self.is_canceled = False
         self.has_ended = False
-        self._task: Task | None = None
-        self._response: object = None
-        self._error: TurtleactError | None = None
-
-    def run_in(self, task: Task) -> None:
-        """Set the task of the handler."""
-        # The task may have taken its first step before this call. If that step led to a cancel,
-        # there was no task to cancel yet, so it is done here.
-        self._task = task
-        if self.is_canceled:
-            task.cancel()
+        self.task: Task | None = None
 
     def cancel(self) -> None:
         """Cancel the handler at its next await."""
         self.is_canceled = True
-        if self._task is not None:
-            self._task.cancel()
+        if self.task is not None:
+            self.task.cancel()
 
     def answer(self, response: object = None, *, error: TurtleactError | None = None) -> None:
         """Set the answer, unless the call has one already, and wake the caller."""
-        if not self.is_answered:
-            self.is_answered = True
-            self._response = response
-            self._error = error
+        if not self.outcome.done():
+            if error is None:
+                self.outcome.set_result(response)
+            else:
+                self.outcome.set_exception(error)
         self.changed.fire()
-
-    def take(self) -> object:
-        """Return the response, or raise the error."""
-        if self._error is not None:
-            raise self._error
-        return self._response
 
 
 def _checked_handler(handler: object) -> Callable[[Message], object]:

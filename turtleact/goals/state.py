@@ -260,11 +260,6 @@ TRANSITIONS: Final[Mapping[tuple[GoalStatus, GoalEvent], GoalStatus]] = MappingP
 
 _CANCEL_GOAL: Final = GoalEvent.CANCEL_GOAL
 
-#: The same table by number, ``[status][event]``: enum members are slow as dictionary keys.
-_NEXT: Final = tuple(
-    (None, *(TRANSITIONS.get((status, event)) for event in GoalEvent)) for status in GoalStatus
-)
-
 
 def transition(status: GoalStatus, event: GoalEvent) -> GoalStatus:
     """Return the state that ``event`` leads to from ``status``.
@@ -361,7 +356,7 @@ class Goal(msgspec.Struct, eq=False):
             InvalidTransition: if the state does not allow the event. In that case, the state does
                 not change.
         """
-        status = _NEXT[self.status][event]
+        status = TRANSITIONS.get((self.status, event))
         if status is None:
             raise InvalidTransition(self.status, event, self.hex)
         self.status = status
