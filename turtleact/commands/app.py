@@ -296,7 +296,7 @@ def _command(function: Callable[..., Any], *, knows: bool) -> Callable[..., int 
         for each, options in bundled.items():
             values[each] = BUNDLES[each](**{option: given[option] for option in options})
         if knows:
-            from turtleact.commands.interface import make_known
+            from turtleact.commands.message_text import make_known
 
             make_known(folder(given["interfaces"]))
         if "node" not in own:

@@ -198,7 +198,7 @@ def packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001
 @_silent
 def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
     """Offer one message, with default values, of the type given earlier on the command line."""
-    from turtleact.commands.interface import first_message, make_found, make_known
+    from turtleact.commands.message_text import first_message, make_found, make_known
     from turtleact.interfaces import get_interface, to_dict
     from turtleact.interfaces.text import flow
 
@@ -242,7 +242,7 @@ def _mentions_us(file: Path) -> bool:
 @_silent
 def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the packages with something to run, and the Python files in the working directory."""
-    from turtleact.commands.run import runnable_here
+    from turtleact.commands.programs import runnable_here
 
     known = runnable_here()
     files = sorted(each.name for each in Path().glob("*.py"))
@@ -252,7 +252,7 @@ def runnable_packages(ctx: typer.Context, incomplete: str) -> Candidates:  # noq
 @_silent
 def executables(ctx: typer.Context, incomplete: str) -> Candidates:  # noqa: ARG001  # as above
     """Offer the executables of the package given earlier on the command line."""
-    from turtleact.commands.run import runnable_here
+    from turtleact.commands.programs import runnable_here
 
     return list(runnable_here().get(ctx.params["package"], ()))
 
@@ -288,7 +288,7 @@ def _as_begun(names: Iterable[str], begun: str) -> list[str]:
 
 def _interfaces(ctx: typer.Context, kind: str | None = None) -> list[str]:
     """Return the names of all interfaces; with a ``kind``, such as ``"msg"``, only of that kind."""
-    from turtleact.commands.interface import make_known
+    from turtleact.commands.message_text import make_known
     from turtleact.interfaces import known_interfaces
 
     make_known(_folder(ctx), is_silent=True)

@@ -190,8 +190,7 @@ def send_goal(
         raise WrongOptions(
             "--reattach is for servers in other processes, not for an embedded world"
         )
-    from turtleact.commands.interface import make_known
-    from turtleact.commands.message_text import GoalText
+    from turtleact.commands.message_text import GoalText, make_known
     from turtleact.commands.send_goal import GoalRequest, GoalSender
 
     text = GoalText.read(goal, stdin=stdin, path=folder(goal_file))
@@ -418,7 +417,7 @@ def echo(
 ) -> int:
     """Print the feedback, the states, the requests and the responses of an action."""
     from turtleact.commands import event_echo, graph
-    from turtleact.commands.interface import make_known
+    from turtleact.commands.message_text import make_known
 
     parts = None if interfaces is None else _parts(interfaces, event_echo.PARTS)
     make_known(interfaces if parts is None else None)
@@ -522,7 +521,7 @@ def _view(*, plain: bool) -> View:
 def _follow(reach: ConnectOptions, interfaces: Path | None, wanted: str, view: View | None) -> int:
     """Follow a goal. Without a view, only wait for the result."""
     from turtleact.commands import held_goals
-    from turtleact.commands.interface import make_known
+    from turtleact.commands.message_text import make_known
 
     make_known(folder(interfaces))
     return held_goals.run(reach, wanted, view, _written(reach, interfaces))

@@ -1,4 +1,4 @@
-"""The verbs of ``interface``, and the search for the interfaces that any verb may need.
+"""The verbs of ``interface``, which list, show, fetch and generate interfaces.
 
 Only ``fetch``, and ``show`` for the name of an action or with ``--connect``, need a graph. The
 others know the interfaces that ship with turtleact, and those in the folder of ``--interfaces``, in
@@ -10,19 +10,18 @@ Source: ros2cli ``ros2interface/verb/*.py`` (Jazzy), for the printed text;
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 from turtleact.commands import completion
 from turtleact.commands.app import new_group, verb
+from turtleact.commands.message_text import first_message
 from turtleact.commands.options import argument, flag, only_one, value
 from turtleact.commands.output import note, say, write_file
 from turtleact.commands.settings import WrongOptions
@@ -30,13 +29,9 @@ from turtleact.errors import TurtleactError, UnknownInterface, UsageError
 from turtleact.interfaces import (
     Action,
     Message,
-    Service,
     get_interface,
     interface_text,
     known_interfaces,
-    load_interfaces,
-    load_workspace,
-    offer_interfaces,
     to_dict,
     to_yaml,
     type_hash,
@@ -48,7 +43,6 @@ from turtleact.interfaces.parse import Line, parse_member, without_comment
 from turtleact.interfaces.text import flow
 from turtleact.interfaces.type_hash import referenced
 from turtleact.interfaces.types import REGISTRY, nested_classes
-from turtleact.interfaces.workspace import find_interfaces
 
 if TYPE_CHECKING:
     from turtleact.commands.settings import ConnectOptions
@@ -56,7 +50,7 @@ if TYPE_CHECKING:
     from turtleact.node import Node
     from turtleact.transports.graph import Kind
 
-__all__ = ["app", "first_message", "make_found", "make_known"]
+__all__ = ["app"]
 
 KINDS: Final = {"msg": "Messages", "srv": "Services", "action": "Actions"}
 """The kinds of interfaces with their headings, in the order in which they are listed."""
@@ -221,65 +215,6 @@ def show(
 
     look = _print_learned if is_type else _print_action
     return graph.run(reach, lambda node: look(node, name, print_type))
-
-
-# searching
-
-
-def make_known(folder: str | None, *, is_silent: bool = False) -> None:
-    """Register turtleact's own interfaces, and those that `make_found` registers.
-
-    Args:
-        folder: A folder with interface files, or None.
-        is_silent: Whether to leave out the note on stderr.
-
-    Raises:
-        InvalidInterface: if the folder does not exist.
-    """
-    for module in ("actions", "sim.world_services"):  # they declare interfaces
-        import_module(f"turtleact.{module}")
-    make_found(folder, is_silent=is_silent)
-
-
-def make_found(folder: str | None, *, is_silent: bool = False) -> None:
-    """Find and register interfaces in ``folder``, in the workspace and near the working directory.
-
-    If an interface has several definitions, the search order decides: first ``folder``, then the
-    sourced workspace, the folders near the working directory, and turtleact itself. When the first
-    interface near the working directory is used, a note on stderr says where that interface was
-    found.
-
-    Args:
-        folder: The folder to search, or None; see `turtleact.interfaces.load_interfaces`.
-        is_silent: Whether to leave out the note on stderr.
-
-    Raises:
-        InvalidInterface: if the folder does not exist.
-    """
-    told: list[str] = []
-
-    def tell(type_name: str, file: str) -> None:
-        if not told:
-            note(f"found {type_name} in {Path(file).absolute().parents[1]}")
-        told.append(type_name)
-
-    load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
-    if found := find_interfaces(Path()):
-        offer_interfaces(found, None if is_silent else tell)
-    if folder is not None:
-        load_interfaces(folder)
-
-
-def first_message(type_name: str) -> Message:
-    """Return an action's goal, a service's request or a message, with default values.
-
-    Raises:
-        UnknownInterface: if the name is unknown. The error suggests the nearest name.
-    """
-    interface = find_interface(type_name)
-    if issubclass(interface, Action):
-        return interface.Goal()
-    return interface.Request() if issubclass(interface, Service) else interface()
 
 
 def _kinds(*, msgs: bool, srvs: bool, actions: bool) -> list[str]:

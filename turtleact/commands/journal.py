@@ -113,7 +113,7 @@ def print_result(path: Path, wanted: str, interfaces: str | None) -> int:
     if not goals:
         raise TurtleactError(f"journal '{path}' has no goal {wanted}")
     from turtleact.commands.goal_printer import EXIT_STATUS, result_text
-    from turtleact.commands.interface import make_known
+    from turtleact.commands.message_text import make_known
     from turtleact.goals.client import Outcome
 
     (goal,) = goals

@@ -1,4 +1,4 @@
-"""Reads messages that the user writes, and prints messages.
+"""Finds the interfaces that verbs need, reads messages that the user writes, and prints messages.
 
 The user writes a message on the command line, in a file or to stdin. The ``echo`` verbs print
 messages as YAML or comma-separated values, in full or in part (`Style`). ``topic pub`` and
@@ -11,21 +11,42 @@ notation of ``repr``; recordings of ROS 2 Jazzy.
 
 from __future__ import annotations
 
+import os
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from turtleact.commands.output import note
 from turtleact.errors import UsageError
-from turtleact.interfaces import to_dict
+from turtleact.interfaces import (
+    Action,
+    Service,
+    load_interfaces,
+    load_workspace,
+    offer_interfaces,
+    to_dict,
+)
 from turtleact.interfaces.definition import ArrayForm
+from turtleact.interfaces.loading import find_interface
 from turtleact.interfaces.text import block, flow, listed
 from turtleact.interfaces.types import fields, nested_classes
+from turtleact.interfaces.workspace import find_interfaces
 
 if TYPE_CHECKING:
     from turtleact.interfaces import Message
     from turtleact.interfaces.definition import Field, FieldType
 
-__all__ = ["GoalText", "Style", "python_text", "read_text_file", "yaml_lines"]
+__all__ = [
+    "GoalText",
+    "Style",
+    "first_message",
+    "make_found",
+    "make_known",
+    "python_text",
+    "read_text_file",
+    "yaml_lines",
+]
 
 MOST = 2**22
 """At most this many bytes of a file or a pipe are read. No valid message is longer."""
@@ -38,6 +59,62 @@ IDL_NAMES = {
     "float64": "double",
 }
 """Types that have another name in IDL. ``--no-arr`` prints the names in IDL."""
+
+
+def make_known(folder: str | None, *, is_silent: bool = False) -> None:
+    """Register turtleact's own interfaces, and those that `make_found` registers.
+
+    Args:
+        folder: A folder with interface files, or None.
+        is_silent: Whether to leave out the note on stderr.
+
+    Raises:
+        InvalidInterface: if the folder does not exist.
+    """
+    for module in ("actions", "sim.world_services"):  # they declare interfaces
+        import_module(f"turtleact.{module}")
+    make_found(folder, is_silent=is_silent)
+
+
+def make_found(folder: str | None, *, is_silent: bool = False) -> None:
+    """Find and register interfaces in ``folder``, in the workspace and near the working directory.
+
+    If an interface has several definitions, the search order decides: first ``folder``, then the
+    sourced workspace, the folders near the working directory, and turtleact itself. When the first
+    interface near the working directory is used, a note on stderr says where that interface was
+    found.
+
+    Args:
+        folder: The folder to search, or None; see `turtleact.interfaces.load_interfaces`.
+        is_silent: Whether to leave out the note on stderr.
+
+    Raises:
+        InvalidInterface: if the folder does not exist.
+    """
+    told: list[str] = []
+
+    def tell(type_name: str, file: str) -> None:
+        if not told:
+            note(f"found {type_name} in {Path(file).absolute().parents[1]}")
+        told.append(type_name)
+
+    load_workspace(*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    if found := find_interfaces(Path()):
+        offer_interfaces(found, None if is_silent else tell)
+    if folder is not None:
+        load_interfaces(folder)
+
+
+def first_message(type_name: str) -> Message:
+    """Return an action's goal, a service's request or a message, with default values.
+
+    Raises:
+        UnknownInterface: if the name is unknown. The error suggests the nearest name.
+    """
+    interface = find_interface(type_name)
+    if issubclass(interface, Action):
+        return interface.Goal()
+    return interface.Request() if issubclass(interface, Service) else interface()
 
 
 class GoalText(NamedTuple):

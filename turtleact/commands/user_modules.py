@@ -20,7 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from turtleact.commands.run import nearby, place_of
+from turtleact.commands.programs import nearby, place_of
 from turtleact.errors import TurtleactError, UsageError, summary, syntax_hint
 from turtleact.goals.body import ActionDeclaration, BackgroundDeclaration
 from turtleact.interfaces.definition import did_you_mean, names_like
