@@ -15,6 +15,7 @@ from turtleact.rclpy.executors import MultiThreadedExecutor, SingleThreadedExecu
 from turtleact.rclpy.impl.connection import RequestHandler
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.task import Future
+from turtleact.transports.base import Reply
 
 Fibonacci = interface_class("example_interfaces/action/Fibonacci")
 State = interface_class("action_msgs/msg/GoalStatus")
@@ -410,14 +411,14 @@ def test_requests_and_answers_that_cannot_be_read_are_logged(node, executor, sen
     server = ActionServer(node, Fibonacci, "fibonacci", succeed)
     end = node.connection.local("/fibonacci/_action/send_goal", f"{Fibonacci.type_name}_SendGoal")
     assert end is not None
-    refused = []
-    end.take(b"\0\1\0\0", lambda answer, note: refused.append(answer))
+    refused: list[object] = []
+    end.take(b"\0\1\0\0", refused.append)
     assert isinstance(refused[0], InvalidMessage)
     assert "a request cannot be read" in capsys.readouterr().err
     server.destroy()
 
     def answer(request, respond):
-        respond(b"\0\1\0\0", "")
+        respond(Reply(b"\0\1\0\0"))
 
     handler = RequestHandler(answer)
     type_name = f"{Fibonacci.type_name}_SendGoal"

@@ -25,6 +25,7 @@ from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.messages.codec import hash_of
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.services import ServiceIntrospectionState
+from turtleact.transports.base import Reply
 
 AddTwoInts = interface_class("example_interfaces/srv/AddTwoInts")
 Fibonacci = interface_class("example_interfaces/action/Fibonacci")
@@ -223,7 +224,7 @@ def test_an_answer_that_comes_too_late_is_dropped(node, executor):
     client = node.create_client(AddTwoInts, "raw")
     future = client.call_async(AddTwoInts.Request())
     client.remove_pending_request(future)
-    answers[0](b"\0\1\0\0", "")
+    answers[0](Reply(b"\0\1\0\0"))
     executor.spin_once(timeout_sec=1)
     assert not future.done()
 
@@ -232,7 +233,7 @@ def test_a_request_that_cannot_be_read_is_refused_and_logged(node, executor, cap
     node.create_service(AddTwoInts, "add", add)
     handler = node.connection.local("/add", AddTwoInts.type_name)
     answers: list[Any] = []
-    handler.take(b"\0\1\0\0", lambda answer, note: answers.append(answer))
+    handler.take(b"\0\1\0\0", answers.append)
     executor.spin_once(timeout_sec=0)
     assert isinstance(answers[0], InvalidMessage)
     assert "a request to /add cannot be read" in capsys.readouterr().err

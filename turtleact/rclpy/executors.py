@@ -21,7 +21,7 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeAlias
 
@@ -434,14 +434,13 @@ class MultiThreadedExecutor(Executor):
             self.wake()
 
 
-def _in_order(nodes: Iterable[Anything]) -> Iterator[tuple[Anything, Entity]]:
+def _in_order(nodes: list[Anything]) -> Iterator[tuple[Anything, Entity]]:
     """Yield each entity of the nodes with its node, in the order of execution."""
-    nodes = list(nodes)
     for node in nodes:
-        for waitable in node.waitables:
+        for waitable in node.entities[0]:
             yield node, waitable
     for node in nodes:
-        for entities in node.entities:
+        for entities in node.entities[1:]:
             for entity in entities:
                 yield node, entity
 

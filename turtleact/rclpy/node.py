@@ -76,8 +76,8 @@ __all__ = ["HIDDEN_NODE_PREFIX", "Node"]
 
 HIDDEN_NODE_PREFIX = "_"
 PARAMETER_EVENTS = "/parameter_events"
-ORDER = (Timer, Subscription, GuardCondition, Client, Service)
-"""The kinds of entities except waitables, in the order in which executors serve them."""
+ORDER = (Waitable, Timer, Subscription, GuardCondition, Client, Service)
+"""The kinds of entities, in the order in which executors serve them."""
 
 
 class Node(NodeParameters, NodeGraph, Block):
@@ -129,11 +129,8 @@ class Node(NodeParameters, NodeGraph, Block):
         self._namespace = f"/{arguments.namespace(namespace or '', node_name).removeprefix('/')}"
         validate_namespace(self._namespace)
         self._arguments = arguments
-        self._held: dict[type, list[Anything]] = {
-            kind: [] for kind in (Publisher, *ORDER, Waitable)
-        }
-        self.entities = self._in_order()
         self._executor_ref: weakref.ReferenceType[Executor] | None = None
+        self._hold([])
         self.default_callback_group: CallbackGroup = MutuallyExclusiveCallbackGroup()
         self._rate_group = ReentrantCallbackGroup()
         self._clock = ROSClock()
@@ -203,37 +200,37 @@ class Node(NodeParameters, NodeGraph, Block):
     @property
     def publishers(self) -> Iterator[Publisher]:
         """The publishers of the node."""
-        yield from self._held[Publisher]
+        return self._of_kind(Publisher)
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
         """The subscriptions of the node."""
-        yield from self._held[Subscription]
+        return self._of_kind(Subscription)
 
     @property
     def clients(self) -> Iterator[Client]:
         """The node's clients of services."""
-        yield from self._held[Client]
+        return self._of_kind(Client)
 
     @property
     def services(self) -> Iterator[Service]:
         """The services that the node offers."""
-        yield from self._held[Service]
+        return self._of_kind(Service)
 
     @property
     def timers(self) -> Iterator[Timer]:
         """The timers of the node."""
-        yield from self._held[Timer]
+        return self._of_kind(Timer)
 
     @property
     def guards(self) -> Iterator[GuardCondition]:
         """The guard conditions of the node."""
-        yield from self._held[GuardCondition]
+        return self._of_kind(GuardCondition)
 
     @property
     def waitables(self) -> Iterator[Waitable]:
         """The waitables of the node."""
-        yield from self._held[Waitable]
+        return self._of_kind(Waitable)
 
     @property
     def executor(self) -> Executor | None:
@@ -259,39 +256,27 @@ class Node(NodeParameters, NodeGraph, Block):
         if executor is not None:
             executor.wake()
 
-    def _add(self, kind: type, entity: Anything) -> Anything:
-        """Serve an entity from now on, and the handlers of its events. Return the entity."""
-        self._hold(kind, [*self._held[kind], entity])
-        for each in getattr(entity, "event_handlers", ()):
-            self.add_waitable(each)
-        return entity
+    def _of_kind(self, kind: type) -> Iterator[Anything]:
+        return (each for each in self._held if isinstance(each, kind))
 
-    def _remove(self, kind: type, entity: Anything) -> bool:
-        """Stop serving an entity. Return False if the node does not have it."""
-        was_there = entity in self._held[kind]
-        self._hold(kind, [each for each in self._held[kind] if each is not entity])
-        return was_there
+    def _add(self, *entities: Anything) -> None:
+        """Serve entities from now on."""
+        self._hold([*self._held, *entities])
 
-    def _hold(self, kind: type, entities: list[Anything]) -> None:
-        self._held[kind] = entities
-        self.entities = self._in_order()
+    def _hold(self, entities: list[Anything]) -> None:
+        # The lists never change, so any thread may iterate over them.
+        self._held = entities
+        self.entities = [list(self._of_kind(kind)) for kind in ORDER]
         self.wake_executor()
 
-    def _destroy(self, kind: type, entity: Anything) -> bool:
+    def _destroy(self, entity: Anything) -> bool:
         """Destroy an entity and its event handlers. Return False if the node does not have it."""
-        if not self._remove(kind, entity):
+        if entity not in self._held:
             return False
-        for handler in getattr(entity, "event_handlers", ()):
-            self._remove(Waitable, handler)
+        gone = (entity, *getattr(entity, "event_handlers", ()))
+        self._hold([each for each in self._held if each not in gone])
         entity.destroy()
         return True
-
-    def _in_order(self) -> tuple[list[Anything], ...]:
-        """Return the node's entities except waitables, in the order in which executors serve them.
-
-        The lists never change, so any thread may iterate over them.
-        """
-        return tuple(self._held[kind] for kind in ORDER)
 
     @property
     def connection(self) -> Connection:
@@ -389,7 +374,7 @@ class Node(NodeParameters, NodeGraph, Block):
         group = callback_group or self.default_callback_group
         events: EventCallbacks = event_callbacks or PublisherEventCallbacks()
         publisher = publisher_class(self, end, (msg_type, topic, qos), group, events)
-        self._add(Publisher, publisher)
+        self._add(publisher, *publisher.event_handlers)
         return publisher
 
     def _topic_end(
@@ -445,7 +430,7 @@ class Node(NodeParameters, NodeGraph, Block):
         events: EventCallbacks = event_callbacks or SubscriptionEventCallbacks()
         description = msg_type, topic, qos
         subscription = Subscription(self, end, description, callback, group, events, raw=raw)
-        self._add(Subscription, subscription)
+        self._add(subscription, *subscription.event_handlers)
         return subscription
 
     def create_client(
@@ -472,7 +457,7 @@ class Node(NodeParameters, NodeGraph, Block):
         group = callback_group or self.default_callback_group
         description = srv_type, srv_name, qos_profile
         client = Client(self, self.join(full, srv_type), full, description, group)
-        self._add(Client, client)
+        self._add(client)
         return client
 
     def join(self, full_name: str, srv_type: Anything, target: Target = EVERY_SERVER) -> CallEnd:
@@ -508,7 +493,7 @@ class Node(NodeParameters, NodeGraph, Block):
         events = SwitchableEvents(self, full, srv_type, is_client=False)
         group = callback_group or self.default_callback_group
         service = Service(self, end, (srv_type, srv_name, qos_profile), callback, group, events)
-        self._add(Service, service)
+        self._add(service)
         return service
 
     def create_timer(
@@ -540,7 +525,7 @@ class Node(NodeParameters, NodeGraph, Block):
             autostart=autostart,
             wake=self.wake_executor,
         )
-        self._add(Timer, timer)
+        self._add(timer)
         return timer
 
     def create_guard_condition(
@@ -550,7 +535,7 @@ class Node(NodeParameters, NodeGraph, Block):
         self._handle.check()
         group = callback_group or self.default_callback_group
         guard = GuardCondition(callback, group, self.wake_executor)
-        self._add(GuardCondition, guard)
+        self._add(guard)
         return guard
 
     def create_rate(self, frequency: float, clock: Clock | None = None) -> Rate:
@@ -571,37 +556,37 @@ class Node(NodeParameters, NodeGraph, Block):
     def add_waitable(self, waitable: Waitable) -> None:
         """Add a waitable to the node, so that the node's executor runs it."""
         waitable.call_on_wake(self.wake_executor)
-        self._add(Waitable, waitable)
+        self._add(waitable)
 
     def remove_waitable(self, waitable: Waitable) -> None:
         """Remove a waitable from the node, so that the node's executor no longer runs it."""
-        self._remove(Waitable, waitable)
+        self._hold([each for each in self._held if each is not waitable])
 
     # closing
 
     def destroy_publisher(self, publisher: Publisher) -> bool:
         """Destroy a publisher of the node. Return False if the node does not have it."""
-        return self._destroy(Publisher, publisher)
+        return self._destroy(publisher)
 
     def destroy_subscription(self, subscription: Subscription) -> bool:
         """Destroy a subscription of the node. Return False if the node does not have it."""
-        return self._destroy(Subscription, subscription)
+        return self._destroy(subscription)
 
     def destroy_client(self, client: Client) -> bool:
         """Destroy a client of the node. Return False if the node does not have it."""
-        return self._destroy(Client, client)
+        return self._destroy(client)
 
     def destroy_service(self, service: Service) -> bool:
         """Destroy a service of the node. Return False if the node does not have it."""
-        return self._destroy(Service, service)
+        return self._destroy(service)
 
     def destroy_timer(self, timer: Timer) -> bool:
         """Destroy a timer of the node. Return False if the node does not have it."""
-        return self._destroy(Timer, timer)
+        return self._destroy(timer)
 
     def destroy_guard_condition(self, guard: GuardCondition) -> bool:
         """Destroy a guard condition of the node. Return False if the node does not have it."""
-        return self._destroy(GuardCondition, guard)
+        return self._destroy(guard)
 
     def destroy_rate(self, rate: Rate) -> bool:
         """Destroy a rate. Return False if the node does not have the rate's timer."""
@@ -613,11 +598,9 @@ class Node(NodeParameters, NodeGraph, Block):
         if self._handle.is_destroyed:
             return
         self.context.nodes.discard(self)
-        for kind in (Waitable, Publisher, *ORDER):
-            for entity in self._held[kind]:
-                entity.destroy()
-            self._held[kind] = []
-        self.entities = self._in_order()
+        for entity in (*self.waitables, *self._held):
+            entity.destroy()
+        self._hold([])
         executor = self.executor
         if executor is not None:
             executor.remove_node(self)

@@ -35,7 +35,7 @@ from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.task import Future
-from turtleact.transports.base import Endpoint
+from turtleact.transports.base import Endpoint, Reply
 
 __all__ = ["Client", "Introspected", "Service", "ServiceIntrospectionState", "SwitchableEvents"]
 
@@ -300,13 +300,13 @@ class Client(_ServiceEnd):
             future.set_executor(self._node.executor)
             future.set_result(decode(data, self.srv_type.Response))
 
-    def _answered(self, number: int, response: bytes | TurtleactError, note: str) -> None:  # noqa: ARG002  # no note
-        if isinstance(response, bytes):
-            self.put((number, response))
-        elif isinstance(response, ServerUnavailable):
-            logger.debug(f"a request to {self._full_name} was lost: {response}")
+    def _answered(self, number: int, reply: Reply | TurtleactError) -> None:
+        if isinstance(reply, Reply):
+            self.put((number, reply.message))
+        elif isinstance(reply, ServerUnavailable):
+            logger.debug(f"a request to {self._full_name} was lost: {reply}")
         else:
-            logger.error(f"{self._full_name} sends no response: {response}")
+            logger.error(f"{self._full_name} sends no response: {reply}")
 
 
 class Service(_ServiceEnd):
@@ -348,7 +348,7 @@ class Service(_ServiceEnd):
             return decode(data, self.srv_type.Request), respond
         except InvalidMessage as error:
             logger.error(f"a request to {self._full_name} cannot be read: {error}")
-            respond(error, "")  # the transport counts the request as under way until its answer
+            respond(error)  # the transport counts the request as under way until its answer
             return NOTHING
 
     async def run(self, taken: tuple[Anything, Respond]) -> None:
@@ -357,13 +357,13 @@ class Service(_ServiceEnd):
         response = await await_or_execute(self.callback, request, self.srv_type.Response())
         self.send_response(response, respond)
 
-    def send_response(self, response: Anything, header: Callable[[bytes, str], object]) -> None:
+    def send_response(self, response: Anything, header: Respond) -> None:
         """Send a response.
 
         Raises:
             TypeError: if the response is of another class, or a value does not fit its field.
         """
-        header(encode(response, self.srv_type.Response), "")
+        header(Reply(encode(response, self.srv_type.Response)))
 
     def _close(self) -> None:
         for each in self.service_events:

@@ -39,6 +39,7 @@ from turtleact.rclpy.qos import (
 )
 from turtleact.rclpy.services import Introspected
 from turtleact.rclpy.task import Future
+from turtleact.transports.base import Reply
 
 if TYPE_CHECKING:
     from turtleact.rclpy.impl.entity import CallbackGroup
@@ -274,12 +275,12 @@ class ActionClient(Introspected, Waitable):
         future = Future()
         response_class = self._kind.service(service).Response
 
-        def answered(response: bytes | TurtleactError, note: str) -> None:  # noqa: ARG001  # notes are for turtleact
-            if isinstance(response, bytes):
-                self._push(self._answered, future, response_class, response, handle)
+        def answered(reply: Reply | TurtleactError) -> None:
+            if isinstance(reply, Reply):
+                self._push(self._answered, future, response_class, reply.message, handle)
             else:
                 # As in ROS 2, a request that nobody answers is lost: its future is never done.
-                self._node.get_logger().debug(f"a request was lost: {response}")
+                self._node.get_logger().debug(f"a request was lost: {reply}")
 
         self._ends[service].send(data, answered)
         return future

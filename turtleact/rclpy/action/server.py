@@ -35,6 +35,7 @@ from turtleact.rclpy.qos import (
 )
 from turtleact.rclpy.services import Introspected
 from turtleact.rclpy.task import Future
+from turtleact.transports.base import Reply
 
 if TYPE_CHECKING:
     from turtleact.rclpy.impl.entity import CallbackGroup
@@ -340,7 +341,7 @@ class ActionServer(Introspected, Waitable):
             message = decode(request, self._kind.service(service).Request)
         except InvalidMessage as error:
             self._logger.error(f"a request cannot be read: {error}")
-            respond(error, "")  # the transport counts the request as under way until its answer
+            respond(error)  # the transport counts the request as under way until its answer
             return
         self._requests.append((service, message, respond))
         self.wake()
@@ -405,7 +406,7 @@ class ActionServer(Introspected, Waitable):
             handle = self._goal_handles[goal_id] = ServerGoalHandle(self, info, request.goal)
             self._expect_readers()
         response = self._kind.service("send_goal").Response(accepted=accepted, stamp=info.stamp)
-        respond(encode(response, type(response)), NOTE)
+        respond(Reply(encode(response, type(response)), NOTE))
         if handle is None:
             self._logger.debug(f"New goal rejected: {goal_id.hex()}")
             return
@@ -527,7 +528,7 @@ class ActionServer(Introspected, Waitable):
         response = self._kind.service("cancel_goal").Response(
             return_code=int(code), goals_canceling=canceling
         )
-        respond(encode(response, type(response)), NOTE)
+        respond(Reply(encode(response, type(response)), NOTE))
 
     async def _may_cancel(self, goal_handle: ServerGoalHandle) -> bool:
         """Ask the cancel callback. If it accepts and the goal has not ended, cancel the goal.
@@ -555,13 +556,13 @@ class ActionServer(Introspected, Waitable):
                 f"Sending result response for unknown goal ID: {request.goal_id.uuid}"
             )
             response = self._kind.service("get_result").Response()
-            respond(encode(response, type(response)), NOTE)
+            respond(Reply(encode(response, type(response)), NOTE))
             return
 
         def answer(ended: Future) -> None:
             response, published = ended.result()
             note = GoalMetadata(feedback=published).write()
-            respond(encode(response, type(response)), note)
+            respond(Reply(encode(response, type(response)), note))
 
         handle.ended.add_done_callback(answer)
 

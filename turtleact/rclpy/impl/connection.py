@@ -63,11 +63,8 @@ OpenTransport: TypeAlias = Callable[[int], AbstractAsyncContextManager[Transport
 Close: TypeAlias = Callable[[], object]
 """A function that closes an endpoint. Any thread may call the function."""
 
-Respond: TypeAlias = Callable[[bytes | TurtleactError, str], object]
-"""A function that answers a request. Its arguments are the response or an error, and a note.
-
-Any thread may call the function.
-"""
+Respond: TypeAlias = Callable[[Reply | TurtleactError], object]
+"""A function that answers a request. Any thread may call it. The reply's message is encoded."""
 
 CLOSING = 2.0
 """How long to wait for a graph to close (s)."""
@@ -253,15 +250,11 @@ class RequestHandler(ServiceHandler):
         self,
         request: object,
         caller: bytes,  # noqa: ARG002  # a request outlives its client
-        respond: Callable[[Reply | TurtleactError], object],
+        respond: Respond,
     ) -> bool:
         """Pass a request from another process to the function ``take``. Always return True."""
         self.has_remote_callers = True
-
-        def answer(response: bytes | TurtleactError, note: str) -> None:
-            respond(Reply(response, note) if isinstance(response, bytes) else response)
-
-        self.take(cast("bytes", request), answer)
+        self.take(cast("bytes", request), respond)
         return True
 
     async def reply(self, request: object, caller: bytes) -> Reply:
@@ -467,8 +460,7 @@ class CallEnd:
 
         Args:
             request: The encoded request.
-            respond: Called in any thread, with the response and the note that came with it, or with
-                the error if no response will come.
+            respond: Called in any thread, with the reply, or with the reason why there is none.
         """
         handler = self._local()
         if handler is not None:
@@ -477,18 +469,15 @@ class CallEnd:
 
         def ended(call: PendingCall) -> None:
             try:
-                answer(call.take())
+                respond(call.take())
             except TurtleactError as error:
-                respond(error, "")
+                respond(error)
 
         async def call() -> None:
             try:
-                answer(await self._caller.call(request))
+                respond(await self._caller.call(request))
             except TurtleactError as error:
-                respond(error, "")
-
-        def answer(reply: Reply) -> None:
-            respond(cast("bytes", reply.message), reply.note)
+                respond(error)
 
         with self._lock:
             is_sent = self._caller.ask(request, ended) is not None
@@ -517,11 +506,11 @@ class CallEnd:
         for each in observers:
             each.requested(request, self._gid, sequence)
 
-        def answer(response: bytes | TurtleactError, note: str) -> None:
-            if not isinstance(response, TurtleactError):
+        def answer(reply: Reply | TurtleactError) -> None:
+            if isinstance(reply, Reply):
                 for each in reversed(observers):
-                    each.responded(response, self._gid, sequence)
-            respond(response, note)
+                    each.responded(reply.message, self._gid, sequence)
+            respond(reply)
 
         return answer
 

@@ -8,12 +8,8 @@ from __future__ import annotations
 
 import atexit
 import threading
-from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import (
-    AbstractAsyncContextManager,
-    AsyncExitStack,
-    asynccontextmanager,
-)
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager, suppress
 from functools import partial
 from weakref import WeakSet
 
@@ -74,27 +70,20 @@ async def _open(
         if place.connect:
             yield await stack.enter_async_context(peer(place.connect))
         else:
-            router = partial(peer, mode="router", listen=LISTEN)
-            yield await _first(stack, [peer, router])
+            yield await _join_or_lead(stack, peer)
 
 
-async def _first(
-    stack: AsyncExitStack,
-    opening: Sequence[Callable[[], AbstractAsyncContextManager[Transport]]],
+async def _join_or_lead(
+    stack: AsyncExitStack, peer: Callable[..., AbstractAsyncContextManager[Transport]]
 ) -> Transport:
-    """Try to open several graphs in order, and return the first one that opens.
-
-    If none of them opens, try all of them again, up to `ATTEMPTS` times in total.
-    """
-    for attempt in range(ATTEMPTS):
-        for open_it in opening:
-            try:
-                return await stack.enter_async_context(open_it())
-            except TurtleactError:
-                if attempt == ATTEMPTS - 1 and open_it is opening[-1]:
-                    raise
+    """Connect to the router of this machine, or become the router if there is none."""
+    router = partial(peer, mode="router", listen=LISTEN)
+    for _ in range(ATTEMPTS - 1):
+        for opening in (peer, router):
+            with suppress(TurtleactError):
+                return await stack.enter_async_context(opening())
         await anyio.sleep(PAUSE)
-    raise AssertionError("the last attempt raises")
+    return await stack.enter_async_context(router())
 
 
 PATIENCE = 2.5
