@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import count, pairwise
 from math import cos, hypot, pi, sin
 
+import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,7 +27,7 @@ from turtleact.web.page_history import (
 
 
 def record(id: int) -> GoalRecord:
-    return GoalRecord(f"{id:032x}", "/count", "lab_interfaces/action/Count", accepted=1.0, at=2.0)
+    return GoalRecord(f"{id:032x}", "/count", "lab_interfaces/action/Count", 1.0, 2.0)
 
 
 def history() -> GoalHistory:
@@ -85,8 +86,8 @@ def test_a_record_tells_how_its_goal_ended():
     ended.take(RotateAbsolute.Feedback(1.5), 2.0)
     kept.change(ended)
     kept.end(ended, "SUCCEEDED", 3.5)
-    assert rejected.plain()["duration"] is None
-    plain = ended.plain()
+    assert rejected.duration is None
+    plain = msgspec.json.decode(msgspec.json.encode(ended.told()))
     assert (plain["status"], plain["has_ended"], plain["duration"]) == ("SUCCEEDED", True, 2.5)
     assert (plain["feedback"], plain["series"]) == ({"remaining": 1.5}, {"remaining": [[1.0, 1.5]]})
 

@@ -465,23 +465,12 @@ async def test_a_page_learns_where_the_turtles_of_a_paused_world_are():
         assert news["poses"]["turtle1"] == pytest.approx([5.544, 5.544, 0.0], abs=0.001)
 
 
-@pytest.mark.parametrize(
-    ("service", "args", "problem"),
-    [
-        ("watch", {"since": "now"}, "args.since: expected a whole number"),
-        ("watch", [1], "args: expected an object"),
-        ("form", {}, "args: expected an action and its type, as text"),
-        (
-            "form",
-            {"action": "/x", "type": "nobody/Knows"},
-            "unknown interface 'nobody/action/Knows'",
-        ),
-    ],
-)
-async def test_a_mistake_is_answered(service, args, problem):
+async def test_a_form_of_an_unknown_type_is_an_error():
     async with bridged() as (_, bridge), line(bridge) as client:
-        answer = await client.call(f"/turtleact/web/{service}", args=args)
-        assert (answer["result"], answer["values"]) == (False, problem)
+        args = {"action": "/x", "type": "nobody/Knows"}
+        answer = await client.call("/turtleact/web/form", args=args)
+        assert not answer["result"]
+        assert answer["values"] == "unknown interface 'nobody/action/Knows'"
 
 
 async def test_a_form_is_answered():

@@ -17,14 +17,14 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
 from itertools import takewhile
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import msgspec
 
 from turtleact.geometry import distance
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import Message
-from turtleact.web.page_values import Plain, excerpt, numbers_in
+from turtleact.web.page_values import excerpt, numbers_in
 
 __all__ = [
     "FIRST_PEN",
@@ -90,7 +90,7 @@ class Series:
             self._spacing = (time - points[0][0]) / (MOST_POINTS / 2)
 
 
-class GoalRecord:
+class GoalRecord(msgspec.Struct, eq=False):
     """The data of one goal that the page shows.
 
     Attributes:
@@ -101,6 +101,7 @@ class GoalRecord:
         at: When the goal was accepted or rejected, by the wall clock (s since the epoch).
         status: The name of the goal's status, or `REJECTED`.
         request: An excerpt of the goal message; None if this process does not know the message.
+        feedback: An excerpt of the newest feedback message; None before the first.
         result: An excerpt of the goal's result; None as long as no result is known.
         reason: Why the goal was aborted or rejected, or why its end is unknown; may be empty.
         duration: How long the goal took (s); None while it runs, or if the time of its end is
@@ -109,68 +110,39 @@ class GoalRecord:
         has_ended: Whether the goal has ended.
         is_paused: Whether the goal is paused.
         is_resumed: Whether an earlier process of the action server began the goal.
+        series: The numbers in the feedback over time, by their paths.
     """
 
-    def __init__(self, id: str, action: str, type: str, *, accepted: float, at: float) -> None:
-        self.id = id
-        self.action = action
-        self.type = type
-        self.accepted = accepted
-        self.at = at
-        self.status = GoalStatus.ACCEPTED.name
-        self.request: Plain = None
-        self.result: Plain = None
-        self.reason = ""
-        self.duration: float | None = None
-        self.revision = 0
-        self.has_ended = False
-        self.is_paused = False
-        self.is_resumed = False
-        self._series: dict[str, Series] = {}
-        self._feedback: Message | Plain = None  # shortened when it is told, or at the end
-        self._told = (-1, msgspec.Raw())
+    id: str
+    action: str
+    type: str
+    accepted: float
+    at: float
+    status: str = GoalStatus.ACCEPTED.name
+    request: Any = None
+    feedback: Any = None
+    result: Any = None
+    reason: str = ""
+    duration: float | None = None
+    revision: int = 0
+    has_ended: bool = False
+    is_paused: bool = False
+    is_resumed: bool = False
+    series: dict[str, Series] = msgspec.field(default_factory=dict)
 
     def take(self, feedback: Message, now: float) -> None:
         """Record a feedback message and the numbers in it."""
-        self._feedback = feedback
+        self.feedback = excerpt(feedback)
         for path, value in numbers_in(feedback):
-            self._series.setdefault(path, Series()).add(now - self.accepted, value)
-
-    def shorten(self) -> None:
-        """Replace the newest feedback message by an excerpt, because the message may be large."""
-        if isinstance(self._feedback, Message):
-            self._feedback = excerpt(self._feedback)
+            self.series.setdefault(path, Series()).add(now - self.accepted, value)
 
     def told(self) -> msgspec.Raw:
-        """Return the record as JSON. The JSON is made once for each revision, not for each page."""
-        if self._told[0] != self.revision:
-            self._told = self.revision, msgspec.Raw(msgspec.json.encode(self.plain()))
-        return self._told[1]
+        """Return the record as JSON."""
+        return msgspec.Raw(msgspec.json.encode(self, enc_hook=_points_of))
 
-    def plain(self) -> dict[str, object]:
-        """Return the record as values that JSON can express."""
-        self.shorten()
-        series: dict[str, Plain] = {
-            path: [[time, value] for time, value in each.points]
-            for path, each in self._series.items()
-        }
-        return {
-            "id": self.id,
-            "action": self.action,
-            "type": self.type,
-            "accepted": self.accepted,
-            "at": self.at,
-            "status": self.status,
-            "has_ended": self.has_ended,
-            "is_paused": self.is_paused,
-            "is_resumed": self.is_resumed,
-            "request": self.request,
-            "feedback": self._feedback,
-            "result": self.result,
-            "reason": self.reason,
-            "duration": self.duration,
-            "series": series,
-        }
+
+def _points_of(series: Series) -> list[tuple[float, float]]:
+    return series.points
 
 
 class Changes(msgspec.Struct, frozen=True):
@@ -235,7 +207,6 @@ class GoalHistory:
         record.status = status
         record.has_ended = True
         record.is_paused = False
-        record.shorten()
         if now is not None:
             record.duration = round(now - record.accepted, 3)
         self.change(record)

@@ -27,7 +27,7 @@ from typing import Any, Final, TypeAlias
 
 import anyio
 
-from turtleact.errors import InvalidMessage, TurtleactError, UnknownGoal, UnknownInterface
+from turtleact.errors import TurtleactError, UnknownGoal, UnknownInterface
 from turtleact.goals.client import (
     ActionClient,
     ClientGoalHandle,
@@ -53,7 +53,6 @@ from turtleact.web.page_history import REJECTED, GoalHistory, GoalRecord, Pen, P
 from turtleact.web.page_values import Plain, excerpt, form, hues
 
 __all__ = [
-    "MOST_ACTIONS",
     "MOST_FOLLOWED",
     "MOST_TURTLES",
     "PACE",
@@ -71,9 +70,6 @@ PATIENCE: Final = 1.0
 REACHED_WITHIN: Final = 5.0
 """How long to try to reach the server of a goal (s, by the graph's clock)."""
 
-MOST_ACTIONS: Final = 200
-"""The maximum number of actions that are watched."""
-
 MOST_FOLLOWED: Final = 256
 """The maximum number of goals that are followed at a time.
 
@@ -81,9 +77,6 @@ For goals beyond this number, only the status is known."""
 
 MOST_TURTLES: Final = 64
 """The maximum number of turtles whose poses are followed."""
-
-MOST_REQUESTS: Final = 64
-"""The maximum number of goal messages that are kept for goals without a status so far."""
 
 STATUSES_QOS: Final = QoS(depth=8, durability="transient_local")
 """The QoS of subscriptions to status topics.
@@ -93,7 +86,7 @@ each type publishes its own statuses on the same topic."""
 
 FORGOTTEN: Final = "its server has forgotten it"
 
-SERVICES: Final = "/turtleact/web/"
+WATCH: Final = "/turtleact/web/watch"
 POSE: Final = "/pose"
 POSE_TYPES: Final = frozenset({"turtlesim/msg/Pose", "turtlesim_msgs/msg/Pose"})
 
@@ -139,10 +132,10 @@ class Watch:
         self._handles: dict[str, Handle] = {}
         self._requests: dict[str, Plain] = {}
         self._services: dict[str, Callable[[Values], Awaitable[Values]]] = {
-            "watch": self._watch,
-            "form": self._form,
-            "clear_trails": self._clear_trails,
-            "set_paused": self._set_paused,
+            WATCH: self._watch,
+            "/turtleact/web/form": self._form,
+            "/turtleact/web/clear_trails": self._clear_trails,
+            "/turtleact/web/set_paused": self._set_paused,
         }
 
     @property
@@ -150,21 +143,15 @@ class Watch:
         """Whether watching has begun, because a page has asked for changes."""
         return self._looked_at > -math.inf
 
-    async def call(self, service: str, args: object) -> Values | None:
+    async def call(self, service: str, args: Any) -> Values | None:  # noqa: ANN401  # of the page
         """Return the response of a service under ``/turtleact/web/``; None for any other service.
 
         Raises:
-            InvalidMessage: if an argument has the wrong type.
             TurtleactError: if a type is not known, or if a goal to pause or to resume is not
                 followed.
         """
-        name = f"/{service.removeprefix('/')}"
-        answer = self._services.get(name.removeprefix(SERVICES)) if SERVICES in name else None
-        if answer is None:
-            return None
-        if args is not None and not isinstance(args, dict):
-            raise InvalidMessage("args", "expected an object")
-        return await answer(args or {})
+        answer = self._services.get(service)
+        return None if answer is None else await answer(args or {})
 
     # called by other parts of the bridge
 
@@ -176,17 +163,16 @@ class Watch:
         while any(map(self._is_late, self._handles)):
             await self._changed.wait()
 
-    def last_news(self, service: str, args: object) -> Values | None:
+    def last_news(self, service: str, args: Any) -> Values | None:  # noqa: ANN401  # of the page
         """Return the changes for a waiting call of ``watch`` that must be answered now.
 
-        Return None if the call is of another service, or if its arguments are not an object.
+        Return None if the call is of another service.
         """
-        if f"/{service.removeprefix('/')}" != f"{SERVICES}watch" or not isinstance(args, dict):
-            return None
-        since = args.get("since")
-        if not isinstance(since, int) or args.get("session") != self._session:
-            since = 0
-        return self._news(since)
+        return self._news(self._since(args or {})) if service == WATCH else None
+
+    def _since(self, args: Values) -> int:
+        """Return the revision that a page knows; 0 if that is from another session."""
+        return int(args.get("since", 0)) if args.get("session") == self._session else 0
 
     def note_request(self, goal_id: bytes, request: Message) -> None:
         """Record a web client's goal message, because remote servers do not publish it."""
@@ -198,8 +184,6 @@ class Watch:
             self.history.change(record)
             return
         self._requests[goal_id.hex()] = excerpt(request)
-        if len(self._requests) > MOST_REQUESTS:
-            del self._requests[next(iter(self._requests))]
 
     def note_rejection(self, action: tuple[str, str], request: Message, reason: str) -> None:
         """Record that a goal of a web client was rejected.
@@ -210,7 +194,7 @@ class Watch:
             reason: Why the goal was rejected.
         """
         if self.is_watching:
-            record = GoalRecord(new_goal_id().hex(), *action, accepted=self._now(), at=time.time())
+            record = GoalRecord(new_goal_id().hex(), *action, self._now(), time.time())
             record.request, record.reason = excerpt(request), reason
             self.history.end(record, REJECTED)
 
@@ -245,11 +229,9 @@ class Watch:
         If nothing has changed, wait for up to `PATIENCE` seconds. If the revision is 0 or comes
         from another session, return everything without waiting.
         """
-        since = args.get("since", 0)
-        if not isinstance(since, int):
-            raise InvalidMessage("args.since", "expected a whole number")
+        since = self._since(args)
         self._look()
-        if since == 0 or args.get("session") != self._session:
+        if since == 0:
             return self._news(0)
         # Having waited for a change, this waits `PACE` more, so that changes that come together are
         # told together. If nothing changes, the page gets empty news and asks again, which also
@@ -279,10 +261,7 @@ class Watch:
         return news if self._graph_revision <= since else {**news, "graph": self._graph}
 
     async def _form(self, args: Values) -> Values:
-        action, wanted = args.get("action"), args.get("type")
-        if not isinstance(action, str) or not isinstance(wanted, str):
-            raise InvalidMessage("args", "expected an action and its type, as text")
-        return form(class_of_action(self._node, resolve_name(action), wanted))
+        return form(class_of_action(self._node, resolve_name(args["action"]), args["type"]))
 
     async def _clear_trails(self, _args: Values) -> Values:
         self.trails.clear()
@@ -327,7 +306,7 @@ class Watch:
             action.leave()
             self._lose(action.known, "its server has gone")
         for key in served.items():
-            if key not in self._actions and len(self._actions) < MOST_ACTIONS:
+            if key not in self._actions:
                 self._actions[key] = _Action(
                     self._node, key, self._take_statuses, self._take_paused
                 )
@@ -451,9 +430,8 @@ class Watch:
         # The server's clock may be ahead, for example if the world here was paused.
         now = self._now()
         accepted = min(stamp, now)
-        record = GoalRecord(id, *action, accepted=accepted, at=time.time() - (now - accepted))
+        record = GoalRecord(id, *action, accepted, time.time() - (now - accepted), status.name)
         record.request = self._requests.pop(id, None)
-        record.status = status.name
         record.has_ended = status.is_terminal
         self.history.change(record)
         return record
