@@ -102,12 +102,6 @@ def test_a_timeout_of_zero_starts_no_world(turtleact, without_router):
     )
 
 
-def test_a_timeout_of_zero_in_an_embedded_world_is_refused(turtleact):
-    ran = turtleact("send-goal", "fibonacci", "--timeout", "0", "--embedded")
-    problem = "leaves the goal to a server, and an embedded world ends with the command"
-    assert (ran.status, ran.problem) == (2, f"--timeout 0 {problem}")
-
-
 @pytest.mark.parametrize("connect", ["", "--connect tcp/127.0.0.1:1"])
 def test_reattach_waits_for_a_server_instead_of_starting_a_world(
     turtleact, without_router, monkeypatch, connect

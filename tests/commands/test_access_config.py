@@ -13,7 +13,6 @@ from turtleact.commands.access_config import (
     AccessConfig,
     Login,
     Tls,
-    is_loopback,
     mode_of,
     read_access_config,
 )
@@ -104,20 +103,6 @@ def test_who_is_kept_out(access, keeps_out):
 
 
 @pytest.mark.parametrize(
-    ("endpoint", "answer"),
-    [
-        ("tcp/127.0.0.1:7447", True),
-        ("tcp/[::1]:7447", True),
-        ("unixsock-stream//tmp/graph", True),
-        ("tcp/0.0.0.0:7447", False),
-        ("tcp/localhost.example.org:7447", False),
-    ],
-)
-def test_what_is_on_loopback(endpoint, answer):
-    assert is_loopback(endpoint) is answer
-
-
-@pytest.mark.parametrize(
     ("connect", "access", "mode"),
     [
         (("tcp/localhost:7447",), AccessConfig(), "peer"),
@@ -167,8 +152,3 @@ async def test_only_what_is_named_can_be_used(address):
         other = guest.action_client(Count, "closed")
         with pytest.raises(TurtleactError):
             await other.send_goal(goal())
-
-
-def test_an_endless_file_is_an_error():
-    with pytest.raises(UsageError, match="--config /dev/zero: is longer than"):
-        read_access_config("/dev/zero")

@@ -261,15 +261,6 @@ def test_interfaces_and_packages_are_completed(completed, words, expected):
     assert completed(*words) == expected
 
 
-def test_interfaces_of_a_folder_are_known(completed, tmp_path):
-    file = tmp_path / "completed_interfaces" / "action" / "Do.action"
-    file.parent.mkdir(parents=True)
-    file.write_text("string what\n---\n---\n")
-    words = ["send-goal", "x", "--interfaces", str(tmp_path), "completed_interfaces/action/Do"]
-    assert completed(*words) == ["completed_interfaces/action/Do"]
-    assert completed(*words, "") == ["\"{what: ''}\""]
-
-
 def test_modules_that_mention_turtleact_are_targets(completed, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("robot").mkdir()

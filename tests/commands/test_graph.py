@@ -9,15 +9,11 @@ import subprocess
 import sys
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
 
 import anyio
 import pytest
 
-from turtleact import open_node
 from turtleact.commands import graph
-from turtleact.interfaces.standard import ExampleFibonacci, Fibonacci
-from turtleact.transports import MemoryTransport
 from turtleact.transports.rmw_zenoh import config
 
 GRAPHS = Path(__file__).with_name("graphs.py")
@@ -129,18 +125,3 @@ def test_a_verb_imports_neither_numpy_nor_rich():
     )
     out = subprocess.check_output([sys.executable, "-c", code], text=True)
     assert out.splitlines()[-1] == "[]"
-
-
-async def nothing(_goal: object) -> None:
-    """A body that no goal reaches."""
-
-
-async def test_a_server_of_another_type_does_not_serve_a_goals_action():
-    async with open_node("lab", transport=MemoryTransport()) as node:
-        types: list[Any] = [ExampleFibonacci, Fibonacci]
-        servers = [node.action_server(each, "count", nothing) for each in types]
-        names = [each.type_name for each in types]
-        assert [graph.is_served(node, "/count", name) for name in names] == [True, True]
-        await servers[0].aclose()
-        assert [graph.is_served(node, "/count", name) for name in names] == [False, True]
-        assert not graph.is_served(node, "/other", names[1])

@@ -83,37 +83,43 @@ def test_an_unknown_package_is_an_error_that_names_the_nearest(turtleact):
     assert ran.err == "turtleact: unknown package 'turtlesin', did you mean 'turtlesim'?\n"
 
 
-def test_packages_are_listed_by_what_they_have(turtleact):
-    listed = turtleact("interface", "packages", "-s").out.splitlines()
-    assert "std_srvs" in listed
-    assert "geometry_msgs" not in listed
-
-
 # --- show -----------------------------------------------------------------------------------
-
-COMMENTED = """# What is asked for.
-
-turtlesim/Color[] colors  # as many as you like
-uint8 MOST=3  # a constant
----
-"""
 
 
 @pytest.fixture
 def paint(install):
     """A service with comments, whose message has some too."""
     install("turtlesim/msg/Color", "# Red, green, blue.\nuint8 r # red\nuint8 g\nuint8 b\n")
-    install("paint_interfaces/srv/Paint", COMMENTED)
+    install("paint_interfaces/srv/Paint", WITH_COMMENTS.format(nested=""))
     return "paint_interfaces/srv/Paint"
 
 
-def test_the_comments_of_the_interface_itself_are_shown(turtleact, paint):
-    assert turtleact("interface", "show", paint).out == (
-        "# What is asked for.\n\n"
-        "turtlesim/Color[] colors  # as many as you like\n"
-        "\tuint8 r\n\tuint8 g\n\tuint8 b\n"
-        "uint8 MOST=3  # a constant\n---\n"
-    )
+WITH_COMMENTS = """# What is asked for.
+
+turtlesim/Color[] colors  # as many as you like
+{nested}uint8 MOST=3  # a constant
+---
+"""
+
+
+@pytest.mark.parametrize(
+    ("options", "shown"),
+    [
+        ([], WITH_COMMENTS.format(nested="\tuint8 r\n\tuint8 g\n\tuint8 b\n")),
+        (
+            ["--all-comments"],
+            WITH_COMMENTS.format(
+                nested="\t# Red, green, blue.\n\tuint8 r # red\n\tuint8 g\n\tuint8 b\n"
+            ),
+        ),
+        (
+            ["--no-comments"],
+            "turtlesim/Color[] colors\n\tuint8 r\n\tuint8 g\n\tuint8 b\nuint8 MOST=3\n---\n",
+        ),
+    ],
+)
+def test_comments_are_shown_as_asked_for(turtleact, paint, options, shown):
+    assert turtleact("interface", "show", paint, *options).out == shown
 
 
 @pytest.mark.parametrize("name", ["/fibonacci", "fibonacci"])
@@ -134,18 +140,6 @@ def test_control_characters_of_comments_do_not_reach_the_terminal(turtleact, ins
     install("paint_interfaces/msg/Pot", "# red\x1b[31m\x07\u3000\u200d\nuint8 r\t# a\tb\x00\n")
     out = turtleact("interface", "show", "paint_interfaces/msg/Pot").out
     assert out == "# red[31m\u3000\u200d\nuint8 r\t# a\tb\n"
-
-
-def test_all_comments_may_be_shown(turtleact, paint):
-    assert "\t# Red, green, blue.\n\tuint8 r # red\n" in (
-        turtleact("interface", "show", paint, "--all-comments").out
-    )
-
-
-def test_comments_and_empty_lines_may_be_left_out(turtleact, paint):
-    assert turtleact("interface", "show", "--no-comments", paint).out == (
-        "turtlesim/Color[] colors\n\tuint8 r\n\tuint8 g\n\tuint8 b\nuint8 MOST=3\n---\n"
-    )
 
 
 def test_a_sourced_file_with_another_definition_is_the_one_that_is_shown(turtleact, install):

@@ -112,16 +112,6 @@ def test_the_nearest_action_is_suggested_for_one_that_nobody_serves(on_graph, gr
     assert (ran.status, ran.err) == (0, hint)
 
 
-@pytest.mark.parametrize(
-    "line", ["topic info turtle1/pose", "service info spawn", "node info turtlesim"]
-)
-def test_the_first_slash_of_a_name_may_be_left_out(on_graph, graphs, line):
-    group, verb, name = line.split()
-    looked = on_graph(graphs.turtlesim, group, verb, name)
-    assert looked == on_graph(graphs.turtlesim, group, verb, f"/{name}")
-    assert looked.status == 0
-
-
 # --- a graph of our own ---------------------------------------------------------------------
 
 
@@ -150,7 +140,6 @@ async def talkers(transport):
     ("arguments", "out"),
     [
         ("topic list", "/chatter\n"),
-        ("topic list -c", "1\n"),
         ("topic list -t", "/chatter [std_msgs/msg/Int32, std_msgs/msg/String]\n"),
         ("topic list --include-hidden-topics", "/chatter\n/demo/secret/_topic\n"),
         (
@@ -167,7 +156,7 @@ async def talkers(transport):
         ),
         ("topic find -c std_msgs/msg/Bool", "0\n"),
         (
-            "topic info /chatter",
+            "topic info chatter",
             "Type: ['std_msgs/msg/Int32', 'std_msgs/msg/String']\n"
             "Publisher count: 2\nSubscription count: 1\n",
         ),
@@ -175,13 +164,12 @@ async def talkers(transport):
         ("service list --include-hidden-services", "/_private\n/trigger\n"),
         ("service find -c std_srvs/srv/Trigger --include-hidden-services", "2\n"),
         (
-            "service info /trigger",
+            "service info trigger",
             "Type: std_srvs/srv/Trigger\nClients count: 1\nServices count: 1\n",
         ),
         ("node list", "/demo/talker\n/listener\n"),
-        ("node list -c", "2\n"),
         (
-            "node info /listener",
+            "node info listener",
             "/listener\n  Subscribers:\n    /chatter: std_msgs/msg/String\n"
             "  Publishers:\n\n  Service Servers:\n    /trigger: std_srvs/srv/Trigger\n"
             "  Service Clients:\n\n  Action Servers:\n\n  Action Clients:\n\n",

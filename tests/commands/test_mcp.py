@@ -36,12 +36,6 @@ def test_options_that_make_no_sense_are_errors_of_usage(turtleact, arguments, pr
     assert problem in ran.problem
 
 
-def test_a_name_that_breaks_the_rules_is_shown(on_graph, graphs):
-    ran = on_graph(graphs.fibonacci, "mcp", "--actions", "/a b")
-    assert ran.status == 2
-    assert "invalid name" in ran.err
-
-
 def test_a_missing_extra_is_named_with_the_command_that_installs_it(on_graph, graphs, monkeypatch):
     for name in [name for name in sys.modules if name.startswith("turtleact.mcp")]:
         monkeypatch.delitem(sys.modules, name)

@@ -90,6 +90,10 @@ USAGE = [
         ["send-goal", "x", "--embedded", "--connect", "tcp/[::1]:1"],
         "one of --embedded and --connect",
     ),
+    (
+        ["send-goal", "x", "-t", "0", "--embedded"],
+        "--timeout 0 leaves the goal to a server, and an",
+    ),
     (["run"], "what to run is missing: 'turtleact pkg executables' lists what can be run"),
     (
         ["run", "turtlesim"],
