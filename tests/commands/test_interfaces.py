@@ -215,7 +215,7 @@ ADVICE = (
     [
         ("labs/action/Gone", f"unknown interface 'labs/action/Gone': {ADVICE} its package"),
         ("std_msgs/msg/Strin", f"did you mean 'std_msgs/msg/String'? If not, {ADVICE} its"),
-        ("lab/msg/Out", "lab/msg/Out.msg:1:1: unknown interface 'labs/msg/Gone'"),
+        ("lab/msg/Out", "lab/msg/Out: x: unknown interface 'labs/msg/Gone'"),
         ("lab/msg/Out", f"\nto make it known, {ADVICE} its package\n"),
     ],
 )

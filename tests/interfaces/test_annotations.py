@@ -7,8 +7,11 @@ from typing import Annotated, ForwardRef
 import pytest
 
 from turtleact.errors import InvalidInterface
-from turtleact.interfaces.annotations import (
+from turtleact.interfaces.definition import PRIMITIVES, ArrayForm, FieldType
+from turtleact.interfaces.standard import Point
+from turtleact.interfaces.types import (
     SCALARS,
+    Message,
     annotation_of,
     array,
     bool_,
@@ -19,9 +22,6 @@ from turtleact.interfaces.annotations import (
     scope_of,
     string,
 )
-from turtleact.interfaces.definition import PRIMITIVES, ArrayForm, FieldType
-from turtleact.interfaces.standard import Point
-from turtleact.interfaces.types import Message
 
 from ..tables import together
 

@@ -272,13 +272,14 @@ def test_a_malformed_nearby_file_is_an_error_each_time_it_is_asked_for(tmp_path,
             get_interface(name)
 
 
-def test_an_unknown_message_in_a_file_is_shown_at_its_line(tmp_path):
+def test_an_unknown_message_in_a_file_is_named_with_its_field(tmp_path):
     text = "# of others\nstring foo\n  other_msgs/Foo[] foos # Foo\n---\n---"
     path = write(tmp_path, "example_msgs/action/Go", text)
     offer_interfaces({"example_msgs/action/Go": path})
     with pytest.raises(InvalidInterface) as raised:
         get_interface("example_msgs/action/Go")
-    assert str(raised.value).startswith(f"{path}:3:3: unknown interface 'other_msgs/msg/Foo'")
+    said = "example_msgs/action/Go_Goal: foos: unknown interface 'other_msgs/msg/Foo'"
+    assert str(raised.value).startswith(said)
     assert isinstance(raised.value.__cause__, UnknownInterface)
 
 

@@ -28,10 +28,10 @@ from turtleact.interfaces import (
     to_dict,
 )
 from turtleact.interfaces.definition import ArrayForm
+from turtleact.interfaces.finders import find_interfaces
 from turtleact.interfaces.loading import find_interface
 from turtleact.interfaces.text import block, flow, listed
 from turtleact.interfaces.types import fields, nested_classes
-from turtleact.interfaces.workspace import find_interfaces
 
 if TYPE_CHECKING:
     from turtleact.interfaces import Message

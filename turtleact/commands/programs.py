@@ -82,7 +82,7 @@ def runnable_here() -> Programs:
     because it is the user's own. A built-in program wins over an installed one: ``turtlesim
     turtlesim_node`` runs turtleact's turtlesim, even if the real one is installed.
     """
-    from turtleact.interfaces.workspace import folders_near, package_name
+    from turtleact.interfaces.finders import folders_near, package_name
 
     found: Programs = {}
     for folder in folders_near(Path()):

@@ -203,7 +203,7 @@ def create(
     ] = "TODO: License declaration",
 ) -> None:
     """Create a package with an action, a server and a test. The package needs no build."""
-    from turtleact.interfaces.workspace import proper_name
+    from turtleact.interfaces.finders import proper_name
 
     _check_package(name)
     _check_module("--node-name", node_name)

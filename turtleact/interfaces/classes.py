@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, ClassVar, cast
 import msgspec
 
 from turtleact.errors import InvalidInterface, UnknownInterface
-from turtleact.interfaces.annotations import annotation_of
 from turtleact.interfaces.definition import (
     ArrayForm,
     FieldType,
@@ -29,7 +28,16 @@ from turtleact.interfaces.definition import (
 from turtleact.interfaces.standard.builtin_interfaces.msg import Time
 from turtleact.interfaces.standard.service_msgs.msg import ServiceEventInfo
 from turtleact.interfaces.standard.unique_identifier_msgs.msg import UUID
-from turtleact.interfaces.types import PARTS, Action, Message, MessageMeta, Service, bool_, int8
+from turtleact.interfaces.types import (
+    PARTS,
+    Action,
+    Message,
+    MessageMeta,
+    Service,
+    annotation_of,
+    bool_,
+    int8,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -2,19 +2,24 @@
 
 `Finders` is the list of places. Each finder gives the class of an interface, or the file from which
 the class can be made. A class that already exists goes before all of them.
+
+`find_interfaces` looks for packages near a folder, without an index: in the folder itself, in the
+folders directly in it, and in those one or two levels below ``src``. Inside a folder called
+``src``, all its packages are found.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
 from turtleact.interfaces.definition import type_name_pattern
-from turtleact.interfaces.workspace import KINDS
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -22,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BUILT_IN",
+    "KINDS",
     "Files",
     "Finder",
     "Finders",
@@ -29,8 +35,18 @@ __all__ = [
     "built_in_class",
     "built_in_file",
     "files_in",
+    "find_interfaces",
+    "folders_near",
+    "interface_files",
     "name_of",
+    "package_name",
+    "proper_name",
 ]
+
+KINDS = ("msg", "srv", "action")
+
+MOST_FOLDERS = 1000
+"""How many folders are looked at near a folder, so that a search in a home folder is quick."""
 
 
 class Finder(Protocol):
@@ -175,3 +191,59 @@ def name_of(path: Path) -> str:
     package, kind, _ = ("", "", "", *path.absolute().parts)[-3:]
     name = f"{package}/{kind}/{path.stem}"
     return name if type_name_pattern.fullmatch(name) and path.suffix == f".{kind}" else ""
+
+
+def find_interfaces(root: Path) -> dict[str, Path]:
+    """Return the paths of the interface files near a folder, by type name.
+
+    If several folders hold an interface with the same type name, the nearest folder is used.
+    """
+    found: dict[str, Path] = {}
+    for folder in folders_near(root):
+        found = interface_files(folder) | found
+    return found
+
+
+def interface_files(folder: Path) -> dict[str, Path]:
+    """Return the paths of the interface files of the package in a folder, by type name."""
+    files = [file for kind in KINDS for file in sorted((folder / kind).glob(f"*.{kind}"))]
+    package = package_name(folder) if files else ""
+    named = {f"{package}/{file.parent.name}/{file.stem}": file for file in files}
+    return {name: file for name, file in named.items() if type_name_pattern.fullmatch(name)}
+
+
+def folders_near(root: Path) -> Iterator[Path]:
+    """Yield the folders that may hold a package, nearest first."""
+    whole = root.absolute()
+    source = next((each for each in (whole, *whole.parents) if each.name == "src"), whole / "src")
+    places = ((root, "[!.]*"), (source, "[!.]*"), (source, "[!.]*/[!.]*"))
+    found = (path for place, pattern in places for path in sorted(place.glob(pattern)))
+    yield root
+    yield from islice((path for path in found if path.is_dir()), MOST_FOLDERS)
+
+
+def package_name(folder: Path) -> str:
+    """Return the package name in a folder's ``package.xml``, or else the folder's name.
+
+    The result is empty if that name is not valid for a ROS package.
+    """
+    try:
+        said = _NAME.search((folder / "package.xml").read_text("utf-8", "replace"))
+    except OSError:
+        said = None
+    name = said[1] if said else folder.absolute().name
+    return name if _PACKAGE.fullmatch(name) else ""
+
+
+_NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
+_PACKAGE = re.compile(r"[a-z](?:_?[a-z0-9])*")
+
+
+def proper_name(name: str) -> str:
+    """Turn a name into the spelling that ROS 2 demands for interfaces.
+
+    >>> proper_name("count_down"), proper_name("GoTo")
+    ('CountDown', 'GoTo')
+    """
+    parts = re.split(r"[^A-Za-z0-9]+", name)
+    return "".join(f"{part[:1].upper()}{part[1:]}" for part in parts)

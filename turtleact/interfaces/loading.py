@@ -10,7 +10,6 @@ or made from its text, when it is first used. In ``turtleact.interfaces``, only 
 
 from __future__ import annotations
 
-import re
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -34,16 +33,18 @@ from turtleact.interfaces.definition import (
     type_name_pattern,
 )
 from turtleact.interfaces.finders import (
+    KINDS,
     Files,
     Workspace,
     built_in_class,
     built_in_file,
     files_in,
+    interface_files,
     name_of,
+    proper_name,
 )
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.types import REGISTRY, Action, Message, Service, definition
-from turtleact.interfaces.workspace import KINDS, interface_files, proper_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -281,7 +282,7 @@ def load_workspace(*prefixes: str | Path) -> None:
 def offer_interfaces(
     files: Mapping[str, Path], on_use: Callable[[str, str], object] | None = None
 ) -> None:
-    """Register the interface files that `turtleact.interfaces.workspace` has found.
+    """Register the interface files that `turtleact.interfaces.finders` has found.
 
     A file is read when its interface is first used, so a malformed file raises no error before
     then. If a file and a built-in interface have different definitions, the file is used.
@@ -465,34 +466,14 @@ def made_from(
     making: tuple[str, ...],
     on_use: Callable[[str, str], object] | None,
 ) -> Interface:
-    """Make the class of an interface from its file, or return the built-in class that equals it.
-
-    Raises:
-        InvalidInterface: if the file is malformed or uses an unknown message. The error names the
-            line.
-    """
-    text = read(file)
-    said = parse(text, type_name, source=str(file))
+    """Make the class of an interface from its file, or return the built-in class that equals it."""
+    said = parse(read(file), type_name, source=str(file))
     built_in = same_built_in(said)
     if built_in is not None:
         return built_in
     if on_use is not None:
         on_use(type_name, str(file))
-    try:
-        return build(said, making)
-    except InvalidInterface as error:
-        unknown = error.__cause__
-        if error.line or not isinstance(unknown, UnknownInterface):
-            raise
-        package, _, name = unknown.type_name.split("/")
-        used = re.compile(rf"\s*({package}/(msg/)?)?{name}\b")
-        [number, line] = next(
-            each for each in enumerate(text.splitlines(), 1) if used.match(each[1])
-        )
-        column = len(line) - len(line.lstrip()) + 1
-        raise InvalidInterface(
-            str(unknown), source=str(file), line=number, column=column, text=line
-        ) from unknown
+    return build(said, making)
 
 
 def first_found(type_name: str, kinds: tuple[str, ...]) -> Interface:
@@ -542,19 +523,10 @@ def needed(found: Interface | None, type_name: str) -> Interface:
 def suggestion(type_name: str) -> str:
     """Return the name of the known interface that was most likely meant, or an empty string.
 
-    An interface with a similar name in the same package goes first, then one with the same name in
-    another package, then the one with the most similar full name. Its name must be similar even
-    without the package, because names of packages are often similar.
+    Its name must be similar even without the package, because packages often have similar names.
     """
-    known = known_interfaces()
-    package, _, name = type_name.rpartition("/")
-    package = package.partition("/")[0]
-    own = {_last(each): each for each in known if each.startswith(f"{package}/")}
-    if near := nearest(name, own):
-        return own[near]
-    same = [each for each in known if _last(each) == name]
-    found = nearest(type_name, same or known)
-    return found if nearest(name, [_last(found)]) else ""
+    name = _last(type_name)
+    return nearest(type_name, [each for each in known_interfaces() if nearest(name, [_last(each)])])
 
 
 def _last(type_name: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from turtleact.interfaces.workspace import folders_near, package_name
+from turtleact.interfaces.finders import folders_near, package_name
 
 __all__ = [
     "PackageNotFoundError",

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from turtleact.errors import TurtleactError
 from turtleact.interfaces import load_workspace, offer_interfaces
-from turtleact.interfaces.workspace import find_interfaces
+from turtleact.interfaces.finders import find_interfaces
 from turtleact.rclpy.face import FACES, JoinOptions
 from turtleact.rclpy.program import Options, end_threads, leave, prepare
 

@@ -18,7 +18,7 @@ from typing import NoReturn
 import msgspec
 
 from turtleact.interfaces import load_interfaces, offer_interfaces
-from turtleact.interfaces.workspace import find_interfaces
+from turtleact.interfaces.finders import find_interfaces
 from turtleact.rclpy.face import SETTINGS, JoinOptions, chosen_face
 from turtleact.rclpy.finder import install
 
