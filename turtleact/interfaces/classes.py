@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, ClassVar, cast
 import msgspec
 
 from turtleact.errors import InvalidInterface, UnknownInterface
+from turtleact.interfaces.class_body import annotation_of
 from turtleact.interfaces.definition import (
     ArrayForm,
     FieldType,
@@ -34,7 +35,6 @@ from turtleact.interfaces.types import (
     Message,
     MessageMeta,
     Service,
-    annotation_of,
     bool_,
     int8,
 )

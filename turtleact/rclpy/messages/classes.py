@@ -16,9 +16,10 @@ from operator import attrgetter
 from typing import TypeAlias, cast
 
 from turtleact.interfaces import Action, Message, Service
+from turtleact.interfaces.class_body import Shape
 from turtleact.interfaces.definition import Constant, Field, MessageDefinition
 from turtleact.interfaces.loading import find_interface
-from turtleact.interfaces.types import Shape, definition
+from turtleact.interfaces.types import definition
 from turtleact.rclpy.exceptions import NoTypeSupportImportedException
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.fields import (
@@ -182,7 +183,7 @@ def maker(message_class: Anything) -> Callable[..., object]:
     exec("\n".join(lines), names)  # noqa: S102  # identifiers only
     make = cast("Anything", names["make"])
     nested = tuple(None if each is None else maker(each) for each in shape.nested)
-    make._shape = Shape(shape.type_name, shape.fields, shape.constants, nested)  # type: ignore[arg-type]  # as said above
+    make._shape = Shape(shape.type_name, shape.fields, shape.constants, nested)
     return cast("Callable[..., object]", make)
 
 

@@ -7,21 +7,11 @@ from typing import Annotated, ForwardRef
 import pytest
 
 from turtleact.errors import InvalidInterface
+from turtleact.interfaces import types
+from turtleact.interfaces.class_body import annotation_of, read, scope_of
 from turtleact.interfaces.definition import PRIMITIVES, ArrayForm, FieldType
 from turtleact.interfaces.standard import Point
-from turtleact.interfaces.types import (
-    SCALARS,
-    Message,
-    annotation_of,
-    array,
-    bool_,
-    bounded,
-    float64,
-    int32,
-    read,
-    scope_of,
-    string,
-)
+from turtleact.interfaces.types import Message, array, bool_, bounded, float64, int32, string
 
 from ..tables import together
 
@@ -61,7 +51,9 @@ def test_an_annotation_says_a_type(annotation, text):
 @together
 @pytest.mark.parametrize("name", PRIMITIVES)
 def test_each_primitive_has_an_annotation(name):
-    assert read(SCALARS[name], HERE).field_type == FieldType(name)
+    assert read(getattr(types, name if name != "bool" else "bool_"), HERE).field_type == FieldType(
+        name
+    )
 
 
 class Nameless(Message):
