@@ -13,8 +13,7 @@ from typing import Any
 
 from turtleact import open_world
 from turtleact.actions.patrol import Patrol
-from turtleact.commands.live import Dashboard
-from turtleact.commands.panels import lines
+from turtleact.commands.live import Dashboard, lines
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces.standard import Point, RotateAbsolute
 

@@ -113,7 +113,7 @@ def test_verbs_are_completed_and_told_of(offered):
         (["topic", "h"], ["hz"]),
         (["action", "send"], ["send_goal"]),
         (["topic", "echo", "--qos-d"], ["--qos-durability", "--qos-depth"]),
-        (["serve", "--no"], ["--no-sim", "--node-name", "--no-learn"]),
+        (["serve", "--no"], ["--node-name", "--no-sim", "--no-learn"]),
         (["serve", "--placing", ""], ["random", "grid", "ring"]),
         (["topic", "echo", "/x", "--qos-durability", "v"], ["volatile"]),
         (["topic", "echo", "/x", "--qos-profile", "se"], ["sensor_data", "services_default"]),

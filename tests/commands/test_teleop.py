@@ -11,7 +11,6 @@ import anyio
 import pytest
 
 from turtleact import Abort, open_node
-from turtleact.commands import teleop
 from turtleact.interfaces.standard import RotateAbsolute, Twist
 
 from .ttys import HIDE, SHOW, Terminal, open_terminal
@@ -148,59 +147,6 @@ def test_where_there_is_no_turtle_a_world_is_started(on_graph, graphs, keyboard)
 def test_that_world_has_no_turtle_of_another_name(on_graph, graphs, keyboard):
     ran = on_graph(graphs.fibonacci, "teleop", "--plain", "--turtle", "bob")
     assert ran == (1, "", "turtleact: no turtle 'bob' is in reach, and no other turtle\n")
-
-
-def leaving(robot, seconds):
-    """A robot that goes away after some seconds."""
-
-    @asynccontextmanager
-    async def nodes(transport):
-        async with robot(transport), anyio.create_task_group() as beside:
-
-            async def leave():
-                await transport.clock.sleep(seconds)
-                await robot.node.aclose()
-
-            beside.start_soon(leave)
-            yield
-
-    return nodes
-
-
-def test_the_end_of_the_turtle_is_told(on_graph, keyboard, monkeypatch):
-    monkeypatch.setattr(teleop, "GONE", 0.05)
-    ran = on_graph(leaving(Robot(), 1.0), "teleop", "--plain")
-    assert ran.status == 1
-    assert ran.err == (
-        "turtleact: turtle 'turtle1' has gone: nobody reads /turtle1/cmd_vel any more\n"
-    )
-
-
-@pytest.mark.parametrize("name", ["other", "teleop_turtle"])
-def test_another_node_that_drives_the_turtle_is_told_each_time_it_begins(on_graph, keyboard, name):
-    robot = Robot()
-
-    @asynccontextmanager
-    async def driving_twice(transport):
-        async with robot(transport), anyio.create_task_group() as beside:
-
-            async def drive():
-                for _ in range(2):
-                    async with open_node(name, transport=transport) as node:
-                        node.publisher(Twist, "/turtle1/cmd_vel")
-                        await transport.clock.sleep(1.0)
-                    await transport.clock.sleep(1.0)
-                typed(keyboard, "q")
-
-            beside.start_soon(drive)
-            yield
-
-    ran = on_graph(driving_twice, "teleop", "--plain")
-    told = (
-        f"turtleact: node '/{name}' publishes /turtle1/cmd_vel too, so turtle1 obeys both of you. "
-        "To drive alone, stop it, or cancel its goal with 'turtleact cancel ID'\n"
-    )
-    assert ran.err == told * 2
 
 
 def test_a_rotation_that_nobody_serves_or_that_is_aborted_is_a_line(on_graph, graphs, keyboard):

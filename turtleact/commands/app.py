@@ -108,18 +108,6 @@ class Verb(TyperCommand):
         """Return the options and arguments, set up so that the help shows no type for switches."""
         return _without_type(super().get_params(ctx))
 
-    def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]  # noqa: ANN401  # as above
-        """Run the verb, and end with the exit status that it returns.
-
-        `WrongOptions` are reported in the format of Typer's own usage errors.
-        """
-        try:
-            raise typer.Exit(super().invoke(ctx) or 0)
-        except WrongOptions as error:
-            ctx.fail(printable(str(error)))
-        except (EOFError, KeyboardInterrupt, OSError, SystemExit) as error:
-            raise _Ended(error) from None
-
 
 class _Ended(Exception):
     """A verb has ended with an exception that Typer would handle in its own way."""
@@ -256,55 +244,66 @@ def verb(
     *,
     cls: type[TyperCommand] = Verb,
     knows: bool = False,
+    bundles: dict[str, Callable[..., Any]] = BUNDLES,
     **settings: Any,  # noqa: ANN401  # those of Typer.command
 ) -> Callable[[F], F]:
     """Add a function to a group as a verb.
 
-    Each parameter of the function is an option or argument, except those in `BUNDLES`, which stand
-    for several options. If the function has the parameter ``node``, it is a coroutine function, and
-    runs on the graph that the options select.
+    Each parameter of the function is an option or argument, except those in `BUNDLES` and
+    ``bundles``, which stand for several options. If the function has the parameter ``node``, it is
+    a coroutine function, and runs on the graph that the options select.
 
     Args:
         group: The group.
         name: The name of the verb; None for the name of the function.
         cls: The class of the command.
         knows: Whether to add ``--interfaces``, and to find the interfaces before the verb runs.
+        bundles: More parameters that stand for several options, as in `BUNDLES`.
         **settings: More arguments of `typer.Typer.command`.
     """
 
     def add(function: F) -> F:
-        group.command(name, cls=cls, **settings)(_command(function, knows=knows))
+        group.command(name, cls=cls, **settings)(_command(function, BUNDLES | bundles, knows=knows))
         return function
 
     return add
 
 
-def _command(function: Callable[..., Any], *, knows: bool) -> Callable[..., int | None]:
+def _command(
+    function: Callable[..., Any], bundles: dict[str, Callable[..., Any]], *, knows: bool
+) -> Callable[..., None]:
     """Make the function that Typer calls, with a parameter for each option."""
     own = signature(function).parameters
-    bundled = {each: _options(BUNDLES[each]) for each in own if each in BUNDLES}
+    bundled = {each: _options(bundles[each]) for each in own if each in bundles}
     single = _options(function)
-    added: list[Parameter] = []
+    added = [Parameter("ctx", _KIND, annotation=typer.Context)]
     # The options of the graph are the last ones of each help text.
     for each in sorted(own, key=("node", "reach").__contains__):
         added += bundled[each].values() if each in bundled else [single[each]]
     if knows:
         added.append(Parameter("interfaces", _KIND, default=None, annotation=Interfaces))
 
-    def act(**given: Any) -> int | None:  # noqa: ANN401  # whatever the options are
-        values = {each: given[each] for each in own if each not in bundled}
-        for each, options in bundled.items():
-            values[each] = BUNDLES[each](**{option: given[option] for option in options})
-        if knows:
-            from turtleact.commands.message_text import make_known
+    def act(ctx: typer.Context, **given: Any) -> None:  # noqa: ANN401  # whatever the options are
+        try:
+            values = {each: given[each] for each in own if each not in bundled}
+            for each, options in bundled.items():
+                values[each] = bundles[each](**{option: given[option] for option in options})
+            if knows:
+                from turtleact.commands.message_text import make_known
 
-            make_known(folder(given["interfaces"]))
-        if "node" not in own:
-            status: int | None = function(**values)
-            return status
-        from turtleact.commands import graph
+                make_known(folder(given["interfaces"]))
+            if "node" in own:
+                from turtleact.commands import graph
 
-        return graph.run(values.pop("node"), lambda node: function(node=node, **values))
+                node = values.pop("node")
+                status = graph.run(node, lambda node: function(node=node, **values))
+            else:
+                status = function(**values)
+        except WrongOptions as error:
+            ctx.fail(printable(str(error)))
+        except (EOFError, KeyboardInterrupt, OSError, SystemExit) as error:
+            raise _Ended(error) from None
+        raise typer.Exit(status)
 
     act.__name__, act.__doc__ = function.__name__, function.__doc__
     act.__signature__ = signature(act).replace(parameters=added)  # type: ignore[attr-defined]  # read by inspect

@@ -250,14 +250,13 @@ class Server:
         service = self._service
         connect, domain = service.reach.connect, service.reach.domain
         opening = partial(open_zenoh, domain=domain, config=service.config, clock=clock)
+        self._where = ", ".join(service.listen or connect) or ROUTER
         async with AsyncExitStack() as stack:
             if service.listen or connect:
-                self._where = ", ".join(service.listen or connect)
                 mode: Mode = "router" if service.listen else "peer"
                 opened = opening(mode=mode, listen=service.listen or None, connect=connect)
                 transport = await stack.enter_async_context(opened)
             else:
-                self._where = ROUTER
                 transport = await _open_default(stack, opening)
             await transport.explore()
             if service.fleet is not None and "/turtlesim" in transport.nodes():
@@ -565,22 +564,19 @@ class ServerLog:
     ) -> None:
         """Report a change of a goal's state."""
         is_resumed = goal.resumed is not None and new is GoalStatus.EXECUTING
-        reason = (
-            " (resumed)" if is_resumed else f": {printable(goal.reason)}" if goal.reason else ""
-        )
-        time = f"{datetime.now():%H:%M:%S.%f}"
+        told = f": {printable(goal.reason)}" if goal.reason else ""
+        change = f"{new.name}{' (resumed)' if is_resumed else told}"
+        name, goal_id, now = goal.action_name, goal.goal_id.hex(), datetime.now()
         if self.board is not None:
             self.board.tell(goal, new)
-            goal_id = goal.goal_id.hex()[:8]
-            print(f"{time[:8]} {goal.action_name} {goal_id} {new.name}{reason}")
+            print(f"{now:%H:%M:%S} {name} {goal_id[:8]} {change}")
         elif self._is_json:
-            members = {"goal_id": goal.goal_id.hex(), "action": goal.action_name}
-            members |= {"node": goal.node.fully_qualified_name, "status": new.name}
-            if goal.reason:
-                members["reason"] = goal.reason
-            self.say(f"{goal.action_name} {new.name}{reason}", **members)
+            members = {"goal_id": goal_id, "action": name, "status": new.name}
+            members |= {"node": goal.node.fully_qualified_name}
+            members |= {"reason": goal.reason} if goal.reason else {}
+            self.say(f"{name} {change}", **members)
         else:
-            self.say(f"{time} {goal.action_name} {goal.goal_id.hex()} {new.name}{reason}")
+            self.say(f"{now:%H:%M:%S.%f} {name} {goal_id} {change}")
 
     def note(self, text: str) -> None:
         """Print a line on stderr."""
@@ -598,14 +594,10 @@ class ServerLog:
         if self.board is not None:
             self.board.say(line)
             return
-        if sys.stdout is None:
-            return
         try:
             print(_as_json(line, members) if self._is_json else line, flush=True)
-        except BrokenPipeError:
-            abandon(sys.stdout)
         except OSError as error:
-            sys.stdout = None
+            abandon(sys.stdout)
             note(f"stdout cannot be written ({error.strerror}), so goals are no longer listed")
 
 

@@ -30,7 +30,7 @@ from turtleact.node import Node, open_node
 from turtleact.transports import QoS
 
 if TYPE_CHECKING:
-    from turtleact.commands.panels import Picture
+    from turtleact.commands.live import Picture
     from turtleact.commands.settings import ConnectOptions
     from turtleact.commands.world_map import Turtle
     from turtleact.goals.client import ClientGoalHandle
@@ -74,15 +74,6 @@ COMMANDS, ROTATION = "cmd_vel", "rotate_absolute"
 
 OK: Final = 0
 """The exit status if the user quits."""
-
-GONE: Final = 2.0
-"""A turtle that is missing for this long has left the graph (s, wall clock).
-
-During a reset, turtles are missing for a shorter time.
-"""
-
-ALONE: Final = "stop it, or cancel its goal with 'turtleact cancel ID'"
-"""Advice for the user if another node drives the turtle."""
 
 
 class TeleopOptions(NamedTuple):
@@ -181,19 +172,14 @@ def _wanted(order: TeleopOptions) -> str:
 
 
 def _turtles_in_reach(node: Node) -> list[str]:
-    """The names of all turtles in reach, sorted.
-
-    A turtle counts as in reach if a node subscribes to its topic ``cmd_vel``.
-    """
-    return sorted(
-        {
-            each.name.removesuffix(f"/{COMMANDS}").strip("/")
-            for each in node.transport.endpoints()
-            if each.kind == "subscription"
-            and each.name.endswith(f"/{COMMANDS}")
-            and each.type_name == Twist.type_name
-        }
-    )
+    """The names of all turtles in reach, sorted: a node subscribes to the topic ``cmd_vel``."""
+    commanded = {
+        each.name
+        for each in node.transport.endpoints()
+        if each.kind == "subscription" and each.type_name == Twist.type_name
+    }
+    suffix = f"/{COMMANDS}"
+    return sorted(each.removesuffix(suffix)[1:] for each in commanded if each.endswith(suffix))
 
 
 class _Driving:
@@ -215,39 +201,23 @@ class _Driving:
         self._rotations = node.action_client(RotateAbsolute, self._name(ROTATION))
         self._rotation: ClientGoalHandle[Any, Any] | None = None
         self._tasks = anyio.create_task_group()
-        self._rivals = set[str]()
-        self._has_lost = False
 
     async def run(self) -> None:
-        """Drive until the user quits.
-
-        Raises:
-            TurtleactError: if the turtle leaves the graph.
-        """
+        """Act on keys until the user presses Q or the terminal is closed."""
         say(HELP)
         async with self._tasks:
-            self._tasks.start_soon(self._watch)
             if self._is_live:
                 self._tasks.start_soon(self._draw)
-            await self._read()
+            async for key in typed_keys():
+                self._press(key)
+                if key == QUIT:
+                    break
             self._tasks.cancel_scope.cancel()
-        if self._has_lost:
-            topic = self._commands.topic
-            raise TurtleactError(f"turtle '{self._turtle}' has gone: nobody reads {topic} any more")
 
     def _name(self, what: str) -> str:
         """The name of a topic or action of the turtle, with the user's remappings applied."""
         named = f"/{self._turtle}/{what}" if self._turtle else f"/{what}"
         return self._order.remaps.get(f"turtle1/{what}", named)
-
-    # keys
-
-    async def _read(self) -> None:
-        """Read keys and act on them, until the user presses Q or the terminal is closed."""
-        async for key in typed_keys():
-            self._press(key)
-            if key == QUIT:
-                return
 
     def _press(self, key: str) -> None:
         if key in DRIVES:
@@ -273,44 +243,8 @@ class _Driving:
         if outcome.status is GoalStatus.ABORTED:
             note(f"the rotation was aborted: {outcome.reason or 'no reason given'}")
 
-    # output
-
-    async def _watch(self) -> None:
-        """Report other nodes that drive the turtle.
-
-        Stop driving when the turtle has left the graph.
-        """
-        # A reset takes the turtle off the graph for a moment. So it has gone only if it is missing
-        # and nothing else changes on the graph for `GONE` seconds.
-        while True:
-            self._report_rivals()
-            with anyio.move_on_after(math.inf if self._is_there() else GONE) as missing:
-                await self._node.transport.wait_for_change()
-            if missing.cancelled_caught:
-                self._has_lost = True
-                self._tasks.cancel_scope.cancel()
-
-    def _is_there(self) -> bool:
-        topic = self._commands.topic
-        endpoints = self._node.transport.endpoints()
-        return any(each.kind == "subscription" and each.name == topic for each in endpoints)
-
-    def _report_rivals(self) -> None:
-        """Say which other nodes have begun to drive the turtle."""
-        topic = self._commands.topic
-        endpoints = self._node.transport.endpoints()
-        drivers = [
-            each.node for each in endpoints if each.kind == "publisher" and each.name == topic
-        ]
-        if self._node.fully_qualified_name in drivers:  # another teleop may have the same name
-            drivers.remove(self._node.fully_qualified_name)
-        for node in sorted(set(drivers) - self._rivals):
-            obeys = f"so {self._turtle or 'the robot'} obeys both of you"
-            note(f"node '{node}' publishes {topic} too, {obeys}. To drive alone, {ALONE}")
-        self._rivals = set(drivers)
-
     async def _draw(self) -> None:
-        from turtleact.commands.panels import PanelData, board
+        from turtleact.commands.live import PanelData, board
         from turtleact.commands.world_map import PoseTrails
 
         trails = PoseTrails(self._node, f"/{self._turtle}/pose")

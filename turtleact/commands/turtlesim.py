@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,7 +18,7 @@ from turtleact.errors import ServerUnavailable, ServiceTimeout, TurtleactError
 if TYPE_CHECKING:
     from turtleact.node import Node
 
-__all__ = ["app", "ros_arguments", "teleop", "turtle_teleop_key"]
+__all__ = ["app", "turtle_teleop_key"]
 
 SCALE = 2.0
 """The default speeds. Source: turtlesim's teleop_turtle_key.cpp."""
@@ -70,8 +69,10 @@ def teleop(
 ) -> int:
     """``teleop``."""
     only_one("where to drive", embedded=embedded, connect=bool(reach.connect))
-    speeds = {"--scale-linear": scale_linear, "--scale-angular": scale_angular}
-    return _drive(turtle, {}, speeds, None if embedded else reach, is_plain=plain)
+    from turtleact.commands.teleop import TeleopOptions, run
+
+    where = None if embedded else reach
+    return run(TeleopOptions(turtle, {}, scale_linear, scale_angular, plain, where))
 
 
 def turtle_teleop_key(arguments: Sequence[str], where: ConnectOptions) -> int:
@@ -85,13 +86,15 @@ def turtle_teleop_key(arguments: Sequence[str], where: ConnectOptions) -> int:
         WrongOptions: if the arguments are malformed, or name a topic or parameter that the program
             does not have.
     """
-    remaps, parameters = ros_arguments(arguments)
+    remaps, parameters = _ros_arguments(arguments)
     for kind, given, known in (("topic", remaps, REMAPS), ("parameter", parameters, SCALES)):
         for name in given.keys() - set(known):
             hint = " and ".join(known)
             raise WrongOptions(f"turtle_teleop_key has no {kind} {quoted(name)}: it has {hint}")
-    speeds = {name: _speed(name, parameters.get(name, str(SCALE))) for name in SCALES}
-    return _drive(None, remaps, speeds, where, is_plain=False)
+    linear, angular = (_speed(name, parameters.get(name, str(SCALE))) for name in SCALES)
+    from turtleact.commands.teleop import TeleopOptions, run
+
+    return run(TeleopOptions(None, remaps, linear, angular, is_plain=False, reach=where))
 
 
 @verb(app, help=VERBS["snapshot"], epilog=_SNAPSHOTS)
@@ -143,7 +146,7 @@ async def _take(node: Node, path: Path) -> int:
     return 0
 
 
-def ros_arguments(arguments: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
+def _ros_arguments(arguments: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
     """Parse the remappings and the parameters that follow ``--ros-args``.
 
     Raises:
@@ -164,39 +167,6 @@ def ros_arguments(arguments: Sequence[str]) -> tuple[dict[str, str], dict[str, s
             raise WrongOptions(f"{option} takes NAME:=VALUE, such as {REMAPS[0]}:=turtle2/cmd_vel")
         kinds[option][name.removeprefix("/")] = given
     return remaps, parameters
-
-
-def _drive(
-    turtle: str | None,
-    remaps: dict[str, str],
-    speeds: dict[str, float],
-    where: ConnectOptions | None,
-    *,
-    is_plain: bool,
-) -> int:
-    """Drive a turtle, and return the exit status.
-
-    Args:
-        turtle: The turtle's name. If it is None, the name is taken from ``remaps``. If ``remaps``
-            contains no turtle's name, it is turtle1, or the only turtle if there is no
-            turtle1.
-        remaps: Other names for the turtle's topic and action.
-        speeds: The linear speed (m/s) and the angular speed (rad/s), in this order. Error messages
-            name each speed by its key.
-        where: The graph of the turtle; None to start an embedded world.
-        is_plain: Whether to leave out the live map.
-    """
-    for name, speed in speeds.items():
-        if not math.isfinite(speed):
-            raise WrongOptions(f"{name} is a number, not '{speed}'")
-    linear, angular = speeds.values()
-    from turtleact.commands.teleop import TeleopOptions, run
-
-    return run(
-        TeleopOptions(
-            turtle, remaps, linear=linear, angular=angular, is_plain=is_plain, reach=where
-        )
-    )
 
 
 def _speed(name: str, text: str) -> float:

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from rich.text import Text
 
@@ -33,14 +33,11 @@ __all__ = [
     "TICK",
     "Braille",
     "GoalPath",
-    "Ink",
     "MapView",
-    "Motion",
     "PoseTrails",
     "Target",
     "Turtle",
     "colour_of",
-    "places_in",
     "pose_topics",
     "printable",
     "sends_a_turtle",
@@ -98,13 +95,14 @@ class MapView(NamedTuple):
     Attributes:
         side: The length of each of the world's four walls (m), above zero.
         turtles: The turtles.
-        ink: The drawings of the turtles; None if the map does not show them.
+        ink: Draws the lines of the turtles on a canvas of so many columns and rows; None if the map
+            does not show them. The world's lower left corner is at (0, 0).
         targets: The targets of the turtles.
     """
 
     side: float
     turtles: Sequence[Turtle]
-    ink: Ink | None = None
+    ink: Callable[[int, int], Braille] | None = None
     targets: Sequence[Target] = ()
 
 
@@ -116,7 +114,7 @@ def world_map(view: MapView, rows: int) -> Text:
     target, a trail or another name. If there is no room near the turtle, the name is left out.
     """
     columns = 2 * rows
-    canvas = Braille(columns, rows) if view.ink is None else view.ink.canvas(columns, rows)
+    canvas = Braille(columns, rows) if view.ink is None else view.ink(columns, rows)
     scale = (canvas.width - 1) / view.side
     marks: Marks = {}
     for target in view.targets:
@@ -181,7 +179,7 @@ def _bordered(canvas: Braille, marks: Marks) -> Text:
     rows = canvas.rows()
     edge = "─" * len(rows[0])
     text.append(f"┌{edge}┐\n", WALL)
-    for number, (row, colours) in enumerate(zip(rows, canvas.colours(), strict=True)):
+    for number, (row, colours) in enumerate(zip(rows, canvas.colours, strict=True)):
         cells = [
             marks.get((number, column), (character, colour or TRAIL))
             for column, (character, colour) in enumerate(zip(row, colours, strict=True))
@@ -208,6 +206,11 @@ class Braille:
     >>> canvas.line(0, 0, 3, 3)
     >>> canvas.rows()
     ['⡠⠊']
+
+    Attributes:
+        width: The number of dots in a row.
+        height: The number of dots in a column.
+        colours: The colours of the cells by row, from top to bottom; "" for none.
     """
 
     BITS: Final = ((0x40, 0x80), (0x04, 0x20), (0x02, 0x10), (0x01, 0x08))
@@ -216,14 +219,14 @@ class Braille:
         self.width = 2 * columns
         self.height = 4 * rows
         self._cells = [[0] * columns for _ in range(rows)]
-        self._colours = [[""] * columns for _ in range(rows)]
+        self.colours = [[""] * columns for _ in range(rows)]
 
     def dot(self, x: int, y: int, colour: str = "") -> None:
         """Set a dot, unless it is outside the canvas."""
         if 0 <= x < self.width and 0 <= y < self.height:
             row, column = len(self._cells) - 1 - y // 4, x // 2
             self._cells[row][column] |= self.BITS[y % 4][x % 2]
-            self._colours[row][column] = colour
+            self.colours[row][column] = colour
 
     def line(self, x0: int, y0: int, x1: int, y1: int, colour: str = "") -> None:
         """Set all dots of a line, its ends included."""
@@ -236,83 +239,11 @@ class Braille:
         """Return the rows of characters, from top to bottom."""
         return ["".join(chr(0x2800 + bits) for bits in row) for row in self._cells]
 
-    def colours(self) -> list[list[str]]:
-        """Return the cells' colours by row, from top to bottom; "" for a cell without a colour."""
-        return self._colours
-
-
-class Ink(Protocol):
-    """The lines that turtles have drawn in the world."""
-
-    def canvas(self, columns: int, rows: int) -> Braille:
-        """Return a canvas of this size (characters) with everything that was drawn.
-
-        The world's lower left corner is at (0, 0).
-        """
-
-
-class Trails:
-    """Draws the trails of turtles.
-
-    Each step is drawn once, when it happens. All steps are drawn again only if the size of the
-    canvas changes.
-
-    Args:
-        side: The length of each of the world's four walls (m).
-
-    Attributes:
-        places: The points (x, y) of each turtle's trail (m), by the turtle's name.
-    """
-
-    def __init__(self, side: float) -> None:
-        self._side = side
-        self._canvas = Braille(1, 1)
-        self.places: dict[str, list[tuple[float, float]]] = {}
-        self._colours: dict[str, str] = {}
-
-    def follow(self, turtle: str, x: float, y: float, colour: str) -> None:
-        """Extend a turtle's trail, if the turtle has moved at least `STRIDE` since the last point.
-
-        Args:
-            turtle: The name of the turtle.
-            x: The turtle's x (m).
-            y: The turtle's y (m).
-            colour: The colour of the whole trail.
-        """
-        places = self.places.setdefault(turtle, [])
-        self._colours[turtle] = colour
-        if places and math.hypot(x - places[-1][0], y - places[-1][1]) < STRIDE:
-            return
-        if places:
-            self._draw(*places[-1], x, y, colour)
-        places.append((x, y))
-        del places[:-LONGEST]
-
-    def canvas(self, columns: int, rows: int) -> Braille:
-        """Return a canvas with all trails. If the canvas has a new size, draw all trails again."""
-        if (self._canvas.width, self._canvas.height) != (2 * columns, 4 * rows):
-            self._canvas = Braille(columns, rows)
-            for turtle, places in self.places.items():
-                for here, there in itertools.pairwise(places):
-                    self._draw(*here, *there, self._colours[turtle])
-        return self._canvas
-
-    def _draw(self, x0: float, y0: float, x1: float, y1: float, colour: str) -> None:
-        scale = (self._canvas.width - 1) / self._side
-        start, end = (round(x0 * scale), round(y0 * scale)), (round(x1 * scale), round(y1 * scale))
-        self._canvas.line(*start, *end, colour)
-
 
 # following
 
 NEAR: Final = 0.15
 """A turtle reaches a place at this distance (m), or at the goal's tolerance if that is larger."""
-
-STILL: Final = 1e-4
-"""A turtle that moves backwards by at most this distance (m) between two poses is not reversing."""
-
-JUMP: Final = 1.0
-"""If a turtle moves at least this far (m) between two poses, the turtle was teleported."""
 
 MOST_TURTLES: Final = 32
 """At most this many turtles are followed, because a map has no room for more turtles."""
@@ -332,19 +263,15 @@ class PoseTrails:
 
     Args:
         node: A node on the graph.
-        leader: The pose topic of the leader, the turtle whose motion is observed; empty if there is
-            none.
-
-    Attributes:
-        motion: How the leader moves.
+        leader: The pose topic of the turtle that runs the goal; empty if there is none.
     """
 
     def __init__(self, node: Node, leader: str = "") -> None:
         self._node = node
         self._leader = leader
         self._poses: dict[str, Subscription[Any]] = {}
-        self.motion = Motion()
-        self._trails = Trails(SIDE)
+        self._trails: dict[str, list[tuple[float, float]]] = {}
+        self._canvas = Braille(1, 1)
         self._looks = 0
         self._search()
 
@@ -361,17 +288,36 @@ class PoseTrails:
         turtles = []
         for topic, poses in self._poses.items():
             name = topic.removesuffix(POSE).strip("/")
-            colour = colour_of(name)
             for pose in poses.drain():
-                self._trails.follow(name, pose.x, pose.y, colour)
-                if topic == self._leader:
-                    self.motion.follow(pose.x, pose.y, pose.theta)
-                    if course is not None:
-                        course.follow(pose.x, pose.y)
+                self._extend(name, pose.x, pose.y)
+                if course is not None and topic == self._leader:
+                    course.follow(pose.x, pose.y)
             latest = poses.latest
             if latest is not None:
-                turtles.append(Turtle(latest.x, latest.y, latest.theta, name, colour))
-        return MapView(SIDE, turtles, self._trails, () if course is None else course.targets())
+                turtles.append(Turtle(latest.x, latest.y, latest.theta, name, colour_of(name)))
+        return MapView(SIDE, turtles, self._draw_all, () if course is None else course.targets())
+
+    def _extend(self, turtle: str, x: float, y: float) -> None:
+        """Extend a turtle's trail, once the turtle has moved `STRIDE` since the last point."""
+        trail = self._trails.setdefault(turtle, [(x, y)])
+        if distance(*trail[-1], x, y) >= STRIDE:
+            self._draw(*trail[-1], x, y, colour_of(turtle))
+            trail.append((x, y))
+            del trail[:-LONGEST]
+
+    def _draw_all(self, columns: int, rows: int) -> Braille:
+        """Return a canvas with all trails. Only a canvas of a new size is drawn from the start."""
+        if (self._canvas.width, self._canvas.height) != (2 * columns, 4 * rows):
+            self._canvas = Braille(columns, rows)
+            for turtle, trail in self._trails.items():
+                for here, there in itertools.pairwise(trail):
+                    self._draw(*here, *there, colour_of(turtle))
+        return self._canvas
+
+    def _draw(self, x0: float, y0: float, x1: float, y1: float, colour: str) -> None:
+        scale = (self._canvas.width - 1) / SIDE
+        start, end = (round(x0 * scale), round(y0 * scale)), (round(x1 * scale), round(y1 * scale))
+        self._canvas.line(*start, *end, colour)
 
     def _search(self) -> None:
         """Subscribe to the poses of new turtles, and unsubscribe from turtles that are gone."""
@@ -389,24 +335,6 @@ class PoseTrails:
 def colour_of(turtle: str) -> str:
     """The colour of a turtle on a terminal, as ``#rrggbb``."""
     return "#" + bytes(shades_of(turtle).mark).hex()
-
-
-class Motion:
-    """Infers from poses how a turtle moves, because turtlesim publishes speeds without a sign.
-
-    Attributes:
-        is_reversing: Whether the turtle moved backwards between its last two poses.
-    """
-
-    def __init__(self) -> None:
-        self.is_reversing = False
-        self._last: tuple[float, float] | None = None
-
-    def follow(self, x: float, y: float, theta: float) -> None:
-        """Record a pose (m, rad)."""
-        before, self._last = self._last or (x, y), (x, y)
-        along = (x - before[0]) * math.cos(theta) + (y - before[1]) * math.sin(theta)
-        self.is_reversing = -JUMP < along < -STILL
 
 
 class GoalPath:
