@@ -276,6 +276,15 @@ def test_another_node_sees_and_sets_parameters(node, ask):
     assert "undeclared" in ask("delete_parameters", ["speed"]).results[0].reason
 
 
+def test_another_node_loads_a_file(node, ask, tmp_path):
+    node.declare_parameter("speed", 1.0)
+    file = tmp_path / "lab.yaml"
+    file.write_text("/lab: {ros__parameters: {speed: 3.0}}")
+    assert ask("load_parameter_file", str(file)).results[0].successful
+    assert ask("load_parameter_file_atomically", str(file)).result.successful
+    assert node.get_parameter("speed").value == 3.0
+
+
 def test_changes_are_published_and_handled(node, executor):
     handler = ParameterEventHandler(node)
     seen: list[str] = []

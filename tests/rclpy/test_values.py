@@ -14,6 +14,7 @@ from turtleact.rclpy.graph import (
 from turtleact.rclpy.messages.classes import interface_class
 from turtleact.rclpy.parameter import (
     Parameter,
+    parameter_dict_from_yaml_file,
     parameter_value_to_python,
 )
 from turtleact.rclpy.qos import (
@@ -294,6 +295,22 @@ def test_a_value_of_an_unknown_type_is_refused():
     message = interface_class("rcl_interfaces/msg/ParameterValue")(type=77)
     with pytest.raises(RuntimeError, match="type 77"):
         parameter_value_to_python(message)
+
+
+def test_parameters_are_read_from_a_file(tmp_path):
+    path = tmp_path / "params.yaml"
+    path.write_text(
+        "/**: {ros__parameters: {all: 1}}\n"
+        "/lab/arm: {ros__parameters: {speed: 2.5, nested: {deep: x}}}\n"
+    )
+    everything = parameter_dict_from_yaml_file(str(path))
+    assert sorted(everything) == ["all", "nested.deep", "speed"]
+    arm = parameter_dict_from_yaml_file(str(path), target_nodes=["/lab/arm"])
+    assert sorted(arm) == ["nested.deep", "speed"]
+    wild = parameter_dict_from_yaml_file(str(path), True, ["lab/arm"], "robot.")
+    assert sorted(wild) == ["robot.all", "robot.nested.deep", "robot.speed"]
+    with pytest.raises(RuntimeError, match="/leg"):
+        parameter_dict_from_yaml_file(str(path), target_nodes=["/leg"])
 
 
 # --- endpoints ----------------------------------------------------------------------------------

@@ -5,15 +5,19 @@ from __future__ import annotations
 import array
 from collections.abc import Sequence
 from enum import Enum
+from pathlib import Path
 from typing import ClassVar
 
 from turtleact.node.parameter_rules import KINDS
+from turtleact.rclpy.impl.arguments import Arguments, parse_value, read_parameters
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.classes import interface_class
 
 __all__ = [
     "PARAMETER_SEPARATOR_STRING",
     "Parameter",
+    "get_parameter_value",
+    "parameter_dict_from_yaml_file",
     "parameter_value_to_python",
 ]
 
@@ -140,6 +144,15 @@ def _array_type(values: Sequence[object]) -> Parameter.Type:
     raise TypeError(f"The given value is not one of the allowed types '{values!r}'.")
 
 
+def get_parameter_value(string_value: str) -> Anything:
+    """Parse a text as YAML, and return the value as a ``rcl_interfaces.msg.ParameterValue``."""
+    value = parse_value(string_value)
+    try:
+        return Parameter("", value=value).get_parameter_value()
+    except TypeError:
+        return Parameter("", value=string_value).get_parameter_value()
+
+
 def parameter_value_to_python(parameter_value: Anything) -> Anything:
     """Return the Python value of a ``rcl_interfaces.msg.ParameterValue``.
 
@@ -154,3 +167,37 @@ def parameter_value_to_python(parameter_value: Anything) -> Anything:
         return None
     value = getattr(parameter_value, field)
     return list(value) if field.endswith("array_value") else value
+
+
+def parameter_dict_from_yaml_file(
+    parameter_file: str,
+    use_wildcard: bool = False,  # rclpy's signature
+    target_nodes: Sequence[str] | None = None,
+    namespace: str = "",
+) -> dict[str, Anything]:
+    """Read the parameters in a YAML file. Return a dict from names to parameter messages.
+
+    Args:
+        parameter_file: The path of the file.
+        use_wildcard: Whether the file's parameters for ``/**`` apply to the target nodes.
+        target_nodes: The full names of the nodes whose parameters to return. None means all nodes
+            in the file.
+        namespace: A prefix for the name of each parameter, with a dot at the end: ``"robot."``.
+
+    Raises:
+        RuntimeError: if the file has no parameters for one of the target nodes.
+    """
+    rules = read_parameters(Path(parameter_file))
+    wanted = [rule for rule in rules if use_wildcard or rule.pattern != "/**"]
+    found: dict[str, object] = {}
+    for node in target_nodes or ():
+        values = Arguments(parameters=tuple(wanted)).parameters_for(f"/{node.removeprefix('/')}")
+        if not values:
+            raise RuntimeError(f"Param file does not contain any valid parameters for {node}")
+        found |= values
+    if not target_nodes:
+        found = {name: value for rule in rules for name, value in rule.values.items()}
+    return {
+        f"{namespace}{name}": Parameter(f"{namespace}{name}", value=value).to_parameter_msg()
+        for name, value in found.items()
+    }

@@ -9,7 +9,7 @@ from turtleact.names import PARAMETER_SERVICES
 from turtleact.rclpy.impl.entity import CallbackGroup, wait_until
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.messages.classes import interface_class
-from turtleact.rclpy.parameter import Parameter
+from turtleact.rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 from turtleact.rclpy.qos import (
     QoSProfile,
     qos_profile_parameter_events,
@@ -107,6 +107,20 @@ class AsyncParameterClient:
         The node deletes a declared parameter only if the parameter has a dynamic type.
         """
         return self.set_parameters([Parameter(name) for name in names], callback)
+
+    def load_parameter_file(
+        self, parameter_file: str, use_wildcard: bool = False, callback: WhenDone = None
+    ) -> Future:
+        """Set the parameters in a file, one by one."""
+        loaded = parameter_dict_from_yaml_file(parameter_file, use_wildcard)
+        return self.set_parameters(list(loaded.values()), callback)
+
+    def load_parameter_file_atomically(
+        self, parameter_file: str, use_wildcard: bool = False, callback: WhenDone = None
+    ) -> Future:
+        """Set all the parameters in a file, or none."""
+        loaded = parameter_dict_from_yaml_file(parameter_file, use_wildcard)
+        return self.set_parameters_atomically(list(loaded.values()), callback)
 
     def on_parameter_event(
         self,
