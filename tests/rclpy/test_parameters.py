@@ -223,22 +223,6 @@ def test_a_callback_may_refuse_an_initial_value(node):
         node.declare_parameter("speed", 1.0)
 
 
-def test_a_descriptor_can_be_replaced(node, free):
-    node.declare_parameter("turns", 5)
-    bounds = IntegerRange(from_value=0, to_value=9)
-    value = node.set_descriptor("turns", Descriptor(integer_range=[bounds]))
-    assert value.integer_value == 5
-    with pytest.raises(InvalidParameterValueException, match="out of range"):
-        node.set_descriptor("turns", Descriptor(integer_range=[IntegerRange(to_value=1)]))
-    other = Value(type=2, integer_value=7)
-    assert node.set_descriptor("turns", Descriptor(read_only=True), other).integer_value == 7
-    with pytest.raises(ParameterImmutableException):
-        node.set_descriptor("turns", Descriptor())
-    with pytest.raises(ParameterNotDeclaredException):
-        node.set_descriptor("speed", Descriptor())
-    assert free.set_descriptor("speed", Descriptor()).type == 0
-
-
 # --- through services ---------------------------------------------------------------------------
 
 

@@ -203,9 +203,7 @@ class Context(Block):
 class _Default:
     """Holds the default context."""
 
-    def __init__(self) -> None:
-        self.context: Context | None = None
-        self.lock = threading.Lock()
+    context: Context | None = None
 
 
 DEFAULT = _Default()
@@ -218,13 +216,9 @@ def get_default_context(*, shutting_down: bool = False) -> Context:
         shutting_down: Whether the context is about to be shut down. If true, the next call returns
             a new context.
     """
-    with DEFAULT.lock:
-        context = DEFAULT.context
-        if context is None:
-            context = DEFAULT.context = Context()
-        if shutting_down:
-            DEFAULT.context = None
-        return context
+    context = DEFAULT.context or Context()
+    DEFAULT.context = None if shutting_down else context
+    return context
 
 
 def ok(*, context: Context | None = None) -> bool:

@@ -21,6 +21,7 @@ from turtleact.rclpy.impl.connection import CallEnd, Connection
 from turtleact.rclpy.impl.entity import (
     Block,
     CallbackGroup,
+    EndSpec,
     GuardCondition,
     Handle,
     MutuallyExclusiveCallbackGroup,
@@ -373,7 +374,7 @@ class Node(NodeParameters, NodeGraph, Block):
             self._connection.wait_until_explored()
         group = callback_group or self.default_callback_group
         events: EventCallbacks = event_callbacks or PublisherEventCallbacks()
-        publisher = publisher_class(self, end, (msg_type, topic, qos), group, events)
+        publisher = publisher_class(EndSpec(self, end, msg_type, topic, qos, group, events))
         self._add(publisher, *publisher.event_handlers)
         return publisher
 
@@ -428,8 +429,8 @@ class Node(NodeParameters, NodeGraph, Block):
         )
         group = callback_group or self.default_callback_group
         events: EventCallbacks = event_callbacks or SubscriptionEventCallbacks()
-        description = msg_type, topic, qos
-        subscription = Subscription(self, end, description, callback, group, events, raw=raw)
+        spec = EndSpec(self, end, msg_type, topic, qos, group, events)
+        subscription = Subscription(spec, callback, raw=raw)
         self._add(subscription, *subscription.event_handlers)
         return subscription
 
@@ -455,8 +456,10 @@ class Node(NodeParameters, NodeGraph, Block):
         check_is_valid_srv_type(srv_type)
         full = self._resolve(srv_name, is_service=True)
         group = callback_group or self.default_callback_group
-        description = srv_type, srv_name, qos_profile
-        client = Client(self, self.join(full, srv_type), full, description, group)
+        end = self.join(full, srv_type)
+        client = Client(
+            EndSpec(self, end.endpoint, srv_type, srv_name, qos_profile, group, end.events), end
+        )
         self._add(client)
         return client
 
@@ -492,7 +495,8 @@ class Node(NodeParameters, NodeGraph, Block):
         end = self.endpoint("service", full, type_name_of(srv_type))
         events = SwitchableEvents(self, full, srv_type, is_client=False)
         group = callback_group or self.default_callback_group
-        service = Service(self, end, (srv_type, srv_name, qos_profile), callback, group, events)
+        spec = EndSpec(self, end, srv_type, srv_name, qos_profile, group, events)
+        service = Service(spec, callback)
         self._add(service)
         return service
 

@@ -23,7 +23,7 @@ from turtleact.rclpy.exceptions import ROSInterruptException
 from turtleact.rclpy.impl.connection import CallEnd, CallEvents, RequestHandler, Respond, Sender
 from turtleact.rclpy.impl.entity import (
     NOTHING,
-    CallbackGroup,
+    EndSpec,
     Entity,
     QueueEntity,
     await_or_execute,
@@ -35,7 +35,7 @@ from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.task import Future
-from turtleact.transports.base import Endpoint, Reply
+from turtleact.transports.base import Reply
 
 __all__ = ["Client", "Introspected", "Service", "ServiceIntrospectionState", "SwitchableEvents"]
 
@@ -155,28 +155,17 @@ class _ServiceEnd(Introspected, Subscriptable, QueueEntity):
     """A client or server of a service.
 
     Args:
-        node: The node.
-        full_name: The full name of the service.
-        description: The class of the service, its name as the program gave it, and the quality of
-            service.
-        callback_group: Decides when callbacks may run.
-        events: Publishes the events of calls.
+        spec: Describes the client or server.
         close: Called once, when the client or server is destroyed.
     """
 
-    def __init__(
-        self,
-        node: Anything,
-        full_name: str,
-        description: tuple[Anything, str, QoSProfile],
-        callback_group: CallbackGroup,
-        events: CallEvents,
-        close: Callable[[], object],
-    ) -> None:
-        self._full_name = full_name
-        self.srv_type, self.srv_name, self.qos_profile = description
-        self.service_events = (events,)
-        super().__init__(callback_group, close=close, wake=node.wake_executor)
+    def __init__(self, spec: EndSpec, close: Callable[[], object]) -> None:
+        super().__init__(spec.callback_group, close=close, wake=spec.node.wake_executor)
+        self._full_name = spec.endpoint.name
+        self.srv_type = spec.interface
+        self.srv_name = spec.name
+        self.qos_profile = spec.qos
+        self.service_events = (spec.events,)
 
     @property
     def service_name(self) -> str:
@@ -187,8 +176,7 @@ class _ServiceEnd(Introspected, Subscriptable, QueueEntity):
     @property
     def logger_name(self) -> str:
         """The name of the service, as the program gave it."""
-        name: str = self.srv_name
-        return name
+        return self.srv_name
 
     def describe(self) -> str:
         """Return a description of this entity for a diagnostic message."""
@@ -199,29 +187,18 @@ class Client(_ServiceEnd):
     """Calls a service. Make a client with `Node.create_client`.
 
     Args:
-        node: The node.
+        spec: Describes the client.
         end: Sends the requests, and receives the responses.
-        full_name: The full name of the service.
-        description: The class of the service, its name as the program gave it, and the quality of
-            service.
-        callback_group: Decides when a response may be handled.
     """
 
-    def __init__(
-        self,
-        node: Anything,
-        end: CallEnd,
-        full_name: str,
-        description: tuple[Anything, str, QoSProfile],
-        callback_group: CallbackGroup,
-    ) -> None:
-        self.context = node.context
-        self._node = node
+    def __init__(self, spec: EndSpec, end: CallEnd) -> None:
+        super().__init__(spec, end.close)
+        self.context = spec.node.context
+        self._node = spec.node
         self._end = end
         self._pending: dict[int, Future] = {}
         self._sequence = 0
         self._lock = threading.Lock()
-        super().__init__(node, full_name, description, callback_group, end.events, end.close)
 
     def call(self, request: Anything, timeout_sec: float | None = None) -> Anything:
         """Send a request and wait for the response, while another thread spins the node.
@@ -313,27 +290,15 @@ class Service(_ServiceEnd):
     """Answers the requests of a service. `Node.create_service` makes a service.
 
     Args:
-        node: The node.
-        endpoint: Describes the service on the graph.
-        description: The class of the service, its name as the program gave it, and the quality of
-            service.
+        spec: Describes the service.
         callback: Takes a request and an empty response, and returns a response.
-        callback_group: Decides when the callback may run.
-        events: Publishes the events of calls.
     """
 
-    def __init__(
-        self,
-        node: Anything,
-        endpoint: Endpoint,
-        description: tuple[Anything, str, QoSProfile],
-        callback: Anything,
-        callback_group: CallbackGroup,
-        events: SwitchableEvents,
-    ) -> None:
+    def __init__(self, spec: EndSpec, callback: Anything) -> None:
+        super().__init__(spec, self._close)
         self.callback = callback
-        super().__init__(node, endpoint.name, description, callback_group, events, self._close)
-        self._leave_graph = node.connection.serve(endpoint, RequestHandler(self._receive, events))
+        handler = RequestHandler(self._receive, spec.events)
+        self._leave_graph = spec.node.connection.serve(spec.endpoint, handler)
 
     def _receive(self, request: bytes, respond: Respond) -> None:
         self.put((request, respond))

@@ -9,14 +9,13 @@ from collections.abc import Callable, Iterable
 from enum import Enum
 
 from turtleact.errors import InvalidMessage
-from turtleact.rclpy.event_handler import EventCallbacks
 from turtleact.rclpy.exceptions import ParameterAlreadyDeclaredException
 from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.connection import Connection
 from turtleact.rclpy.impl.entity import (
     NOTHING,
-    CallbackGroup,
     Destroyable,
+    EndSpec,
     QueueEntity,
     await_or_execute,
 )
@@ -27,7 +26,6 @@ from turtleact.rclpy.messages.codec import decode, encode
 from turtleact.rclpy.qos import QoSPolicyEnum, QoSPolicyKind, QoSProfile
 from turtleact.rclpy.task import Future
 from turtleact.rclpy.time import Duration
-from turtleact.transports.base import Endpoint
 
 __all__ = [
     "InvalidQosOverridesError",
@@ -54,23 +52,16 @@ class _TopicEnd(Subscriptable, Destroyable):
         event_handlers: The waitables that call the callbacks for events.
     """
 
-    msg_type: Anything
-    topic: str
-    qos_profile: QoSProfile
-    event_handlers: Iterable[Anything]
-
-    def _set_up(
-        self,
-        node: Anything,
-        endpoint: Endpoint,
-        description: tuple[Anything, str, QoSProfile],
-        group: CallbackGroup,
-        events: EventCallbacks,
-    ) -> None:
-        self._connection: Connection = node.connection
-        self._full_name = endpoint.name
-        self.msg_type, self.topic, self.qos_profile = description
-        self.event_handlers = events.create_event_handlers(group, self._connection, endpoint)
+    def _set_up(self, spec: EndSpec) -> None:
+        self._connection: Connection = spec.node.connection
+        self._full_name = spec.endpoint.name
+        self.msg_type = spec.interface
+        self.topic = spec.name
+        self.qos_profile = spec.qos
+        self.callback_group = spec.callback_group
+        self.event_handlers = spec.events.create_event_handlers(
+            spec.callback_group, self._connection, spec.endpoint
+        )
 
     @property
     def topic_name(self) -> str:
@@ -94,27 +85,11 @@ class Publisher(_TopicEnd):
     """Sends messages to a topic. `Node.create_publisher` makes a publisher.
 
     `publish` encodes a message before it returns, so you may change the message afterwards.
-
-    Args:
-        node: The node.
-        endpoint: Describes the publisher on the graph.
-        description: The class of the messages, the topic's name as the program gave it, and the
-            quality of service.
-        callback_group: The callback group of the callbacks for events.
-        events: The callbacks for events.
     """
 
-    def __init__(
-        self,
-        node: Anything,
-        endpoint: Endpoint,
-        description: tuple[Anything, str, QoSProfile],
-        callback_group: CallbackGroup,
-        events: EventCallbacks,
-    ) -> None:
-        self._set_up(node, endpoint, description, callback_group, events)
-        self.callback_group = callback_group
-        self._sender = self._connection.advertise(endpoint)
+    def __init__(self, spec: EndSpec) -> None:
+        self._set_up(spec)
+        self._sender = self._connection.advertise(spec.endpoint)
         super().__init__(self._sender.close)
 
     def publish(self, msg: Anything) -> None:
@@ -164,13 +139,8 @@ class Subscription(_TopicEnd, QueueEntity):
     messages wait than the profile's depth, the oldest are dropped.
 
     Args:
-        node: The node.
-        endpoint: Describes the subscription on the graph.
-        description: The class of the messages, the topic's name as the program gave it, and the
-            quality of service.
+        spec: Describes the subscription.
         callback: Called with each message and, if it takes two arguments, a `MessageInfo`.
-        callback_group: Decides when the callback may run.
-        events: The callbacks for events.
         raw: Whether the callback gets encoded messages (bytes).
     """
 
@@ -180,29 +150,19 @@ class Subscription(_TopicEnd, QueueEntity):
         MessageOnly = 0
         WithMessageInfo = 1
 
-    def __init__(
-        self,
-        node: Anything,
-        endpoint: Endpoint,
-        description: tuple[Anything, str, QoSProfile],
-        callback: Anything,
-        callback_group: CallbackGroup,
-        events: EventCallbacks,
-        *,
-        raw: bool = False,
-    ) -> None:
+    def __init__(self, spec: EndSpec, callback: Anything, *, raw: bool = False) -> None:
         self.callback = callback
         self.raw = raw
-        self._set_up(node, endpoint, description, callback_group, events)
+        self._set_up(spec)
         QueueEntity.__init__(
             self,
-            callback_group,
-            depth=self.qos_profile.kept,
+            spec.callback_group,
+            depth=spec.qos.kept,
             close=lambda: leave(),
-            wake=node.wake_executor,
+            wake=spec.node.wake_executor,
         )
         # Latched messages come before this returns.
-        leave = self._connection.subscribe(endpoint, self._deliver)
+        leave = self._connection.subscribe(spec.endpoint, self._deliver)
 
     @property
     def callback(self) -> Anything:

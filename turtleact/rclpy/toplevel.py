@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
@@ -52,9 +51,7 @@ __all__ = [
 class _Global:
     """Holds the global executor, which `spin` uses by default."""
 
-    def __init__(self) -> None:
-        self.executor: Executor | None = None
-        self.lock = threading.Lock()
+    executor: Executor | None = None
 
 
 _global = _Global()
@@ -109,10 +106,9 @@ def get_global_executor() -> Executor:
 
     After a shutdown, there is a new one.
     """
-    with _global.lock:
-        if _global.executor is None or not _global.executor.context.ok():
-            _global.executor = SingleThreadedExecutor()
-        return _global.executor
+    if _global.executor is None or not _global.executor.context.ok():
+        _global.executor = SingleThreadedExecutor()
+    return _global.executor
 
 
 def create_node(node_name: str, **options: Anything) -> Node:

@@ -430,6 +430,7 @@ class CallEnd:
         target: Which servers get the requests.
 
     Attributes:
+        endpoint: Describes the client on the graph.
         events: The publisher of the calls' introspection events.
     """
 
@@ -441,7 +442,7 @@ class CallEnd:
         target: Target = EVERY_SERVER,
     ) -> None:
         self._connection = connection
-        self._endpoint = endpoint
+        self.endpoint = endpoint
         self._caller: Caller = connection.join(endpoint, target)
         self._caller.observer = self.events = events
         self._gid = os.urandom(16)  # identifies it in the events of calls inside the process
@@ -521,7 +522,7 @@ class CallEnd:
         """
         changes = self._connection.changes
         if changes != self._seen:
-            endpoint = self._endpoint
+            endpoint = self.endpoint
             self._found = self._connection.local(endpoint.name, endpoint.type_name)
             self._seen = changes
         return self._found

@@ -17,9 +17,13 @@ from types import TracebackType
 from typing import Self
 from weakref import WeakSet
 
+import msgspec
+
 from turtleact.rclpy.exceptions import InvalidHandle
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
+from turtleact.rclpy.qos import QoSProfile
+from turtleact.transports.base import Endpoint
 
 __all__ = [
     "BLOCKED_AFTER",
@@ -28,6 +32,7 @@ __all__ = [
     "BusyThreads",
     "CallbackGroup",
     "Destroyable",
+    "EndSpec",
     "Entity",
     "GuardCondition",
     "Handle",
@@ -288,6 +293,28 @@ class Entity(Destroyable):
     def describe(self) -> str:
         """Describe this entity for a diagnostic message, such as "the timer of 0.5 s"."""
         return type(self).__name__.lower()
+
+
+class EndSpec(msgspec.Struct, frozen=True):
+    """What a publisher, subscription, client or service is made from.
+
+    Attributes:
+        node: The node.
+        endpoint: Describes the entity on the graph.
+        interface: The class of the messages, or of the service.
+        name: The name of the topic or service, as the program gave it.
+        qos: The quality of service.
+        callback_group: Decides when callbacks may run.
+        events: The callbacks for events, or what publishes the events of calls.
+    """
+
+    node: Anything
+    endpoint: Endpoint
+    interface: Anything
+    name: str
+    qos: QoSProfile
+    callback_group: CallbackGroup
+    events: Anything
 
 
 class QueueEntity(Entity):

@@ -167,9 +167,6 @@ class NodeParameters:
             return
         if not descriptor.dynamic_typing and parameter.type_.value != descriptor.type:
             raise InvalidParameterTypeException(parameter, Parameter.Type(descriptor.type).name)
-        self._apply_declared(parameter, descriptor)
-
-    def _apply_declared(self, parameter: Parameter, descriptor: Anything) -> None:
         result = self._apply([parameter], {parameter.name: descriptor}, is_declared_now=True)
         if not result.successful:
             raise InvalidParameterValueException(parameter.name, parameter.value, result.reason)
@@ -431,32 +428,6 @@ class NodeParameters:
     def describe_parameters(self, names: list[str]) -> list[Anything]:
         """Return several descriptors; see `describe_parameter`."""
         return [self.describe_parameter(name) for name in names]
-
-    def set_descriptor(
-        self, name: str, descriptor: Anything, alternative_value: Anything = None
-    ) -> Anything:
-        """Set the descriptor of a parameter and, if given, its value. Return the parameter's value.
-
-        Raises:
-            ParameterNotDeclaredException: if the parameter is not declared, and undeclared
-                parameters are not allowed.
-            ParameterImmutableException: if the parameter is read-only.
-            InvalidParameterValueException: if the descriptor or a callback refuses the value.
-        """
-        if not self.has_parameter(name):
-            if self._allow_undeclared_parameters:
-                return self.get_parameter(name).get_parameter_value()
-            raise ParameterNotDeclaredException(name)
-        if self.describe_parameter(name).read_only:
-            raise ParameterImmutableException(name)
-        candidate = self.get_parameter(name)
-        if alternative_value is not None:
-            kind = Parameter.Type(alternative_value.type)
-            candidate = Parameter(name, kind, parameter_value_to_python(alternative_value))
-        if not descriptor.dynamic_typing:
-            descriptor.type = candidate.type_.value
-        self._apply_declared(candidate, descriptor)
-        return self.get_parameter(name).get_parameter_value()
 
 
 def _misfit(parameter: Parameter, descriptor: Anything) -> str:
