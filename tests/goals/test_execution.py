@@ -25,18 +25,16 @@ from turtleact.errors import (
     InvalidTransition,
 )
 from turtleact.goals.running import BURST
-from turtleact.goals.state import CURRENT_GOAL, FeedbackLog
+from turtleact.goals.state import FeedbackLog
 
 from ..lab import (
     ON_ASYNCIO,
-    ON_TRIO,
     Count,
     Gate,
     Lab,
     feedback,
     goal,
     lab,
-    other_tasks,
     result,
     running,
     settle,
@@ -327,14 +325,6 @@ async def test_feedback_behind_the_result_is_not_heard(send):
     assert heard == []
 
 
-async def test_a_body_canceled_behind_its_result_has_succeeded(send):
-    async def body(goal):
-        yield result(1)
-        await anyio.sleep_forever()
-
-    assert await canceled_end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
-
-
 # --- giving up ------------------------------------------------------------------------------
 
 
@@ -415,13 +405,6 @@ async def test_a_failure_is_logged_with_its_traceback(body, send, caplog):
     assert re.fullmatch(r"the body of /count failed \(goal [0-9a-f]{32}\)", record.getMessage())
     assert record.exc_info is not None
     assert str(record.exc_info[1]) == "no pen"
-
-
-@both_styles(fail)
-async def test_a_server_lives_on_after_a_failure(body, send):
-    async with lab(body) as served:
-        first = await send(served, goal())
-        assert await send(served, goal()) == first
 
 
 async def test_a_failed_body_reports_its_partial_result(send):
@@ -592,12 +575,6 @@ async def test_a_body_is_canceled_at_an_await(send):
     assert (outcome.status, gate.log) == (GoalStatus.CANCELED, ["begun", "canceled", "over"])
 
 
-async def test_a_generator_is_canceled_at_an_await_between_its_yields(send):
-    gate = Gate()
-    outcome = await canceled_end_of(gate.stream, send)
-    assert (outcome.status, gate.log) == (GoalStatus.CANCELED, ["begun", "canceled", "over"])
-
-
 async def test_a_generator_that_only_yields_is_canceled_at_a_yield(send):
     log: list[str] = []
 
@@ -660,71 +637,6 @@ async def test_the_clean_up_of_a_body_may_wait_in_a_shielded_scope(send):
 
     outcome = await canceled_end_of(body, send)
     assert (outcome.status, log) == (GoalStatus.CANCELED, ["cleaned up"])
-
-
-@ON_TRIO  # on asyncio it is `Task.cancel`, which no scope of anyio holds up
-@pytest.mark.parametrize("style", ["coroutine", "generator"])
-async def test_a_cancel_request_does_not_break_into_a_shielded_section(send, style):
-    gate, log = Gate(), []
-
-    async def work():
-        with anyio.CancelScope(shield=True):
-            await gate.opened.wait()
-            log.append("done with what must not be broken off")
-        await anyio.lowlevel.checkpoint()
-        log.append("went on")
-
-    async def coroutine(goal):
-        await work()
-
-    async def generator(goal):
-        await work()
-        yield result()
-
-    body = {"coroutine": coroutine, "generator": generator}[style]
-    async with lab(body) as served, running(lambda: send(served, goal())) as sent:
-        await served.client.cancel_all()
-        await settle()
-        gate.opened.set()
-    assert sent.value.status is GoalStatus.CANCELED
-    assert log == ["done with what must not be broken off"]
-
-
-async def test_the_end_of_a_goal_waits_for_its_clean_up(send):
-    gate = Gate()
-
-    async def body(goal):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await gate.opened.wait()
-
-    async with lab(body) as served, running(lambda: send(served, goal())) as sent:
-        await served.client.cancel_all()
-        await settle()
-        assert not sent.done.is_set()
-        gate.opened.set()
-
-
-async def test_a_second_cancel_request_does_not_disturb_the_clean_up(send):
-    gate, log = Gate(), []
-
-    async def body(goal):
-        try:
-            await anyio.sleep_forever()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await gate.opened.wait()
-            log.append("cleaned up")
-
-    async with lab(body) as served, running(lambda: send(served, goal())):
-        await served.client.cancel_all()
-        await settle()
-        await served.client.cancel_all()
-        await settle()
-        gate.opened.set()
-    assert log == ["cleaned up"]
 
 
 @pytest.mark.parametrize("style", ["coroutine", "generator"])
@@ -823,18 +735,6 @@ async def test_a_body_is_canceled_after_a_timeout_of_its_own(body, send):
     assert (await canceled_end_of(body, send)).status is GoalStatus.CANCELED
 
 
-async def failing_group():
-    async with anyio.create_task_group() as group:
-        group.start_soon(fail)
-        await anyio.sleep_forever()
-
-
-@both_styles(failing_group)
-async def test_a_task_group_whose_child_fails_aborts_the_goal(body, send):
-    expected = Outcome(GoalStatus.ABORTED, result(), "ValueError: no pen")
-    assert await end_of(body, send) == expected
-
-
 async def test_a_task_group_around_a_yield_whose_child_fails_aborts_the_goal(send):
     async def body(goal):
         async with anyio.create_task_group() as group:
@@ -917,13 +817,6 @@ async def test_a_generator_is_finished_whatever_ended_it(steps, send):
     assert log == ["finally"]
 
 
-@ON_ASYNCIO
-async def test_nothing_is_left_running_after_a_goal(send):
-    before = other_tasks()
-    await canceled_end_of(Gate().stream, send)
-    assert other_tasks() == before
-
-
 # --- feedback -------------------------------------------------------------------------------
 
 
@@ -966,13 +859,6 @@ async def test_a_listener_hears_what_was_published_in_order(body):
     async with lab(body) as served:
         await served.client.send_goal(goal(), feedback_callback=heard.append)
     assert heard == SNAPSHOTS
-
-
-@STYLES
-async def test_the_newest_feedback_is_known_without_reading(body):
-    async with lab(body) as served, served.client.send_goal(goal()) as handle:
-        await handle.result()
-        assert handle.last_feedback == SNAPSHOTS[-1]
 
 
 @STYLES
@@ -1088,14 +974,6 @@ async def test_a_reader_that_has_begun_loses_nothing():
         assert handle.missed == 0
 
 
-async def test_a_body_does_not_run_far_ahead_of_its_reader():
-    source = Source()
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        reading = aiter(handle)
-        await anext(reading)
-        assert await source.settle() <= FeedbackLog.KEPT + BURST
-
-
 async def test_a_body_that_was_held_up_goes_on_with_its_reader():
     source = Source()
     async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
@@ -1123,87 +1001,12 @@ async def test_a_client_that_begins_to_read_late_misses_only_what_is_old():
         assert FeedbackLog.KEPT <= len(read) < 2 * FeedbackLog.KEPT
 
 
-async def test_a_reader_that_breaks_off_does_not_hold_the_body_up():
-    source = Source()
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        async for _ in handle:
-            await source.settle()
-            break
-        await source.settle()
-        assert handle.done
-
-
-async def test_a_reader_that_is_canceled_does_not_hold_the_body_up():
-    source = Source()
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        with anyio.CancelScope() as scope:
-            async for _ in handle:
-                await source.settle()
-                scope.cancel()
-                await anyio.sleep_forever()
-        await source.settle()
-        assert handle.done
-
-
 async def test_a_reader_that_begins_again_goes_on_where_it_broke_off():
     async with lab(published_by_a_generator) as served, served.client.send_goal(goal()) as handle:
         async for message in handle:
             assert message == SNAPSHOTS[0]
             break
         assert [message async for message in handle] == SNAPSHOTS[1:]
-
-
-async def test_a_reader_that_begins_again_is_waited_for_again():
-    source = Source()
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        async for _ in handle:
-            break
-        reading = aiter(handle)
-        first = (await anext(reading)).so_far[0]
-        assert await source.settle() <= first + FeedbackLog.KEPT + BURST
-
-
-async def test_a_reader_that_leaves_the_block_lets_a_detached_body_go_on():
-    source = Source()
-    async with lab(source.stream) as served:
-        async with served.client.send_goal(goal()) as handle:
-            reading = aiter(handle)
-            await anext(reading)
-            await source.settle()
-            handle.detach()
-        await source.settle()
-        assert handle.done
-
-
-async def test_a_body_that_is_held_up_can_be_canceled():
-    source = Source()
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        reading = aiter(handle)
-        await anext(reading)
-        await source.settle()
-        await handle.cancel()
-        assert (await handle.outcome()).status is GoalStatus.CANCELED
-
-
-async def test_without_a_reader_feedback_does_not_pile_up():
-    source = Source()
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        await handle.result()
-        kept = [each async for each in handle]
-        assert 0 < len(kept) < 2 * FeedbackLog.KEPT
-
-
-async def test_an_awaited_goal_keeps_no_feedback_at_all():
-    goals: list[Any] = []
-
-    async def body(request, handle):
-        goals.append(CURRENT_GOAL.get())
-        handle.publish_feedback(feedback(1))
-        return result()
-
-    async with lab(body) as served:
-        await served.client.send_goal(goal())
-    assert goals[0].log.items == []
 
 
 async def test_a_body_that_only_yields_lets_others_run():

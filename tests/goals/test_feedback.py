@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 from collections.abc import AsyncIterator, Callable
-from typing import Any
 
 import anyio
 import pytest
@@ -26,16 +25,6 @@ LARGE_SIZE = 100_000
 """What `LARGE` takes in a compact encoding, to the nearest thousand (bytes)."""
 
 
-class Bell:
-    """Counts how often it was rung."""
-
-    def __init__(self) -> None:
-        self.rung = 0
-
-    def fire(self) -> None:
-        self.rung += 1
-
-
 def log_of(count: int) -> FeedbackLog:
     log = FeedbackLog(is_kept=True)
     for number in range(count):
@@ -44,12 +33,6 @@ def log_of(count: int) -> FeedbackLog:
 
 
 # --- what is kept -----------------------------------------------------------------------------
-
-
-def test_a_new_log_is_empty():
-    log = FeedbackLog(is_kept=True)
-    assert (log.items, log.dropped, log.count, log.read) == ([], 0, 0, None)
-    assert not log.is_full
 
 
 @given(st.lists(st.sampled_from(["append", "trim"]), max_size=50), st.integers(0, 4 * KEPT))
@@ -77,15 +60,6 @@ def test_what_the_sender_has_not_read_is_kept(read: int):
     for number in range(10 * KEPT):
         log.append(number)
     assert log.items[read - log.dropped :] == list(range(read, 10 * KEPT))
-
-
-def test_what_the_sender_has_read_is_kept_for_others_as_far_as_it_is_new():
-    log = FeedbackLog(is_kept=True)
-    log.read = 0
-    for number in range(10 * KEPT):
-        log.append(number)
-        log.read = number + 1
-    assert KEPT <= len(log.items) < 2 * KEPT
 
 
 def test_trimming_moves_the_rest_only_once_it_is_worth_it():
@@ -120,20 +94,6 @@ def test_a_body_should_wait_once_so_many_are_unread(unread: int, full: bool):
     assert log.is_full is full
 
 
-def test_nobody_is_waited_for_who_does_not_read():
-    log = log_of(3 * KEPT)
-    assert not log.is_full
-
-
-def test_a_sender_that_waits_for_the_end_is_not_waited_for():
-    log = log_of(KEPT)
-    log.read = 0
-    log.hurried += 1
-    assert not log.is_full
-    log.hurried -= 1
-    assert log.is_full
-
-
 @pytest.mark.parametrize(("unread", "full"), [(10, False), (11, True)])
 def test_a_body_should_wait_once_so_many_bytes_are_unread(unread: int, full: bool):
     log = FeedbackLog(is_kept=True)
@@ -142,13 +102,6 @@ def test_a_body_should_wait_once_so_many_bytes_are_unread(unread: int, full: boo
         log.append(LARGE)
     log.weigh()
     assert log.is_full is full
-
-
-def test_an_empty_log_has_no_weight():
-    log = FeedbackLog(is_kept=True)
-    log.read = 0
-    log.weigh()
-    assert not log.is_full
 
 
 @pytest.mark.parametrize("period", [1, 2, 3, 5, 8, 16])
@@ -174,23 +127,6 @@ def test_one_large_message_is_forgotten_in_time():
             log.weigh()
     log.read = 0
     assert not log.is_full
-
-
-def test_a_body_is_told_once_it_need_not_wait():
-    log = log_of(KEPT)
-    bell: Any = Bell()
-    log.read, log.drained = 0, bell
-    log.relieve()
-    assert bell.rung == 0
-    log.read = 1
-    log.relieve()
-    assert bell.rung == 1
-
-
-def test_nobody_is_told_where_no_body_waits():
-    log = log_of(KEPT)
-    log.relieve()
-    assert log.drained is None
 
 
 # --- a body and its readers -------------------------------------------------------------------
@@ -244,18 +180,6 @@ async def test_large_messages_hold_the_body_up_by_their_bytes():
         del reading
 
 
-async def test_by_and_by_all_large_messages_are_read():
-    source = Source(large, 100)
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        read = 0
-        async for message in handle:
-            read += 1
-            assert message == LARGE
-            unread = (await source.settle() - read) * LARGE_SIZE
-            assert unread < BUDGET + HEAD_START * LARGE_SIZE
-        assert (read, handle.missed) == (100, 0)
-
-
 async def test_large_and_small_messages_by_turns_hold_the_body_up():
     def by_turns(number: int) -> object:
         return LARGE if number % 2 else feedback(number)
@@ -268,14 +192,6 @@ async def test_large_and_small_messages_by_turns_hold_the_body_up():
 
 
 @pytest.mark.parametrize("make", [feedback, large])
-async def test_a_sender_that_does_not_read_does_not_hold_the_body_up(make):
-    source = Source(make, 2 * KEPT if make is feedback else 50)
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        await source.settle()
-        assert handle.done
-
-
-@pytest.mark.parametrize("make", [feedback, large])
 async def test_who_waits_for_the_result_besides_reading_is_not_held_up(make):
     upto = 2 * KEPT if make is feedback else 50
     source = Source(make, upto)
@@ -285,15 +201,6 @@ async def test_who_waits_for_the_result_besides_reading_is_not_held_up(make):
         assert await handle.result() == result(upto)
         assert len([message async for message in reading]) == upto
         assert handle.missed == 0
-
-
-async def test_who_waits_for_the_outcome_besides_reading_is_not_held_up():
-    source = Source()
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        reading = aiter(handle)
-        await source.settle()
-        assert (await handle.outcome()).status is GoalStatus.SUCCEEDED
-        assert len([message async for message in reading]) == MANY
 
 
 async def test_a_body_is_held_up_again_once_nobody_waits_for_the_result_any_more():
@@ -312,16 +219,6 @@ async def test_a_body_is_held_up_again_once_nobody_waits_for_the_result_any_more
             waiter.scope.cancel()
         gate.opened.set()
         assert await source.settle() < KEPT + BURST
-        del reading
-
-
-async def test_a_body_that_is_held_up_ends_with_its_server():
-    source = Source()
-    async with lab(source.stream) as served, served.client.send_goal(goal()) as handle:
-        reading = aiter(handle)
-        await source.settle()
-        await served.server.aclose()
-        assert (await handle.outcome()).reason == "shutdown"
         del reading
 
 

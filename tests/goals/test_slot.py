@@ -64,11 +64,6 @@ def end(slot: Slot[Wish], wish: Wish) -> Wish | None:
 # --- the rules ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("policy", ["parallel", "reject", "queue", "preempt"])
-def test_each_policy_has_rules(policy):
-    assert Rules(policy).policy == policy
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -99,32 +94,6 @@ def test_rules_that_cannot_be_are_refused(options, message):
     option, _, problem = message.partition(": ")
     with pytest.raises(InvalidOption, match=f"^option '{option}': {problem}"):
         Rules(**options)
-
-
-@pytest.mark.parametrize(
-    ("rules", "is_free", "has_queue"),
-    [
-        (PARALLEL, True, False),
-        (TWO, False, True),
-        (REJECT, False, False),
-        (QUEUE, False, True),
-        (PREEMPT, False, False),
-    ],
-)
-def test_rules_say_what_they_mean(rules, is_free, has_queue):
-    assert (rules.is_free, rules.has_queue) == (is_free, has_queue)
-
-
-@pytest.mark.parametrize(
-    ("rules", "text"),
-    [
-        (QUEUE, "policy='queue'"),
-        (ONE_WAITS, "policy='queue', queue_limit=1"),
-        (TWO_AND_ONE_WAITS, "policy='parallel', max_active=2, queue_limit=1"),
-    ],
-)
-def test_rules_are_written_as_they_were_given(rules, text):
-    assert str(rules) == text
 
 
 # --- every policy in every situation --------------------------------------------------------
@@ -204,136 +173,13 @@ def test_a_refusal_says_why(situation, rules, reason):
     assert slot.enter(new).reason == reason
 
 
-@pytest.mark.parametrize("rules", [REJECT, ONE_WAITS, TWO_AND_ONE_WAITS, PREEMPT])
-def test_a_goal_that_was_refused_leaves_no_trace(rules):
-    slot, new = in_situation("child of the same action, one waits", rules)
-    before = repr(vars(slot))
-    if slot.enter(new).decision is not REFUSE:
-        pytest.fail("it should have been refused")
-    assert repr(vars(slot)) == before
-    assert slot.leave(new.goal) is None
-    assert repr(vars(slot)) == before
-
-
 # --- queues ---------------------------------------------------------------------------------
-
-
-def test_a_place_goes_to_the_one_that_has_waited_longest():
-    first, second, third = Wish("first"), Wish("second"), Wish("third")
-    slot = slot_with(QUEUE, first, second, third)
-    assert end(slot, first) is second
-    assert end(slot, second) is third
-    assert end(slot, third) is None
-
-
-def test_one_that_leaves_the_queue_is_passed_over():
-    first, second, third = Wish("first"), Wish("second"), Wish("third")
-    slot = slot_with(QUEUE, first, second, third)
-    assert end(slot, second) is None
-    assert end(slot, first) is third
-
-
-def test_one_that_leaves_a_full_queue_makes_room_in_it():
-    first, second, third = Wish("first"), Wish("second"), Wish("third")
-    slot = slot_with(ONE_WAITS, first, second)
-    end(slot, second)
-    assert slot.enter(third).decision is WAIT
-
-
-def test_without_room_to_wait_a_queue_takes_none():
-    slot = slot_with(Rules("queue", queue_limit=0), Wish("first"))
-    assert slot.enter(Wish("second")).reason == "the queue is full (0 waiting)"
 
 
 # --- families -------------------------------------------------------------------------------
 
 
-def test_a_place_is_kept_until_parent_and_child_have_ended():
-    parent, stranger = Wish("parent"), Wish("stranger")
-    child = Wish("child", "/rotate", parent)
-    slot = slot_with(QUEUE, parent, child, stranger)
-    assert end(slot, parent) is None
-    assert end(slot, child) is stranger
-
-
-def test_a_child_of_another_action_does_not_count_against_the_places():
-    parent, other = Wish("parent"), Wish("other")
-    slot = slot_with(TWO, parent, Wish("child", "/rotate", parent))
-    assert slot.enter(other).decision is START
-
-
-def test_a_child_of_a_goal_elsewhere_is_a_child_of_that_ones_parent():
-    parent = Wish("parent")
-    elsewhere = Wish("elsewhere", "/plan", parent)
-    slot = slot_with(QUEUE, parent)
-    assert slot.enter(Wish("child", "/rotate", elsewhere)).decision is START
-
-
-def test_a_child_of_the_same_action_waits_for_a_stranger():
-    parent, stranger = Wish("parent"), Wish("stranger")
-    child = Wish("child", parent=parent)
-    slot = slot_with(TWO, parent, stranger, child)
-    assert end(slot, stranger) is child
-
-
-def test_a_family_that_holds_every_place_cannot_have_another():
-    parent = Wish("parent")
-    child = Wish("child", parent=parent)
-    slot = slot_with(TWO, parent, child)
-    entry = slot.enter(Wish("grandchild", parent=child))
-    assert entry.reason == "a deadlock: it would wait for its own parent, goal child of /count"
-
-
-def test_parents_whose_children_would_wait_for_each_other_are_not_let_wait_both():
-    first, second = Wish("first"), Wish("second")
-    slot = slot_with(TWO, first, second)
-    assert slot.enter(Wish("child of first", parent=first)).decision is WAIT
-    entry = slot.enter(Wish("child of second", parent=second))
-    assert entry.reason == "a deadlock: it would wait for its own parent, goal second of /count"
-
-
-def test_once_the_one_child_has_ended_the_other_may_wait():
-    first, second = Wish("first"), Wish("second")
-    child = Wish("child of first", parent=first)
-    slot = slot_with(TWO, first, second, child)
-    end(slot, child)
-    assert slot.enter(Wish("child of second", parent=second)).decision is WAIT
-
-
 # --- preempting -----------------------------------------------------------------------------
-
-
-def test_a_new_goal_has_the_one_that_runs_canceled():
-    holder = Wish("holder")
-    entry = slot_with(PREEMPT, holder).enter(Wish("new"))
-    assert (entry.evicted, entry.displaced) == ((holder,), None)
-    assert entry.reason == "preempted by goal new of /count"
-
-
-def test_a_still_newer_goal_takes_the_place_of_the_one_that_waits():
-    holder, second, third = Wish("holder"), Wish("second"), Wish("third")
-    slot = slot_with(PREEMPT, holder, second)
-    assert slot.enter(third).displaced is second
-    assert end(slot, second) is None
-    assert end(slot, holder) is third
-
-
-def test_of_a_family_the_parent_alone_is_canceled():
-    holder = Wish("holder")
-    elsewhere = Wish("elsewhere", "/plan", holder)
-    children = Wish("child", "/rotate", holder), Wish("grandchild", "/rotate", elsewhere)
-    slot = slot_with(PREEMPT, holder, *children)
-    assert slot.enter(Wish("new")).evicted == (holder,)
-
-
-def test_of_a_family_without_its_parent_all_children_are_canceled():
-    holder = Wish("holder")
-    children = Wish("one", "/rotate", holder), Wish("two", "/rotate", holder)
-    slot = slot_with(PREEMPT, holder, *children)
-    for child in children:
-        assert child.goal.parent is holder.goal
-    end(slot, holder)
-    assert slot.enter(Wish("new")).evicted == children
 
 
 def test_a_child_that_goes_on_after_its_parent_gave_way_is_to_give_way_too():
@@ -345,12 +191,6 @@ def test_a_child_that_goes_on_after_its_parent_gave_way_is_to_give_way_too():
     assert overdue is not None
     assert (overdue.evicted, overdue.reason) == ((child,), "preempted by goal new of /count")
     assert end(slot, child) is new
-    assert slot.overdue() is None
-
-
-@pytest.mark.parametrize("rules", [REJECT, QUEUE, TWO])
-def test_nothing_is_overdue_under_the_other_policies(rules):
-    slot = slot_with(rules, Wish("one"), Wish("two"), Wish("three"))
     assert slot.overdue() is None
 
 
@@ -486,15 +326,6 @@ def test_servers_that_give_one_name_share_a_slot():
     assert slots.find(Rules("queue"), "arm") is shared
     assert slots.find(QUEUE, "base") is not shared
     assert slots.find(QUEUE, None) is not slots.find(QUEUE, None)
-
-
-def test_goals_that_never_have_to_do_with_each_other_need_no_slot():
-    assert Slots[Wish]().find(PARALLEL, None) is None
-
-
-def test_a_shared_slot_for_goals_that_need_none_is_refused():
-    with pytest.raises(InvalidOption, match="needs a policy other than 'parallel', or max_a"):
-        Slots[Wish]().find(PARALLEL, "arm")
 
 
 def test_a_slot_is_shared_under_one_set_of_rules_for_as_long_as_it_is_used():

@@ -209,12 +209,6 @@ async def test_sleeping_no_time_can_be_canceled(make):
     assert scope.cancelled_caught
 
 
-async def test_nothing_need_drive_wall_time():
-    async with running(WallClock().run) as driver:
-        assert not driver.done.is_set()
-        driver.scope.cancel()
-
-
 # --- a clock that stands ---------------------------------------------------------------------
 
 
@@ -244,13 +238,6 @@ def test_a_clock_goes_on_from_where_it_stood(wall):
     assert clock.time() == 3
     wall.seconds += 1
     assert clock.time() == 5
-
-
-def test_a_clock_is_not_put_back(wall):
-    clock = ScaledClock(2)
-    wall.seconds += 10
-    clock.stop_at(3)
-    assert clock.time() == 20
 
 
 def test_a_wall_clock_that_has_stood_is_behind_the_wall_by_as_much(wall, monkeypatch):
@@ -366,21 +353,9 @@ async def clock(anyio_backend):
     await driver.aclose()
 
 
-def test_virtual_time_begins_at_a_fixed_moment():
-    clock = VirtualClock()
-    assert (clock.time(), clock.now()) == (0.0, EPOCH)
-
-
 async def test_virtual_time_leaps_to_the_next_deadline(clock):
     await clock.sleep(3600)
     assert (clock.time(), clock.now()) == (3600.0, EPOCH + 3600 * SECOND)
-
-
-async def test_virtual_time_can_be_slept_until_a_moment(clock):
-    await clock.sleep_until(5)
-    await clock.sleep_until(5)
-    await clock.sleep_until(4)
-    assert clock.time() == 5
 
 
 async def test_virtual_time_stands_still_until_somebody_drives_it():
@@ -478,12 +453,6 @@ async def test_a_sleeper_goes_on_once_all_that_the_one_before_it_brought_about_i
     assert log == ["answered", "second"]
 
 
-async def test_a_sleep_can_be_canceled(clock):
-    async with running(lambda: VirtualClock().sleep(1)) as sleeper:
-        sleeper.scope.cancel()
-    assert sleeper.scope.cancelled_caught
-
-
 async def test_time_does_not_leap_to_the_end_of_a_canceled_sleep():
     clock = VirtualClock()
     async with running(lambda: clock.sleep(1)) as sleeper:
@@ -513,15 +482,6 @@ async def test_a_canceled_sleep_leaves_the_others_in_order():
     assert log == [3, 4, 5, 7, 8, 9]
 
 
-async def test_time_does_not_leap_to_a_canceled_deadline(clock):
-    async with running(lambda: clock.sleep_until(100)) as sleeper:
-        sleeper.scope.cancel()
-        await sleeper.done.wait()
-        for _ in range(3):
-            await wait_until_idle()
-        assert clock.time() == 0
-
-
 async def test_time_waits_for_a_child_to_be_joined(clock):
     """The parent goes on some turns after the child's end, with nothing else to run between."""
     moments: list[float] = []
@@ -535,26 +495,6 @@ async def test_time_waits_for_a_child_to_be_joined(clock):
         group.start_soon(clock.sleep, 2)
         group.start_soon(parent)
     assert moments == [1]
-
-
-@ON_ASYNCIO
-async def test_time_waits_for_what_was_gathered(clock):
-    async def two():
-        await asyncio.gather(asyncio.gather(clock.sleep(1)), clock.sleep(0.5))
-        return clock.time()
-
-    moment, _ = await asyncio.gather(two(), clock.sleep(2))
-    assert moment == 1
-
-
-@ON_ASYNCIO
-async def test_time_waits_for_what_was_shielded(clock):
-    async def one():
-        await asyncio.shield(asyncio.shield(clock.sleep(1)))
-        return clock.time()
-
-    moment, _ = await asyncio.gather(one(), clock.sleep(2))
-    assert moment == 1
 
 
 @ON_ASYNCIO
@@ -598,14 +538,6 @@ async def test_time_does_not_leap_for_ever(clock):
         sleeper.scope.cancel()
 
 
-async def test_time_goes_on_after_there_was_nobody_to_wake(clock):
-    await clock.sleep(1)
-    for _ in range(3):
-        await wait_until_idle()
-    await clock.sleep(1)
-    assert clock.time() == 2
-
-
 @ON_A_LOOP_THAT_TELLS
 @pytest.mark.parametrize("ticks", [(50, math.inf), (math.inf, 50)])
 async def test_two_clocks_of_one_loop_hold_each_other_up_no_more_than_anyone(ticks):
@@ -623,53 +555,3 @@ async def test_two_clocks_of_one_loop_hold_each_other_up_no_more_than_anyone(tic
         assert one.time() == pytest.approx(other.time(), abs=1)
         driver.scope.cancel()
         second.scope.cancel()
-
-
-async def program() -> list[tuple[str, float]]:
-    """Tasks that sleep, wake each other, start others and are canceled."""
-    clock, log = VirtualClock(), []
-    driver = Background(clock.run(), "the clock")
-
-    async def worker(name: str, period: float, rounds: int) -> None:
-        for number in range(rounds):
-            await clock.sleep(period)
-            log.append((f"{name}{number}", clock.time()))
-
-    async with anyio.create_task_group() as group:
-        group.start_soon(worker, "a", 0.3, 10)
-        group.start_soon(worker, "b", 0.7, 5)
-        await clock.sleep(1.05)
-        group.start_soon(worker, "c", 0.11, 7)
-        with anyio.CancelScope() as scope:
-            scope.cancel()
-            await clock.sleep(0.01)
-        await worker("d", 0.05, 20)
-    await driver.aclose()
-    return log
-
-
-async def test_two_runs_of_a_program_pass_through_the_same_moments():
-    assert await program() == await program()
-
-
-async def test_a_driver_that_ends_can_be_followed_by_another():
-    clock = VirtualClock()
-    for moment in (1, 2):
-        async with running(clock.run) as driver:
-            await clock.sleep(1)
-            driver.scope.cancel()
-        assert clock.time() == moment
-
-
-async def test_a_minute_of_many_sleepers_takes_no_minute(clock):
-    begun = time.monotonic()
-
-    async def tick() -> None:
-        for _ in range(60):
-            await clock.sleep(1)
-
-    async with anyio.create_task_group() as group:
-        for _ in range(10):
-            group.start_soon(tick)
-    assert clock.time() == 60
-    assert time.monotonic() - begun < 30

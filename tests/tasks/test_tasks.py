@@ -72,19 +72,6 @@ async def test_what_a_spawned_coroutine_sets_in_its_context_stays_there():
     assert COLOUR.get() == "none"
 
 
-async def test_a_spawned_coroutine_keeps_its_context_over_a_wait():
-    log: list[object] = []
-
-    async def body():
-        COLOUR.set("blue")
-        await anyio.lowlevel.checkpoint()
-        log.append(COLOUR.get())
-
-    current_tasks().spawn(body(), "lab")
-    await settle()
-    assert log == ["blue"]
-
-
 async def test_a_task_that_waits_is_canceled_there():
     log: list[object] = []
     task = current_tasks().spawn(wait_forever(log), "lab")
@@ -257,12 +244,6 @@ async def test_a_fire_right_after_a_cancellation_passes_over_the_canceled_waiter
 # --- what is being ended --------------------------------------------------------------------
 
 
-async def test_what_is_over_is_not_waited_for():
-    waiting = wait_while(lambda: False, current_tasks().signal(), 1.0)
-    with pytest.raises(StopIteration):
-        waiting.send(None)
-
-
 async def test_what_is_not_over_is_waited_for_though_the_waiter_is_canceled():
     signal, busy = current_tasks().signal(), [1, 2]
     log: list[object] = []
@@ -327,12 +308,6 @@ async def test_closing_waits_even_where_the_closer_is_canceled():
     assert log == ["canceled"]
 
 
-async def test_closing_what_has_ended_returns_at_once():
-    background = Background(note([], ""), "the clock")
-    await settle()
-    await background.aclose()
-
-
 async def test_a_background_coroutine_that_fails_is_logged(caplog):
     async def body():
         raise ValueError("the battery is flat")
@@ -347,12 +322,6 @@ async def test_a_background_coroutine_that_fails_is_logged(caplog):
         "the clock has failed",
     )
     assert "the battery is flat" in str(record.exc_info)
-
-
-async def test_a_background_coroutine_that_is_closed_is_not_logged(caplog):
-    background = Background(wait_forever([]), "the clock")
-    await background.aclose()
-    assert not caplog.records
 
 
 @ON_ASYNCIO
