@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from typing import Any, Generic, NamedTuple, TypeVar, cast
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar, cast
 
 import anyio
 import pytest
 
 import turtleact
+from turtleact import GoalStatus, Outcome
+from turtleact.errors import GoalAborted, GoalCanceled
 from turtleact.goals.server import LocalActionServer
 from turtleact.goals.state import Goal
 from turtleact.interfaces import Action, Message, int32
@@ -226,3 +228,25 @@ def hand_lab(execute: Callable[..., object], **options: Any) -> tuple[HandClock,
     """A laboratory whose clock the test sets by hand."""
     clock = HandClock()
     return clock, lab(execute, transport=MemoryTransport(clock), **options)
+
+
+# The two ways to wait for a goal: they must not differ in how it ends.
+
+
+async def awaited(served: Lab, request: Count.Goal, **options: Any) -> Outcome[Count.Result]:
+    """Await a goal, and tell how it ended."""
+    try:
+        return Outcome(GoalStatus.SUCCEEDED, await served.client.send_goal(request, **options))
+    except GoalCanceled as end:
+        return Outcome(GoalStatus.CANCELED, end.result, end.reason)
+    except GoalAborted as end:
+        return Outcome(GoalStatus.ABORTED, end.result, end.reason)
+
+
+async def entered(served: Lab, request: Count.Goal, **options: Any) -> Outcome[Count.Result]:
+    """Enter the block of a goal, and tell how it ended."""
+    async with served.client.send_goal(request, **options) as handle:
+        return await handle.outcome()
+
+
+Send: TypeAlias = Callable[..., Awaitable[Outcome[Count.Result]]]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from contextlib import suppress
 from typing import Any, cast
 
@@ -151,11 +150,6 @@ async def test_a_reader_in_this_process_is_told_of_each_change():
         assert topic.changes == len(("ACCEPTED", "EXECUTING", "SUCCEEDED"))
 
 
-async def test_no_goal_is_an_empty_array():
-    async with lab(act) as served:
-        check(source_of(served.local))
-
-
 async def test_both_forms_say_the_same_of_goals_in_any_state():
     async with lab(act) as served:
         source = source_of(served.local)
@@ -173,36 +167,12 @@ async def test_goals_from_before_the_first_reader_are_told_of():
         check(source_of(served.local), GoalStatus.EXECUTING)
 
 
-async def test_who_reads_again_is_told_of_what_happened_meanwhile():
-    async with lab(act) as served:
-        source = source_of(served.local)
-        source.readers_changed(has_readers=False)
-        await send(served, 2)
-        source.readers_changed(has_readers=True)
-        check(source, GoalStatus.EXECUTING)
-
-
 async def test_goals_that_are_not_held_any_more_are_left_out():
     async with lab(act, result_timeout=0.0) as served:
         source = source_of(served.local)
         await send(served, 2)
         await send(served, 0)
         check(source, GoalStatus.EXECUTING)
-
-
-def goals_in_memory() -> set[Goal]:
-    gc.collect()
-    return {each for each in gc.get_objects() if type(each) is Goal}
-
-
-async def test_no_goal_is_kept_for_those_who_do_not_read_bytes():
-    before = goals_in_memory()
-    async with lab(act, result_timeout=0.0) as served:
-        source = source_of(served.local)
-        for _ in range(3):
-            await send(served, 0)
-        assert goals_in_memory() <= before
-        check(source)
 
 
 # --- reasons

@@ -19,8 +19,6 @@ from turtleact.errors import (
     LONGEST,
     Abort,
     Cancel,
-    GoalAborted,
-    GoalCanceled,
     InvalidMessage,
     InvalidTransition,
 )
@@ -31,7 +29,8 @@ from ..lab import (
     ON_ASYNCIO,
     Count,
     Gate,
-    Lab,
+    awaited,
+    entered,
     feedback,
     goal,
     lab,
@@ -45,27 +44,6 @@ def ended_without_result(body) -> Outcome[Any]:
     yields = inspect.isasyncgenfunction(body)
     ending = "the last value yielded must be" if yields else "the body must return"
     return Outcome(GoalStatus.ABORTED, result(), f"no result: {ending} a Result")
-
-
-async def awaited(served: Lab, request: Count.Goal) -> Outcome[Count.Result]:
-    try:
-        return Outcome(GoalStatus.SUCCEEDED, await served.client.send_goal(request))
-    except GoalCanceled as end:
-        return Outcome(GoalStatus.CANCELED, end.result, end.reason)
-    except GoalAborted as end:
-        return Outcome(GoalStatus.ABORTED, end.result, end.reason)
-
-
-async def entered(served: Lab, request: Count.Goal) -> Outcome[Count.Result]:
-    async with served.client.send_goal(request) as handle:
-        return await handle.outcome()
-
-
-@pytest.fixture(params=[awaited, entered])
-def send(request) -> Callable[[Lab, Count.Goal], Awaitable[Outcome[Count.Result]]]:
-    """The two ways to wait for a goal: they must not differ in how it ends."""
-    way: Callable[[Lab, Count.Goal], Awaitable[Outcome[Count.Result]]] = request.param
-    return way
 
 
 async def end_of(body, send, **options):

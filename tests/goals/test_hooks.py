@@ -48,40 +48,31 @@ async def fail(request):
 # --- hooks --------------------------------------------------------------------------------------
 
 
-async def test_a_hook_hears_of_a_goal_that_succeeds(send):
-    async with lab(count) as served:
-        journal = Journal(served.node)
-        await send(served, goal(1))
-        assert journal.changes == {1: [ACCEPT, EXECUTE, SUCCEED]}
+async def succeed_all_the_same(request):
+    try:
+        await anyio.sleep_forever()
+    except anyio.get_cancelled_exc_class():
+        return result(1)
 
 
-async def test_a_hook_hears_of_a_goal_that_is_aborted(send):
-    async with lab(fail) as served:
-        journal = Journal(served.node)
-        await send(served, goal(1))
-        assert journal.changes == {1: [ACCEPT, EXECUTE, ABORT]}
+@pytest.mark.parametrize(
+    ("body", "changes"),
+    [
+        (count, [SUCCEED]),
+        (fail, [ABORT]),
+        (anyio.sleep_forever, [CANCEL, CANCELED]),
+        (succeed_all_the_same, [CANCEL, ("CANCELING", "SUCCEEDED")]),
+    ],
+)
+async def test_a_hook_hears_of_each_change_of_a_goal(send, body, changes):
+    async def wait(request):
+        await body()
 
-
-async def test_a_hook_hears_of_a_goal_that_is_canceled(send):
-    async with lab(Gate().wait) as served:
-        journal = Journal(served.node)
-        async with running(lambda: send(served, goal(1))):
-            await served.client.cancel_all()
-        assert journal.changes == {1: [ACCEPT, EXECUTE, CANCEL, CANCELED]}
-
-
-async def test_a_hook_hears_of_a_goal_that_succeeds_although_it_is_canceled(send):
-    async def body(request):
-        try:
-            await anyio.sleep_forever()
-        except anyio.get_cancelled_exc_class():
-            return result(1)
-
-    async with lab(body) as served:
+    async with lab(wait if body is anyio.sleep_forever else body) as served:
         journal = Journal(served.node)
         async with running(lambda: send(served, goal(1))):
             await served.client.cancel_all()
-        assert journal.changes == {1: [ACCEPT, EXECUTE, CANCEL, ("CANCELING", "SUCCEEDED")]}
+        assert journal.changes == {1: [ACCEPT, EXECUTE, *changes]}
 
 
 async def test_a_hook_hears_of_a_goal_that_waits_for_its_turn():
@@ -225,31 +216,6 @@ async def test_a_goal_has_ended_once_its_end_is_told():
         served.node.on_transition(hook)
         await served.client.send_goal(goal())
     assert held == [("ACCEPTED", 1), ("EXECUTING", 1), ("SUCCEEDED", 0)]
-
-
-async def test_a_hook_can_name_the_goal():
-    ids: set[bytes] = set()
-    async with lab(Gate().wait) as served:
-        served.node.on_transition(lambda handle, old, new: ids.add(handle.goal_id))
-        async with served.client.send_goal(goal()) as handle:
-            await handle.cancel()
-            await handle.outcome()
-            assert ids == {handle.goal_id}
-
-
-async def test_a_hook_may_cancel_a_goal_that_begins(send):
-    gate = Gate()
-    async with lab(gate.wait) as served:
-
-        def hook(handle, old, new):
-            if new is GoalStatus.EXECUTING:
-                served.local.request_cancel(served.active[0])
-
-        journal = Journal(served.node)
-        served.node.on_transition(hook)
-        assert (await send(served, goal(1))).status is GoalStatus.CANCELED
-        assert journal.changes == {1: [ACCEPT, EXECUTE, CANCEL, CANCELED]}
-        assert gate.log == []
 
 
 async def test_a_hook_may_cancel_a_goal_that_has_to_wait():
@@ -556,26 +522,6 @@ async def test_nothing_else_can_be_done_with_the_goals_of_lost_clients():
 
 
 # --- how a goal is sent -------------------------------------------------------------------------
-
-
-async def awaited(served, request):
-    try:
-        value = await served.client.send_goal(request)
-    except GoalAborted as error:
-        return turtleact.Outcome(GoalStatus.ABORTED, error.result, error.reason)
-    except GoalCanceled as error:
-        return turtleact.Outcome(GoalStatus.CANCELED, error.result)
-    return turtleact.Outcome(GoalStatus.SUCCEEDED, value)
-
-
-async def entered(served, request):
-    async with served.client.send_goal(request) as handle:
-        return await handle.outcome()
-
-
-@pytest.fixture(params=[awaited, entered])
-def send(request):
-    return request.param
 
 
 async def awaited_with(served, listen):

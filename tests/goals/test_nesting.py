@@ -40,12 +40,10 @@ from ..lab import (
     settle,
 )
 from .test_action_client import Busy, cancel_after, on_asyncio, take
-from .test_execution import awaited, entered
 from .test_policies import (
     CANCELED,
     ID,
     SHUTDOWN,
-    Send,
     Stage,
     beside,
     is_idle,
@@ -53,13 +51,6 @@ from .test_policies import (
     sending,
     succeeded,
 )
-
-
-@pytest.fixture(params=[awaited, entered])
-def send(request) -> Send:
-    """The two ways to wait for a goal, of a client and of a body."""
-    way: Send = request.param
-    return way
 
 
 async def await_child(client):
@@ -402,11 +393,6 @@ async def test_a_family_that_has_taken_every_place_is_refused_another(send):
         outcome = await send(served, goal(2))
         assert "a deadlock" in outcome.reason
         assert is_idle(served)
-
-
-async def test_in_parallel_a_goal_may_be_sent_to_its_own_action_to_any_depth(send):
-    async with lab(recurse) as served:
-        assert await send(served, goal(10)) == succeeded(0)
 
 
 async def test_a_child_may_wait_for_the_place_of_a_stranger(send):

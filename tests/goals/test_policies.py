@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections import defaultdict
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from contextvars import ContextVar
 from functools import partial
@@ -32,6 +32,8 @@ from ..lab import (
     Count,
     Lab,
     Running,
+    Send,
+    awaited,
     count,
     feedback,
     goal,
@@ -52,10 +54,7 @@ from .test_action_client import (
     on_asyncio,
     take,
 )
-from .test_execution import awaited, entered
 from .test_local_server import ids
-
-Send = Callable[[Lab, Count.Goal], Awaitable[Outcome[Count.Result]]]
 
 ID = bytes(range(16))
 CANCELED = Outcome(GoalStatus.CANCELED, result())
@@ -76,13 +75,6 @@ WAITING = pytest.mark.parametrize(
         pytest.param({"policy": "preempt"}, id="preempt"),
     ],
 )
-
-
-@pytest.fixture(params=[awaited, entered])
-def send(request) -> Send:
-    """The two ways to wait for a goal: they must not differ in how it ends."""
-    way: Send = request.param
-    return way
 
 
 def succeeded(number: int) -> Outcome[Count.Result]:
@@ -218,12 +210,6 @@ async def test_while_one_runs_another_is_rejected(send):
     assert (sent[0].value, stage.log) == (succeeded(1), ["1 begun", "1 over"])
 
 
-async def test_once_the_one_has_ended_another_is_taken(send):
-    async with lab(count, policy="reject") as served:
-        for _ in range(3):
-            assert await send(served, goal(1)) == succeeded(0)
-
-
 async def test_the_id_of_a_goal_that_was_rejected_is_free():
     stage = Stage()
     async with lab(stage.act, policy="reject") as served:
@@ -301,16 +287,6 @@ async def test_the_events_of_a_goal_that_has_waited_tell_when_it_began():
     assert kinds == ["accepted", GoalStatus.EXECUTING, GoalStatus.SUCCEEDED, "result"]
 
 
-async def test_a_hook_hears_of_the_states_of_a_waiting_goal(send):
-    stage = Stage()
-    async with lab(stage.act, policy="queue") as served:
-        log = told(served)
-        async with sending(send, served, 1, 2):
-            assert log == [(1, "ACCEPTED"), (1, "EXECUTING"), (2, "ACCEPTED")]
-            stage.open(1, 2)
-    assert log[3:] == [(1, "SUCCEEDED"), (2, "EXECUTING"), (2, "SUCCEEDED")]
-
-
 async def test_feedback_of_a_goal_that_has_waited_reaches_its_client():
     gate = anyio.Event()
 
@@ -374,23 +350,6 @@ async def test_a_long_queue_of_goals_that_never_wait_is_worked_off(options, styl
             stage.open(1)
             assert (await handles[-1].outcome()).status is GoalStatus.SUCCEEDED
             assert all(each.status is GoalStatus.SUCCEEDED for each in handles)
-        assert is_idle(served)
-
-
-async def test_a_long_queue_can_be_canceled_at_once():
-    async with lab(Stage().act, policy="queue") as served:
-        async with AsyncExitStack() as stack:
-            for number in range(MANY):
-                await stack.enter_async_context(served.client.send_goal(goal(number)))
-            response = await served.client.cancel_all()
-            assert len(response.goals_canceling) == MANY
-        assert is_idle(served)
-
-
-async def test_many_goals_in_turn_leave_nothing_behind(send):
-    async with lab(count, policy="queue") as served:
-        for _ in range(100):
-            assert (await send(served, goal(1))).status is GoalStatus.SUCCEEDED
         assert is_idle(served)
 
 
@@ -459,21 +418,6 @@ async def test_a_waiting_goal_that_was_detached_begins_in_its_turn():
             handle.detach()
         stage.open(1, 2)
         assert await handle.result() == result(2)
-
-
-async def test_a_hook_hears_of_the_states_of_a_goal_canceled_while_it_waits(send):
-    stage = Stage()
-    async with lab(stage.act, policy="queue") as served:
-        log = told(served)
-        async with sending(send, served, 1, 2) as sent:
-            sent[1].scope.cancel()
-            await settle()
-            stage.open(1)
-    assert [status for number, status in log if number == 2] == [
-        "ACCEPTED",
-        "CANCELING",
-        "CANCELED",
-    ]
 
 
 async def test_a_goal_in_the_middle_of_the_queue_is_passed_over(send):
@@ -554,17 +498,6 @@ async def test_the_clean_up_of_a_preempted_goal_ends_before_the_new_one_begins(s
         stage.open(2)
     assert stage.log == ["1 begun", "1 over", "2 begun", "2 over"]
     assert (sent[0].value.status, sent[1].value) == (GoalStatus.ABORTED, succeeded(2))
-
-
-async def test_while_it_gives_way_a_goal_is_executing():
-    stage = Stage(1)
-    async with lab(stage.act, policy="preempt") as served, served.client.send_goal(goal(1)) as one:
-        await settle()
-        async with sending(awaited, served, 2) as (two,):
-            assert one.status is GoalStatus.EXECUTING
-            stage.wash(1)
-            stage.open(2)
-    assert two.value == succeeded(2)
 
 
 async def test_the_newest_of_those_that_wait_wins(send):
@@ -831,16 +764,6 @@ async def test_a_goal_of_another_action_preempts_in_a_slot(send):
     assert stage.log == ["1 begun", "1 over", "2 begun", "2 over"]
 
 
-async def test_slots_of_other_names_and_actions_without_do_not_touch_each_other(send):
-    stage = Stage()
-    async with lab(stage.act, policy="queue", slot="turtle1") as served:
-        other = beside(served, "other", stage.act, policy="queue", slot="turtle2")
-        third = beside(served, "third", stage.act, policy="queue")
-        async with sending(send, served, 1), sending(send, other, 2), sending(send, third, 3):
-            assert stage.log == ["1 begun", "2 begun", "3 begun"]
-            stage.open(1, 2, 3)
-
-
 @pytest.mark.parametrize(
     "options",
     [{"policy": "reject"}, {"policy": "queue", "queue_limit": 3}, {"max_active": 1}],
@@ -879,15 +802,6 @@ async def test_a_server_that_closes_aborts_those_that_wait_without_a_start(send,
         "EXECUTING",
         "ABORTED",
     ]
-
-
-async def test_a_server_that_closes_aborts_its_whole_queue(send):
-    stage = Stage()
-    async with lab(stage.act, policy="queue") as served, sending(send, served, 1, 2, 3, 4) as sent:
-        await served.server.aclose()
-        assert is_idle(served)
-    assert [each.value for each in sent] == [SHUTDOWN] * 4
-    assert stage.log == ["1 begun", "1 over"]
 
 
 async def test_a_node_that_closes_starts_none_of_those_that_wait(send):
@@ -931,18 +845,6 @@ async def test_a_server_that_closes_leaves_the_others_of_its_slot_alone(send):
             stage.open(1, 3)
     assert [one.value, two.value, three.value] == [succeeded(1), SHUTDOWN, succeeded(3)]
     assert stage.log == ["1 begun", "1 over", "3 begun", "3 over"]
-
-
-async def test_a_closed_client_has_its_waiting_goals_canceled_if_the_server_says_so():
-    stage = Stage()
-    options: dict[str, Any] = {"policy": "queue", "on_client_lost": "cancel"}
-    async with lab(stage.act, **options) as served, sending(awaited, served, 1):
-        lost = served.node.action_client(Count, "count")
-        async with lost.send_goal(goal(2)) as handle:
-            await lost.aclose()
-            assert handle.status is GoalStatus.CANCELED
-        stage.open(1)
-    assert stage.log == ["1 begun", "1 over"]
 
 
 # --- callbacks that send goals --------------------------------------------------------------

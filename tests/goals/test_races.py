@@ -10,7 +10,7 @@ import itertools
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
 from random import Random
-from typing import Any, TypeAlias
+from typing import Any
 
 import anyio
 import pytest
@@ -31,6 +31,8 @@ from ..lab import (
     TURNS,
     Count,
     Lab,
+    Send,
+    awaited,
     feedback,
     goal,
     hand_lab,
@@ -45,7 +47,6 @@ ROUNDS = 2
 REPEATS = ROUNDS * MOST_TURNS**2
 ACCEPTED, CANCELING = GoalStatus.ACCEPTED, GoalStatus.CANCELING
 SUCCEEDED, CANCELED, ABORTED = GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED
-Send: TypeAlias = Callable[..., Awaitable[Outcome[Count.Result]]]
 
 LEGAL = {(old, new) for (old, _), new in TRANSITIONS.items()}
 
@@ -154,21 +155,6 @@ async def outcome_of(sending: Awaitable[Count.Result]) -> Outcome[Count.Result]:
         return Outcome(CANCELED, end.result, end.reason)
     except GoalAborted as end:
         return Outcome(ABORTED, end.result, end.reason)
-
-
-async def awaited(served: Lab, request: Count.Goal, **options: Any) -> Outcome[Count.Result]:
-    return await outcome_of(served.client.send_goal(request, **options))
-
-
-async def entered(served: Lab, request: Count.Goal, **options: Any) -> Outcome[Count.Result]:
-    async with served.client.send_goal(request, **options) as handle:
-        return await handle.outcome()
-
-
-@pytest.fixture(params=[awaited, entered])
-def send(request) -> Send:
-    way: Send = request.param
-    return way
 
 
 @pytest.fixture(params=["coroutine", "generator"])

@@ -44,7 +44,10 @@ from ..lab import (
     HandClock,
     Lab,
     Running,
+    Send,
+    awaited,
     count,
+    entered,
     feedback,
     goal,
     local_server,
@@ -53,8 +56,6 @@ from ..lab import (
     running,
     settle,
 )
-from .test_execution import awaited, entered
-from .test_policies import Send
 
 ID = bytes(range(16))
 

@@ -13,15 +13,6 @@ from turtleact import GoalStatus
 from turtleact.errors import GoalAborted
 
 from ..lab import Count, feedback, goal, lab, result, running, settle, take_turns
-from .test_execution import awaited, entered
-from .test_policies import Send
-
-
-@pytest.fixture(params=[awaited, entered])
-def send(request) -> Send:
-    """The two ways to wait for a goal."""
-    way: Send = request.param
-    return way
 
 
 class Section:

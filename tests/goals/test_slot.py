@@ -326,12 +326,3 @@ def test_servers_that_give_one_name_share_a_slot():
     assert slots.find(Rules("queue"), "arm") is shared
     assert slots.find(QUEUE, "base") is not shared
     assert slots.find(QUEUE, None) is not slots.find(QUEUE, None)
-
-
-def test_a_slot_is_shared_under_one_set_of_rules_for_as_long_as_it_is_used():
-    slots = Slots[Wish]()
-    shared = slots.find(QUEUE, "arm")
-    with pytest.raises(InvalidOption, match="'arm' is already used with other rules: policy="):
-        slots.find(REJECT, "arm")
-    del shared
-    assert slots.find(REJECT, "arm") is not None
