@@ -92,18 +92,10 @@ def test_the_module_of_a_program_may_be_in_src_of_its_package(tmp_path):
     assert status_of(tmp_path, "lab", "go") == 3
 
 
-def test_sources_come_first_then_what_is_built_in_then_what_is_installed(
-    executables, tmp_path, monkeypatch
-):
-    prefix = tmp_path / "install"
-    for package in ("lab", "turtlesim"):
-        write(prefix / "share/ament_index/resource_index/packages", **{package: ""})
-        write(prefix / "lib" / package, go_py="raise SystemExit(4)", notes_txt="")
-        (prefix / "lib" / package / "go.py").chmod(0o755)
-    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{prefix}:/nowhere")
-    assert executables() == ["go.py"]
-    assert status_of(tmp_path, "lab", "go.py") == 4
-    assert executables("turtlesim") == ["go.py", "turtlesim_node", "turtle_teleop_key"]
-    text = SETUP.replace("{}", "{'console_scripts': ['go.py = gone_lab:main']}")
-    write(tmp_path / "src" / "lab", setup_py=text, gone_lab_py="def main():\n    return 5\n")
-    assert status_of(tmp_path, "lab", "go.py") == 5
+def test_sources_come_before_what_is_built_in(executables, tmp_path):
+    assert executables("turtlesim") == ["turtlesim_node", "turtle_teleop_key"]
+    text = SETUP.replace("{}", "{'console_scripts': ['turtlesim_node = gone_lab:main']}")
+    package = "<name>turtlesim</name>"
+    write(tmp_path / "src" / "lab", setup_py=text, package_xml=package)
+    write(tmp_path / "src" / "lab", gone_lab_py="def main():\n    return 5\n")
+    assert status_of(tmp_path, "turtlesim", "turtlesim_node") == 5

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
-from functools import partial
 
 import pytest
 
@@ -63,30 +61,3 @@ def test_an_error_of_turtleact_is_named_with_its_line(run):
     status, _, err = run("import turtleact\n\nturtleact.get_action('lab/action/Gone')\n")
     assert status == 1
     assert err.startswith("turtleact: go.py:3: unknown interface 'lab/action/Gone'")
-
-
-def test_machine_code_takes_over_the_process(tmp_path):
-    places = {
-        "share/ament_index/resource_index/packages/lab": "",
-        "lib/lab/node": "#!/bin/sh\necho $1 $$\nexit 7\n",
-        "lib/lab/bad": "#!/nowhere/sh\n",
-    }
-    for name, text in places.items():
-        file = tmp_path / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text)
-        file.chmod(0o755)
-    start = partial(
-        subprocess.Popen,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={"AMENT_PREFIX_PATH": str(tmp_path)},
-    )
-    line = [sys.executable, "-m", "turtleact", "run", "lab"]
-    with start([*line, "node", "-x"]) as program:
-        assert program.communicate(timeout=30) == (f"-x {program.pid}\n", "")
-    assert program.returncode == 7
-    with start([*line, "bad"]) as program:
-        _, err = program.communicate(timeout=30)
-    assert (program.returncode, "lib/lab/bad cannot be run: No such file" in err) == (1, True)

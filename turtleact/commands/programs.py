@@ -2,9 +2,8 @@
 
 Packages near the working directory need no build. Their executables are the console scripts that
 ``setup.py`` or ``pyproject.toml`` declares, and the Python programs that ``CMakeLists.txt``
-installs. ``setup.py`` is read, never executed. The executables of an installed package are the
-files in ``lib/PACKAGE`` of its prefix, where ``ros2 run`` looks too. A file, or a function of a
-module, runs as Python itself would run it.
+installs. ``setup.py`` is read, never executed. A file, or a function of a module, runs as Python
+itself would run it.
 
 Source: ros2cli ``ros2pkg/api``; setuptools' documentation of entry points.
 """
@@ -19,7 +18,7 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from turtleact.commands.output import leave
 from turtleact.errors import TurtleactError, syntax_hint
@@ -59,8 +58,7 @@ class Program(NamedTuple):
 
     Attributes:
         name: The name that the program sees as its own, ``sys.argv[0]``.
-        file: A Python file to run as ``__main__``, or another executable file. None if there is an
-            entry point.
+        file: A Python file to run as ``__main__``; None if there is an entry point.
         entry: The entry point, such as ``lab.server:main``, if there is no file.
         folders: The folders that the program needs at the beginning of ``sys.path``.
     """
@@ -79,8 +77,7 @@ def runnable_here() -> Programs:
     """Return the programs that can be run from the working directory.
 
     If several programs have the same package name and executable name, a program with sources wins,
-    because it is the user's own. A built-in program wins over an installed one: ``turtlesim
-    turtlesim_node`` runs turtleact's turtlesim, even if the real one is installed.
+    because it is the user's own.
     """
     from turtleact.interfaces.finders import folders_near, package_name
 
@@ -91,10 +88,6 @@ def runnable_here() -> Programs:
             found.setdefault(name, _programs_in(folder))
     for name, executable in PROGRAMS:
         found.setdefault(name, {}).setdefault(executable, None)
-    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
-        for place in Path(prefix, "share/ament_index/resource_index/packages").glob("*"):
-            installed = _installed(Path(prefix), place.name)
-            found[place.name] = {**installed, **found.get(place.name, {})}
     return found
 
 
@@ -144,17 +137,6 @@ def _cmake_programs(folder: Path) -> list[Path]:
     return [file for file in files if _is_python(file)]
 
 
-def _installed(prefix: Path, package: str) -> dict[str, Program | None]:
-    """Return the executables of an installed package."""
-    # Sourcing the workspace puts these folders on Python's path; so do we, if it was not sourced.
-    folders = tuple(sorted((prefix / "lib").glob("python3*/*-packages")))
-    return {
-        file.name: Program(str(file), file, folders=folders)
-        for file in sorted((prefix / "lib" / package).glob("*"))
-        if file.is_file() and os.access(file, os.X_OK)
-    }
-
-
 def _is_python(file: Path) -> bool:
     """Whether a file is a Python program, judging by its ending and its first line."""
     if file.suffix == ".py":
@@ -184,8 +166,6 @@ def run_program(program: Program, arguments: Sequence[str], options: Options) ->
     Raises:
         TurtleactError: if the program raises one. The message begins with the file and the line.
     """
-    if program.file is not None and not _is_python(program.file):
-        _become(program.file, arguments)
     from turtleact.rclpy.program import end_threads, prepare
 
     prepare(options, *(program.folders if program.file is None else (program.file.parent,)))
@@ -223,14 +203,6 @@ def _run(program: Program) -> object:
     sys.path.insert(0, str(program.file.absolute().parent))
     run_path(str(program.file), run_name="__main__")
     return None
-
-
-def _become(file: Path, arguments: Sequence[str]) -> NoReturn:
-    """Replace this process by an executable file that is not a Python program."""
-    try:
-        os.execv(file, [str(file), *arguments])  # noqa: S606  # the program that the user typed
-    except OSError as error:
-        raise TurtleactError(f"{file} cannot be run: {error.strerror}") from None
 
 
 def _status(code: object) -> int:

@@ -114,7 +114,7 @@ def _chosen(known: Programs, package: str, executable: str) -> Program | None:
     from turtleact.interfaces.definition import did_you_mean
 
     if package not in known:
-        where = "in the working directory, in its src, or in a sourced workspace"
+        where = "in the working directory or in its src"
         hint = did_you_mean(package, known)
         raise WrongOptions(f"there is no package {quoted(package)} {where}{hint}; {_HELP}")
     programs = known[package]
@@ -233,7 +233,7 @@ def create(
 
 @verb(pkg, "list")
 def list_() -> None:
-    """List all packages: in the working directory, in a sourced workspace, and built in."""
+    """List all packages: in the working directory, and built in."""
     say_names("".join(f"{name}\n" for name in sorted(runnable_here())))
 
 
