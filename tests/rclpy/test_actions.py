@@ -13,7 +13,7 @@ from turtleact.rclpy.action.server import ServerGoalHandle
 from turtleact.rclpy.exceptions import RCLError
 from turtleact.rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from turtleact.rclpy.impl.connection import RequestHandler
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.task import Future
 from turtleact.transports.base import Reply
 
@@ -325,7 +325,7 @@ def test_feedback_and_results_that_do_not_fit_their_types_are_refused(node, exec
     assert ended.result().result.delta == 0
     assert "The result cannot be sent" in capsys.readouterr().err
     assert "expected feedback of the action" in said[0]
-    assert "feedback.remaining: a float32 cannot be 'a bit'" in said[1]
+    assert "feedback.remaining: expected a number (float32), got 'a bit'" in said[1]
 
 
 def test_a_goal_that_ends_while_its_cancel_callback_runs_is_not_canceled(

@@ -21,8 +21,7 @@ from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.connection import RequestHandler
 from turtleact.rclpy.impl.entity import MutuallyExclusiveCallbackGroup
 from turtleact.rclpy.impl.process import PROCESS
-from turtleact.rclpy.messages.classes import interface_class
-from turtleact.rclpy.messages.codec import hash_of
+from turtleact.rclpy.messages import hash_of, interface_class
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.services import ServiceIntrospectionState
 from turtleact.transports.base import Reply

@@ -19,7 +19,7 @@ from turtleact.rclpy.event_handler import (
     QoSRequestedIncompatibleQoSInfo,
     SubscriptionEventCallbacks,
 )
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.qos import (
     DurabilityPolicy,
     LivelinessPolicy,

@@ -20,7 +20,7 @@ from turtleact.rclpy.impl.entity import (
     MutuallyExclusiveCallbackGroup,
     ReentrantCallbackGroup,
 )
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.task import Future
 
 String = interface_class("std_msgs/msg/String")

@@ -13,7 +13,7 @@ from turtleact.rclpy.lifecycle import (
     SimpleManagedEntity,
     TransitionCallbackReturn,
 )
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 
 SUCCESS, FAILURE, ERROR = TransitionCallbackReturn
 String: Any = interface_class("std_msgs/msg/String")

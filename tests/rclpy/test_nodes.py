@@ -19,14 +19,15 @@ from turtleact.rclpy.exceptions import (
 )
 from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.rcutils_logger import Console, LoggingSeverity
-from turtleact.rclpy.messages.classes import (
+from turtleact.rclpy.messages import (
     check_for_type_support,
     check_is_valid_action_type,
     check_is_valid_msg_type,
     check_is_valid_srv_type,
+    deserialize_message,
     interface_class,
+    serialize_message,
 )
-from turtleact.rclpy.messages.codec import deserialize_message, serialize_message
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.qos import (
     DurabilityPolicy,

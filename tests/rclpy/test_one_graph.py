@@ -12,7 +12,7 @@ from turtleact.rclpy import toplevel as rclpy
 from turtleact.rclpy.action import ActionServer
 from turtleact.rclpy.context import Context
 from turtleact.rclpy.face import SETTINGS, JoinOptions
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.transports import ZenohTransport
 
 pytestmark = pytest.mark.loops("asyncio")

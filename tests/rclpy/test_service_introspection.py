@@ -6,7 +6,7 @@ import pytest
 
 from turtleact.rclpy.action import ActionClient, ActionServer
 from turtleact.rclpy.exceptions import InvalidHandle
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.qos import QoSProfile, qos_profile_system_default
 from turtleact.rclpy.services import ServiceIntrospectionState
 

@@ -16,7 +16,7 @@ from turtleact.rclpy.context import Context
 from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
 from turtleact.rclpy.executors import MultiThreadedExecutor
 from turtleact.rclpy.impl.entity import ReentrantCallbackGroup
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.parameter import Parameter
 
 AddTwoInts = interface_class("example_interfaces/srv/AddTwoInts")

@@ -15,7 +15,7 @@ from turtleact.rclpy.exceptions import (
     RCLError,
     ROSInterruptException,
 )
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.time import ClockType, Duration, Time
 from turtleact.rclpy.timer import TimerInfo

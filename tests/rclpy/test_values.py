@@ -11,7 +11,7 @@ from turtleact.rclpy.clock import ClockChange, JumpThreshold, TimeJump
 from turtleact.rclpy.graph import (
     TypeHash,
 )
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.parameter import (
     Parameter,
     parameter_dict_from_yaml_file,

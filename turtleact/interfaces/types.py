@@ -292,10 +292,7 @@ class GoalMeta(MessageMeta):
 
 
 def constructor(cls: type[M]) -> Callable[..., M]:
-    """Return a function that makes messages of a class without the check of `GoalMeta`.
-
-    ``cls`` may also be a function that makes messages, as rclpy's messages have it.
-    """
+    """Return a function that makes messages of a class without the check of `GoalMeta`."""
     if not isinstance(cls, GoalMeta):
         return cls
     return cast("Callable[..., M]", msgspec.StructMeta.__call__.__get__(cls))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 from turtleact.rclpy.exceptions import NotInitializedException
 from turtleact.rclpy.impl.entity import Block, Handle
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.qos import QoSProfile, ReliabilityPolicy
 from turtleact.rclpy.time import ClockType, Duration, Time

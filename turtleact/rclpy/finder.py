@@ -65,9 +65,9 @@ ALIASES: Final = {
     "impl.logging_severity": "impl.rcutils_logger",
     "parameter_event_handler": "parameter_client",
     "qos_event": "event_handler",
-    "serialization": "messages.codec",
+    "serialization": "messages",
     "time_source": "clock",
-    "type_support": "messages.classes",
+    "type_support": "messages",
 }
 """Modules of rclpy, each with the module of turtleact's rclpy that contains its names."""
 
@@ -228,7 +228,7 @@ class _Interfaces(Loader):
         names = [name.removeprefix(prefix) for name in known]
 
         def get(name: str) -> object:
-            from turtleact.rclpy.messages.classes import interface_class  # programs may need none
+            from turtleact.rclpy.messages import interface_class  # programs may need none
 
             if name.startswith("_"):
                 raise AttributeError(f"module '{module.__name__}' has no attribute '{name}'")

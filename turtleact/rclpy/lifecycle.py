@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 from turtleact.rclpy.exceptions import RCLError
 from turtleact.rclpy.impl.entity import CallbackGroup
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.node import Node as PlainNode
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.topics import Publisher as PlainPublisher

@@ -32,7 +32,7 @@ from turtleact.rclpy.impl.node_parameters import NodeParameters
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger, Rosout, logger_named
 from turtleact.rclpy.impl.typing import Anything
 from turtleact.rclpy.logging import get_logger
-from turtleact.rclpy.messages.classes import (
+from turtleact.rclpy.messages import (
     check_is_valid_msg_type,
     check_is_valid_srv_type,
     interface_class,

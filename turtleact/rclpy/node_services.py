@@ -12,7 +12,7 @@ from turtleact.names import PARAMETER_SERVICES
 from turtleact.rclpy.exceptions import ParameterNotDeclaredException
 from turtleact.rclpy.impl.rcutils_logger import LoggingSeverity, logger_named
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.qos import qos_profile_parameters
 

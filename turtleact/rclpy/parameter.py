@@ -11,7 +11,7 @@ from typing import ClassVar
 from turtleact.node.parameter_rules import KINDS
 from turtleact.rclpy.impl.arguments import Arguments, parse_value, read_parameters
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 
 __all__ = [
     "PARAMETER_SEPARATOR_STRING",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from turtleact.names import PARAMETER_SERVICES
 from turtleact.rclpy.impl.entity import CallbackGroup, wait_until
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 from turtleact.rclpy.qos import (
     QoSProfile,

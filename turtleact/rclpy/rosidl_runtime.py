@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from turtleact.interfaces import fields, to_yaml
 from turtleact.interfaces import get_interface as find_interface
-from turtleact.interfaces import to_yaml
+from turtleact.interfaces.types import nested_classes
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.messages.classes import interface_class, shape_of
-from turtleact.rclpy.messages.codec import encode
-from turtleact.rclpy.messages.fields import is_numeric_array, is_numeric_sequence
+from turtleact.rclpy.messages import encode, interface_class
 
 __all__ = [
     "get_action",
@@ -47,16 +46,14 @@ def get_action(identifier: str) -> Anything:
 
 def message_to_ordereddict(msg: Anything) -> dict[str, Anything]:
     """Return the fields of a message as plain values, by name."""
-    return {
-        field.name: _plain(getattr(msg, field.attribute)) for field in shape_of(type(msg)).fields
-    }
+    return {field.name: _plain(getattr(msg, field.attribute)) for field in fields(type(msg))}
 
 
 def message_to_yaml(msg: Anything) -> str:
     """Return a message as YAML."""
     from turtleact.interfaces import decode
 
-    ours: Anything = find_interface(shape_of(type(msg)).type_name)
+    ours: Anything = find_interface(type(msg).type_name)
     return to_yaml(decode(ours, encode(msg, type(msg))))
 
 
@@ -66,16 +63,13 @@ def set_message_fields(msg: Anything, values: Mapping[str, Anything]) -> None:
     Raises:
         AttributeError: if one of the names is not a field of the message.
     """
-    shape = shape_of(type(msg))
-    known = {
-        field.name: (field, nested)
-        for field, nested in zip(shape.fields, shape.nested, strict=True)
-    }
+    pairs = zip(fields(type(msg)), nested_classes(type(msg)), strict=True)
+    known = {field.name: (field, nested) for field, nested in pairs}
     for name, value in values.items():
         if name not in known:
             raise AttributeError(f"'{type(msg).__name__}' has no field '{name}'")
         field, nested = known[name]
-        if nested is None or is_numeric_sequence(field.type) or is_numeric_array(field.type):
+        if nested is None:
             setattr(msg, field.attribute, value)
         elif field.type.is_sequence:
             setattr(msg, field.attribute, [_filled(nested, each) for each in value])

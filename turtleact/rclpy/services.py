@@ -32,7 +32,7 @@ from turtleact.rclpy.impl.entity import (
 )
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
-from turtleact.rclpy.messages.codec import decode, encode
+from turtleact.rclpy.messages import decode, encode
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.task import Future
 from turtleact.transports.base import Reply

@@ -8,7 +8,7 @@ from functools import total_ordering
 from typing import ClassVar, Self, overload
 
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 
 __all__ = ["S_TO_NS", "ClockType", "Duration", "Infinite", "Time"]
 

@@ -21,8 +21,7 @@ from turtleact.rclpy.impl.entity import (
 )
 from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
-from turtleact.rclpy.messages.classes import interface_class
-from turtleact.rclpy.messages.codec import decode, encode
+from turtleact.rclpy.messages import decode, encode, interface_class
 from turtleact.rclpy.qos import QoSPolicyEnum, QoSPolicyKind, QoSProfile
 from turtleact.rclpy.task import Future
 from turtleact.rclpy.time import Duration

@@ -30,8 +30,7 @@ from turtleact.rclpy.impl.entity import (
     wait_until,
 )
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
-from turtleact.rclpy.messages.classes import interface_class
-from turtleact.rclpy.messages.codec import decode, encode
+from turtleact.rclpy.messages import decode, encode, interface_class
 from turtleact.rclpy.qos import (
     QoSProfile,
     qos_profile_action_status_default,

@@ -12,8 +12,7 @@ from turtleact.interfaces.cdr import HEADER, UNFIT, encoder
 from turtleact.names import action_names
 from turtleact.rclpy.impl.connection import CallEnd, Close, RequestHandler, Sender
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.messages.classes import check_is_valid_action_type, interface_class, maker
-from turtleact.rclpy.messages.codec import encode
+from turtleact.rclpy.messages import check_is_valid_action_type, encode, interface_class
 from turtleact.rclpy.qos import QoSProfile
 from turtleact.rclpy.services import SwitchableEvents
 from turtleact.transports.base import Source, Target
@@ -62,8 +61,8 @@ class ActionKind:
         full = node.resolve_service_name(f"{name}/_action/send_goal")
         self.names = action_names(full.removesuffix("/_action/send_goal"))
         self._write: Callable[[object, bytes], bytes] = encoder(action_type.Feedback)
-        self._info: Callable[..., Anything] = maker(interface_class("action_msgs/msg/GoalInfo"))
-        self._time: Callable[..., Anything] = maker(interface_class("builtin_interfaces/msg/Time"))
+        self._info: Anything = interface_class("action_msgs/msg/GoalInfo")
+        self._time: Anything = interface_class("builtin_interfaces/msg/Time")
 
     def service(self, service: str) -> Anything:
         """Return the class of ``send_goal``, ``cancel_goal`` or ``get_result``."""

@@ -27,7 +27,7 @@ from turtleact.rclpy.exceptions import InvalidHandle, RCLError
 from turtleact.rclpy.impl.connection import RequestHandler, Respond
 from turtleact.rclpy.impl.entity import NOTHING, Waitable, await_or_execute
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
-from turtleact.rclpy.messages.codec import decode, encode
+from turtleact.rclpy.messages import decode, encode
 from turtleact.rclpy.qos import (
     QoSProfile,
     qos_profile_action_status_default,

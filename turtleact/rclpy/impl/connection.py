@@ -27,7 +27,7 @@ import msgspec
 
 from turtleact.errors import TurtleactError
 from turtleact.node.type_descriptions import offer_descriptions
-from turtleact.rclpy.messages.codec import hash_of
+from turtleact.rclpy.messages import hash_of
 from turtleact.transports import Transport, ZenohTransport
 from turtleact.transports.base import (
     EVERY_SERVER,

@@ -24,7 +24,7 @@ from turtleact.rclpy.exceptions import (
     ParameterUninitializedException,
 )
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.messages.classes import interface_class
+from turtleact.rclpy.messages import interface_class
 from turtleact.rclpy.names import validate_parameter_name
 from turtleact.rclpy.parameter import (
     PARAMETER_SEPARATOR_STRING,

@@ -22,8 +22,7 @@ from types import FrameType
 
 from turtleact.rclpy.impl.connection import Sender
 from turtleact.rclpy.impl.typing import Anything
-from turtleact.rclpy.messages.classes import interface_class
-from turtleact.rclpy.messages.codec import encode
+from turtleact.rclpy.messages import encode, interface_class
 
 __all__ = ["Console", "LoggingSeverity", "RcutilsLogger", "Rosout", "logger_named", "reset_levels"]
 
