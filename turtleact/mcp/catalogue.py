@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeAlias, TypeVar
 import msgspec
 from mcp.types import Tool, ToolAnnotations
 
-from turtleact.errors import InvalidOption
 from turtleact.interfaces import Action, Service
 from turtleact.interfaces.comments import introduction
 from turtleact.interfaces.types import REGISTRY
@@ -59,11 +58,6 @@ class Limits(msgspec.Struct, frozen=True):
     goals: int = 128
     progress_rate: float = 10.0
     kept_tasks: int = 1000
-
-    def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            if not getattr(self, name) > 0:
-                raise InvalidOption(name, f"must be above zero, not {getattr(self, name)!r}")
 
 
 class Offer(msgspec.Struct, frozen=True):

@@ -163,8 +163,9 @@ class Goals:
     async def find(self, goal_id: bytes) -> tuple[HeldGoal, AnyClient] | None:
         """Return a goal, and a client of its action; None if no server of an action holds it."""
         for goal in await self.held():
-            if goal.goal_id == goal_id:
-                return goal, self.client(goal.action, self._actions()[goal.action])
+            action_type = self._actions().get(goal.action)
+            if goal.goal_id == goal_id and action_type is not None:
+                return goal, self.client(goal.action, action_type)
         return None
 
     async def _join(self) -> None:

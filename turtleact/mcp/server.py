@@ -71,12 +71,6 @@ GOALS_URI: Final = "ros://goals"
 PICTURE_URI: Final = "ros://world.png"
 TOPIC_URI: Final = "ros://topic"
 
-MOST_SESSIONS: Final = 64
-"""The maximum number of sessions of the older protocol that are notified of changes.
-
-If more sessions are open, the oldest sessions get no notifications.
-"""
-
 TELLING: Final = 1.0
 """The time limit for notifying one session of a change (s, event loop time)."""
 
@@ -85,9 +79,6 @@ SETTLED: Final = 0.05
 
 
 QUESTION: Final = "confirm"
-MOST_ASKED: Final = 256
-"""The maximum number of unanswered questions. A new question may replace the oldest one."""
-
 FORM: Final = {"type": "object", "properties": {}}
 """The form that the user fills in. It has no fields; the user only answers yes or no."""
 
@@ -263,7 +254,7 @@ class McpServer:
         """
         reply = await call_next(ctx)
         if ctx.method == "notifications/initialized":
-            self._sessions = [*self._sessions, ctx.session][-MOST_SESSIONS:]
+            self._sessions.append(ctx.session)
         return reply
 
     async def watch(self) -> None:
@@ -344,8 +335,6 @@ class Confirmation:
     def _begin(self, params: CallToolRequestParams, question: str) -> InputRequiredResult:
         token = secrets.token_urlsafe(16)
         self._asked[token] = params.name, params.arguments
-        for oldest in list(self._asked)[: max(0, len(self._asked) - MOST_ASKED)]:
-            del self._asked[oldest]
         asked = ElicitRequest(
             params=ElicitRequestFormParams(message=question, requested_schema=FORM)
         )
