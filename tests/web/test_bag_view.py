@@ -239,18 +239,6 @@ async def test_a_phone_shows_the_time_and_a_turtle_that_comes_later(late, tmp_pa
                 assert await page.run("$('time').getBoundingClientRect().right") < 390
 
 
-@in_a_browser
-@on_asyncio
-async def test_the_page_says_why_a_bag_cannot_be_opened(patrol, tmp_path):
-    shutil.copytree(patrol, tmp_path / "gone")
-    async with open_bag_view(tmp_path / "gone") as shown:
-        shutil.rmtree(tmp_path / "gone")
-        with running_browser(tmp_path / "browser") as devtools:
-            async with open_tab(devtools, shown.url) as page:
-                await page.until("$('about').textContent !== 'opening …'")
-                assert "gone': it cannot be opened" in await page.text("#about")
-
-
 def test_the_command_prints_the_address_and_ends_at_a_signal(tmp_path, capsys, monkeypatch):
     path = tmp_path / "run.mcap"
     BagWriter(path, Split()).close({})

@@ -22,7 +22,6 @@ from turtleact.errors import (
     UnknownGoal,
 )
 from turtleact.web import add_error_handlers
-from turtleact.web.error_handlers import location
 
 from .line import Line, websocket_scope
 
@@ -72,18 +71,6 @@ async def test_an_error_of_a_goal_is_a_response(kind, error, code, detail):
 async def test_any_other_error_stays_an_error(error):
     with pytest.raises(type(error)):
         await get(raising(error))
-
-
-@pytest.mark.parametrize(
-    ("path", "loc"),
-    [
-        ("goal", ["body"]),
-        ("goal.order", ["body", "order"]),
-        ("goal.grid[2][10].y1", ["body", "grid", 2, 10, "y1"]),
-    ],
-)
-def test_a_path_becomes_a_location(path, loc):
-    assert location(path) == loc
 
 
 async def test_an_app_that_has_started_takes_no_handlers():

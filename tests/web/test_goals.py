@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NoReturn
+from typing import Any
 
 import anyio
 import pytest
 
-from turtleact import Abort, GoalAborted, GoalResponse, Reject, testing
+from turtleact import GoalAborted, GoalResponse, Reject, testing
 from turtleact.web.bridge import FAREWELL
 
 from ..lab import Count, Gate, Running, count, feedback, goal, result, running, settle
@@ -85,16 +85,6 @@ async def test_a_goal_is_canceled_by_its_sender():
         client.say("cancel_action_goal", id="g:1", action="/count")
         assert of(await client.hear()) == ("action_result", {"counted": []}, 5, True)
         assert await client.hears_nothing()
-
-
-async def test_a_goal_that_is_aborted_has_a_result():
-    async def give_up(goal: Count.Goal) -> NoReturn:
-        raise Abort("no more", result(7))
-
-    async with bridged() as (node, bridge), line(bridge) as client:
-        node.action_server(Count, "count", give_up)
-        send(client)
-        assert of(await client.hear()) == ("action_result", {"counted": [7]}, 6, True)
 
 
 def reject(_goal: object) -> GoalResponse:
@@ -242,24 +232,6 @@ async def test_a_goal_goes_on_when_its_client_goes_and_can_be_canceled_by_anothe
             assert await other.hears_nothing()
             await settle()
         assert gate.log == ["begun", "canceled", "over"]
-        assert bridge.statistics().goals == 0
-
-
-async def test_a_client_that_has_gone_is_not_told_of_a_rejection():
-    asked, answer = anyio.Event(), anyio.Event()
-
-    async def decide(_goal: object) -> GoalResponse:
-        asked.set()
-        await answer.wait()
-        return GoalResponse.REJECT
-
-    async with bridged() as (node, bridge):
-        node.action_server(Count, "count", count, goal_callback=decide)
-        async with line(bridge) as client:
-            send(client)
-            await asked.wait()
-        answer.set()
-        await settle()
         assert bridge.statistics().goals == 0
 
 

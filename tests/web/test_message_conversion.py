@@ -81,30 +81,25 @@ def said(message: Message) -> Any:
 # out
 
 
-def test_bytes_are_base64():
-    message = Everything(pixels=[0, 1, 255], letters=[65])
-    assert said(message)["pixels"] == base64.b64encode(b"\x00\x01\xff").decode()
-    assert said(message)["letters"] == "QQ=="
-
-
-def test_octets_are_numbers():
-    assert said(Everything(octets=[1, 255]))["octets"] == [1, 255]
-
-
-def test_a_field_goes_by_its_name_in_ros():
-    assert said(Everything(from_="here"))["from"] == "here"
+@pytest.mark.parametrize(
+    ("message", "name", "written"),
+    [
+        (Everything(pixels=[0, 1, 255]), "pixels", "AAH/"),
+        (Everything(letters=[65]), "letters", "QQ=="),
+        (Everything(octets=[1, 255]), "octets", [1, 255]),
+        (Everything(from_="here"), "from", "here"),
+        (Everything(stamps=[Time(1, 2)]), "stamps", [{"sec": 1, "nanosec": 2}]),
+        (Everything(ids=[UUID(bytes(16))]), "ids", [{"uuid": "AAAAAAAAAAAAAAAAAAAAAA=="}]),
+    ],
+)
+def test_a_field_is_written_under_its_name_in_ros(message, name, written):
+    assert said(message)[name] == written
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
 def test_what_json_cannot_say_is_null(number):
     assert said(Everything(ratio=number, ratios=[number]))["ratio"] is None
     assert said(Everything(ratio=number, ratios=[1.0, number]))["ratios"] == [1.0, None]
-
-
-def test_messages_inside_messages_are_written():
-    message = Everything(stamps=[Time(1, 2)], ids=[UUID(bytes(range(16)))])
-    assert said(message)["stamps"] == [{"sec": 1, "nanosec": 2}]
-    assert said(message)["ids"] == [{"uuid": base64.b64encode(bytes(range(16))).decode()}]
 
 
 def test_cbor_tags_lists_of_numbers():

@@ -149,12 +149,6 @@ def test_an_arc_stays_near_the_way():
     assert all(abs(hypot(*middle) - 1.0) < 0.015 for middle in middles)
 
 
-def test_a_turtle_that_stands_still_draws_nothing():
-    drawn = trails()
-    drive(drawn, *[(1.0, 1.0)] * 100)
-    assert len(places(drawn)) == 1
-
-
 def test_only_the_new_end_is_told():
     drawn = trails()
     drive(drawn, (0.0, 0.0), (0.5, 0.0), (1.0, 0.0))

@@ -127,20 +127,7 @@ async def test_a_parameter_is_json(rosapi, lamp):
 
 
 # each kind of value: as JSON, what the node has declared, what it gets
-SET = [
-    ("true", 0, 1),
-    ("7", 0, 2),
-    ("7", 3, 3),
-    ("0.5", 2, 3),
-    ('"text"', 0, 4),
-    ("[true]", 0, 6),
-    ("[1, 2]", 0, 7),
-    ("[1, 2]", 5, 5),
-    ("[1, 2]", 8, 8),
-    ("[1, 0.5]", 0, 8),
-    ('["a"]', 0, 9),
-    ("[]", 8, 8),
-]
+SET = [("7", 3, 3), ('"text"', 0, 4), ("[1, 2]", 5, 5)]
 
 
 @pytest.mark.parametrize(("text", "declared", "kind"), SET)

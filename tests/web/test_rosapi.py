@@ -110,16 +110,6 @@ async def test_rosapi_describes_types(rosapi, service, type_name, described):
     assert [each["type"] for each in values["typedefs"]] == described
 
 
-@pytest.mark.parametrize("service", [service for service, _, _ in DETAILS])
-async def test_a_type_that_is_not_known_is_an_error(rosapi, service):
-    with pytest.raises(UnknownInterface, match=r"a/[a-z]+/Nope"):
-        await rosapi.call(f"/rosapi/{service}", {"type": "a/Nope"})
-
-
-async def test_rosapi_lists_all_interfaces(rosapi):
-    assert "geometry_msgs/msg/Twist" in (await rosapi.call("/rosapi/interfaces", {}))["interfaces"]
-
-
 async def test_topics_come_with_the_full_text_of_their_types(rosapi):
     values = await rosapi.call("/rosapi/topics_and_raw_types", {})
     assert values["typedefs_full_text"][0].startswith("Vector3 linear\nVector3 angular\n====")

@@ -36,14 +36,6 @@ async def ask(client: websockets.ClientConnection, service: str) -> object:
 
 
 @ON_ASYNCIO
-async def test_a_node_is_served_once_the_block_begins():
-    async with turtleact.open_node("lab") as node, open_web(node, port=0) as web:
-        assert web.url == f"http://127.0.0.1:{web.port}/"
-        async with connect(address(web)) as client:
-            assert await ask(client, "/rosapi/nodes") == {"nodes": ["/lab"]}
-
-
-@ON_ASYNCIO
 async def test_nothing_is_left_behind():
     before = other_tasks()
     async with turtleact.open_node("lab") as node:

@@ -444,15 +444,6 @@ async def test_trails_are_kept_for_the_next_page():
                 assert (await watch(another))["trails"]["turtle1"]["points"] == []
 
 
-async def test_a_turtle_of_the_world_is_followed():
-    async with open_world() as node, open_bridge(node) as bridge, line(bridge) as client:
-        first = await watch(client)
-        assert first["graph"]["topics"]["/turtle1/pose"] == "turtlesim/msg/Pose"
-        known = {"session": first["session"], "since": first["revision"]}
-        news = await watch(client, **known)
-        assert news["trails"]["turtle1"]["points"][0][:2] == [5.544, 5.544]
-
-
 async def test_a_page_learns_where_the_turtles_of_a_paused_world_are():
     async with (
         open_world(turtles=2, paused=True) as node,
@@ -471,14 +462,6 @@ async def test_a_form_of_an_unknown_type_is_an_error():
         answer = await client.call("/turtleact/web/form", args=args)
         assert not answer["result"]
         assert answer["values"] == "unknown interface 'nobody/action/Knows'"
-
-
-async def test_a_form_is_answered():
-    async with bridged() as (_, bridge), line(bridge) as client:
-        values = (
-            await client.call("/turtleact/web/form", args={"action": "/count", "type": TYPE})
-        )["values"]
-        assert [field["name"] for field in values["goal"]] == ["upto"]
 
 
 async def test_other_services_below_turtleact_are_those_of_the_graph():
