@@ -142,6 +142,7 @@ USAGE = [
         "'--rate' / '-r': '0' is not a rate in Hz above zero",
     ),
     (["topic", "echo", "x", "--filter", "m.data >"], "--filter takes .* not 'm.data >': invalid"),
+    (["param", "list", "--filter", "("], r"'--filter': '\(' is no regular expression"),
     (["topic", "pub", "x", "a/b", "{}", "-1", "-t", "2"], "give one of --once and --times"),
     (["topic", "pub", "x", "a/b", "{}", "--stdin"], "give one of VALUES and --stdin"),
     (["topic", "pub", "x", "data:", "5"], "Quote it: 'data: 5'"),
