@@ -13,17 +13,19 @@ import pytest
 
 from turtleact import open_node
 from turtleact.commands.node_parameters import parameter_value
-from turtleact.interfaces.standard import (
-    DescribeParameters,
+from turtleact.interfaces.standard.rcl_interfaces.msg import (
     FloatingPointRange,
-    GetParameters,
     IntegerRange,
-    ListParameters,
     ListParametersResult,
     ParameterDescriptor,
     ParameterValue,
-    SetParameters,
     SetParametersResult,
+)
+from turtleact.interfaces.standard.rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParameters,
 )
 
 GOLDEN = {

@@ -22,7 +22,11 @@ from turtleact.commands import graph, send_goal
 from turtleact.commands.goal_printer import GoalPrinter
 from turtleact.interfaces import from_text
 from turtleact.interfaces.standard import ExampleFibonacci as Fibonacci
-from turtleact.interfaces.standard import GetSimulationState, SetSimulationState, SimulationState
+from turtleact.interfaces.standard.simulation_interfaces.msg import SimulationState
+from turtleact.interfaces.standard.simulation_interfaces.srv import (
+    GetSimulationState,
+    SetSimulationState,
+)
 from turtleact.transports import QoS
 from turtleact.transports.base import Endpoint
 

@@ -383,9 +383,7 @@ def test_any_message_is_read_in_either_byte_order(message, order, arrays):
 def test_a_message_that_is_cut_off_is_refused_wherever_it_is_cut(message, data):
     whole = encode(message)
     cut = data.draw(st.integers(0, len(whole) - 1))
-    with pytest.raises(
-        InvalidMessage, match=r"^message.*: (cut off at byte \d+: \d+ more|not plain)"
-    ):
+    with pytest.raises(InvalidMessage, match=r"^message: (these \d+ bytes are not|not plain)"):
         decode(type(message), whole[:cut])
 
 
@@ -479,32 +477,34 @@ def test_odd_wide_text_is_read(units, text):
 
 
 def test_a_unit_that_is_no_character_is_refused():
-    with pytest.raises(InvalidMessage, match=r"^message\.data: no characters .* at byte 8$"):
+    with pytest.raises(
+        InvalidMessage, match=r"^message: these 12 bytes are not of type example_msgs/msg/Wide$"
+    ):
         decode(Wide, data_of("01000000 00001100"))
 
 
 # --- limits ---------------------------------------------------------------------------------
 
-#: A class, a field of it that has a length, and how many bytes stand before that, all zero.
-COUNTED: list[tuple[type[Message], str, int]] = [
-    *[(Numbers, field.name, 4 * place) for place, field in enumerate(fields(Numbers)[:14])],
-    (Text, "data", 0),
-    (Wide, "data", 0),
-    (Texts, "names", 0),
-    (Messages, "points", 0),
-    (Messages, "infos", 56),
-    (Messages, "pairs", 108),
+#: A class with lengths, and how many bytes stand before one of them, all zero.
+COUNTED: list[tuple[type[Message], int]] = [
+    *[(Numbers, 4 * place) for place in range(14)],
+    (Text, 0),
+    (Wide, 0),
+    (Texts, 0),
+    (Messages, 0),
+    (Messages, 56),
+    (Messages, 108),
 ]
 
 
 @together
 @pytest.mark.parametrize("arrays", ARRAYS)
-@pytest.mark.parametrize(("cls", "name", "before"), COUNTED)
-def test_a_length_that_the_data_cannot_hold_costs_no_memory(cls, name, before, arrays):
+@pytest.mark.parametrize(("cls", "before"), COUNTED)
+def test_a_length_that_the_data_cannot_hold_costs_no_memory(cls, before, arrays):
     decode(cls, encode(cls()), arrays=arrays)  # compiles
     data = data_of("00" * before + "feffffff")
     tracemalloc.start()
-    with pytest.raises(InvalidMessage, match=rf"^message\.{name}\b.*: (cut off at|at most)"):
+    with pytest.raises(InvalidMessage, match=f"are not of type {cls.type_name}$"):
         decode(cls, data, arrays=arrays)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -512,40 +512,11 @@ def test_a_length_that_the_data_cannot_hold_costs_no_memory(cls, name, before, a
 
 
 @pytest.mark.parametrize(
-    ("cls", "body", "text"),
-    [
-        (Time, "01000000 0200", "nanosec: cut off at byte 8: 4 more are needed, 2 are there"),
-        (Pair, "01", "large: cut off at byte 12: 8 more are needed, 0 are there"),
-        (Nothing, "", ": cut off at byte 4: 1 more are needed, 0 are there"),
-        (Text, "05000000 6162", "data: cut off at byte 8: 5 more are needed, 2 are there"),
-        (Texts, "02000000 01000000 00 000000 09", "names[1]: cut off at byte 16: 4 more are"),
-        (Messages, "01000000 00000000 00", "points[0].x: cut off at byte 12: 8 more are needed"),
-        (Messages, "ffffffff", "points[0].x: cut off at byte 12: 8 more are needed"),
-        (Numbers, "00000000 00000000 06000000", "c: at most 5 elements, got 6"),
-        (
-            Scalars,
-            "00" * 56 + "01000000 00",
-            "p: cut off at byte 68: 4 more are needed, 0 are there",
-        ),
-    ],
+    "longer",
+    [Scalars(q="abcd"), Scalars(r="abcd"), Numbers(c=[0] * 6), Numbers(j=[0] * 4)],
 )
-def test_a_refusal_names_path_and_place(cls, body, text):
-    with pytest.raises(InvalidMessage) as caught:
-        decode(cls, data_of(body))
-    assert str(caught.value).startswith(f"message{'' if text[0] == ':' else '.'}{text}")
-
-
-@pytest.mark.parametrize(
-    ("longer", "text"),
-    [
-        (Scalars(q="abcd"), "q: at most 3 characters, got 4"),
-        (Scalars(r="abcd"), "r: at most 3 characters, got 4"),
-        (Numbers(c=[0] * 6), "c: at most 5 elements, got 6"),
-        (Numbers(j=[0] * 4), "j: at most 3 elements, got 4"),
-    ],
-)
-def test_what_is_beyond_its_bound_is_not_read(longer, text):
-    with pytest.raises(InvalidMessage, match=f"^message.{text}$"):
+def test_what_is_beyond_its_bound_is_not_read(longer):
+    with pytest.raises(InvalidMessage, match="bytes are not of type"):
         decode(type(longer), by_the_book(longer))
 
 

@@ -84,8 +84,8 @@ def test_an_unknown_shortcut_is_an_attribute_error():
 
 
 def test_a_class_that_was_forgotten_is_what_its_name_gives():
-    REGISTRY.forget("rcl_interfaces/msg/Parameter")
-    assert get_interface("rcl_interfaces/msg/Parameter") is standard.Parameter
+    REGISTRY.forget("action_msgs/msg/GoalInfo")
+    assert get_interface("action_msgs/msg/GoalInfo") is standard.GoalInfo
 
 
 def test_a_users_file_goes_before_a_class_that_ships(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 
 from turtleact import parameter
 from turtleact.errors import InvalidOption, InvalidParameter
-from turtleact.interfaces.standard import (
+from turtleact.interfaces.standard.rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
     Parameter,

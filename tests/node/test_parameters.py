@@ -12,21 +12,23 @@ from anyio.lowlevel import checkpoint
 
 from turtleact import open_node, parameter
 from turtleact.errors import InvalidParameter, TurtleactError
-from turtleact.interfaces.standard import (
-    DescribeParameters,
-    GetParameters,
-    GetParameterTypes,
+from turtleact.interfaces.standard import Time
+from turtleact.interfaces.standard.rcl_interfaces.msg import (
     IntegerRange,
-    ListParameters,
     ParameterDescriptor,
     ParameterEvent,
     ParameterValue,
+    SetParametersResult,
+)
+from turtleact.interfaces.standard.rcl_interfaces.msg import Parameter as Message
+from turtleact.interfaces.standard.rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
     SetParameters,
     SetParametersAtomically,
-    SetParametersResult,
-    Time,
 )
-from turtleact.interfaces.standard import Parameter as Message
 from turtleact.node import Node
 from turtleact.node.parameters import Parameter
 from turtleact.node.topics import Subscription

@@ -10,7 +10,8 @@ import pytest
 from turtleact import open_node
 from turtleact.doctor.checks import described_fields, own_fields
 from turtleact.interfaces import get_interface, implied, interface_source, type_hash
-from turtleact.interfaces.standard import Fibonacci, GoalStatusArray, Parameter, Point
+from turtleact.interfaces.standard import Fibonacci, GoalStatusArray, Point
+from turtleact.interfaces.standard.rcl_interfaces.msg import Parameter
 from turtleact.node.type_descriptions import GET_TYPE_DESCRIPTION, TYPE_HASH, offer_descriptions
 from turtleact.transports import MemoryTransport
 

@@ -7,16 +7,18 @@ import math
 import pytest
 
 from turtleact.goals.state import GoalStatus
-from turtleact.interfaces.standard import (
+from turtleact.interfaces.standard import RotateAbsolute
+from turtleact.interfaces.standard.simulation_interfaces.action import SimulateSteps
+from turtleact.interfaces.standard.simulation_interfaces.msg import Result as SimulationResult
+from turtleact.interfaces.standard.simulation_interfaces.msg import (
+    SimulationState,
+    SimulatorFeatures,
+)
+from turtleact.interfaces.standard.simulation_interfaces.srv import (
     GetSimulationState,
     GetSimulatorFeatures,
     ResetSimulation,
-    RotateAbsolute,
     SetSimulationState,
-    SimulateSteps,
-    SimulationResult,
-    SimulationState,
-    SimulatorFeatures,
     StepSimulation,
 )
 from turtleact.tasks import wait_until_idle

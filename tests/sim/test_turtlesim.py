@@ -9,14 +9,12 @@ import anyio
 import pytest
 
 from turtleact.goals.state import GoalStatus
-from turtleact.interfaces.standard import (
+from turtleact.interfaces.standard import RotateAbsolute
+from turtleact.interfaces.standard.rcl_interfaces.msg import IntegerRange, Parameter, ParameterValue
+from turtleact.interfaces.standard.rcl_interfaces.srv import (
     DescribeParameters,
     GetParameters,
-    IntegerRange,
     ListParameters,
-    Parameter,
-    ParameterValue,
-    RotateAbsolute,
     SetParameters,
 )
 from turtleact.sim.paint import Pen

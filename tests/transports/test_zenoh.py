@@ -40,12 +40,8 @@ from turtleact.interfaces import (
     int32,
     type_hash,
 )
-from turtleact.interfaces.standard import (
-    UUID,
-    Fibonacci,
-    GoalStatusArray,
-    ListParameters,
-)
+from turtleact.interfaces.standard import UUID, Fibonacci, GoalStatusArray
+from turtleact.interfaces.standard.rcl_interfaces.srv import ListParameters
 from turtleact.interfaces.types import REGISTRY
 from turtleact.names import PARAMETER_SERVICES
 from turtleact.transports import QoS, ZenohTransport, open_zenoh

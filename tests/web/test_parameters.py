@@ -10,7 +10,8 @@ import pytest
 import turtleact
 from turtleact.errors import InvalidMessage, ServerUnavailable
 from turtleact.interfaces import get_interface
-from turtleact.interfaces.standard import GetParameters, ParameterValue, SetParameters
+from turtleact.interfaces.standard.rcl_interfaces.msg import ParameterValue
+from turtleact.interfaces.standard.rcl_interfaces.srv import GetParameters, SetParameters
 from turtleact.web.shared import BridgeState, Limits
 
 SetBool: Any = get_interface("std_srvs/srv/SetBool")

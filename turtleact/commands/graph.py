@@ -270,7 +270,8 @@ def note_differing(node: Node, endpoints: Iterable[Endpoint], known: Mapping[str
 
 async def note_pause(node: Node, tell: Callable[[str], object] = note) -> None:
     """Tell the user if the world is paused: its clock then stands still, and goals wait."""
-    from turtleact.interfaces.standard import GetSimulationState, SimulationState
+    from turtleact.interfaces.standard.simulation_interfaces.msg import SimulationState
+    from turtleact.interfaces.standard.simulation_interfaces.srv import GetSimulationState
 
     if WORLD_STATE not in {each.name for each in node.transport.endpoints()}:
         return

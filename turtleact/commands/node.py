@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from turtleact.commands.message_text import GoalText, Style
     from turtleact.commands.settings import ConnectOptions
     from turtleact.interfaces import Message
-    from turtleact.interfaces.standard import ParameterValue, SetParametersResult
+    from turtleact.interfaces.standard.rcl_interfaces.msg import ParameterValue, SetParametersResult
     from turtleact.node import Node
     from turtleact.node.services import ServiceType
 
@@ -193,7 +193,7 @@ async def set_(
 @verb(param)
 async def delete(node: Node, owner: Owner, name: Name) -> int:
     """Delete a parameter."""
-    from turtleact.interfaces.standard import ParameterValue
+    from turtleact.interfaces.standard.rcl_interfaces.msg import ParameterValue
 
     done = "Deleted parameter successfully"
     return await _set_one(node, owner, name, ParameterValue(), done, "Deleting")
@@ -203,7 +203,7 @@ async def _set_one(
     node: Node, owner: Owner, name: str, value: ParameterValue, done: str, trying: str
 ) -> int:
     from turtleact.commands.node_parameters import ParameterClient
-    from turtleact.interfaces.standard import Parameter
+    from turtleact.interfaces.standard.rcl_interfaces.msg import Parameter
 
     client = await ParameterClient.find(node, owner)
     [result] = await client.set([Parameter(name, value)])

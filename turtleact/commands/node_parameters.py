@@ -23,15 +23,17 @@ from turtleact.commands.settings import Override, Owner, quoted
 from turtleact.errors import InvalidParameter, TurtleactError, UsageError
 from turtleact.interfaces import Message
 from turtleact.interfaces.definition import did_you_mean, names_like
-from turtleact.interfaces.standard import (
-    DescribeParameters,
-    GetParameters,
-    ListParameters,
+from turtleact.interfaces.standard.rcl_interfaces.msg import (
     Parameter,
     ParameterType,
     ParameterValue,
-    SetParameters,
     SetParametersResult,
+)
+from turtleact.interfaces.standard.rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParameters,
 )
 from turtleact.interfaces.text import Document, block, tree_of
 from turtleact.node.parameter_rules import KINDS, fitted, flattened, out_of_range, value_of
@@ -39,7 +41,7 @@ from turtleact.tasks.clock import within
 from turtleact.transports.graph import is_hidden_node, types_by_name
 
 if TYPE_CHECKING:
-    from turtleact.interfaces.standard import (
+    from turtleact.interfaces.standard.rcl_interfaces.msg import (
         FloatingPointRange,
         IntegerRange,
         ParameterDescriptor,

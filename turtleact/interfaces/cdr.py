@@ -9,9 +9,8 @@ values of fixed size form a *run*, which ``struct`` reads or writes in one call.
 run depends on the place where the run starts, so each run has eight ``Struct`` objects: one for
 each remainder of the place modulo 8.
 
-An encoder or decoder does not say which value is wrong. If a decoder refuses data, `locate` reads
-the data again, value by value, to find the error. A decoder never creates more elements than the
-data has bytes, whatever length the data claims: each element takes at least one byte, and the
+An encoder or decoder does not say which value is wrong. A decoder never creates more elements than
+the data has bytes, whatever length the data claims: each element takes at least one byte, and the
 decoder stops at the end of the data.
 
 Source: OMG, Data-Distribution Service Interoperability 2.2 (RTPS), chapter 10; ROS 2 implements it
@@ -26,7 +25,7 @@ import struct
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 from turtleact.errors import InvalidMessage, InvalidOption
-from turtleact.interfaces.conversion import Source, snapshot
+from turtleact.interfaces.conversion import Source, name_of, snapshot
 from turtleact.interfaces.definition import BYTE_TYPES, ArrayForm
 from turtleact.interfaces.types import Message, constructor, fields, nested_classes
 
@@ -136,8 +135,7 @@ def decode(
             case.
 
     Raises:
-        InvalidMessage: if a value is cut off, has an impossible length or breaks its bound. The
-            error names the first such value.
+        InvalidMessage: if a value is cut off, has an impossible length or breaks its bound.
         InvalidOption: if ``arrays`` is neither ``"list"`` nor ``"array"`` nor ``"numpy"``.
 
     >>> from turtleact.interfaces.standard import Time
@@ -156,8 +154,8 @@ def decode(
     try:
         return read(data)
     except MISREAD:
-        locate(cls, data, order)
-        raise
+        problem = f"these {len(data)} bytes are not of type {name_of(cls)}"
+        raise InvalidMessage("message", problem) from None
 
 
 @functools.cache
@@ -611,88 +609,3 @@ def numpy_maker(order: str, code: str) -> Make:
 
     stored, native = np.dtype("B" if code == "?" else order + code), np.dtype(code)
     return lambda content: np.frombuffer(content, stored).astype(native)
-
-
-def locate(cls: type[Message], data: bytes, order: str) -> None:
-    """Raise `InvalidMessage` for the first error in data that a decoder has refused."""
-    try:
-        Walk(data, order).message(cls)
-    except InvalidMessage as inner:
-        raise InvalidMessage(f"message{inner.path}", inner.problem) from None
-
-
-class Walk:
-    """Reads data value by value, to find the error that made a decoder refuse the data."""
-
-    def __init__(self, data: bytes, order: str) -> None:
-        self.data = data
-        self.order = order
-        self.place = len(HEADER)
-
-    def message(self, cls: type[Message]) -> None:
-        """Read a message."""
-        for field, nested in members(cls):
-            try:
-                self.field(field.type, nested)
-            except InvalidMessage as inner:
-                raise InvalidMessage(f".{field.name}{inner.path}", inner.problem) from None
-        if not fields(cls):
-            self.take(EMPTY)
-
-    def field(self, field_type: FieldType, nested: type[Message] | None) -> None:
-        """Read a field."""
-        if not field_type.is_sequence:
-            self.single(field_type, nested)
-            return
-        count = field_type.size
-        if field_type.form is not ArrayForm.FIXED:
-            count = self.count(count or None)
-        if field_type.name in FORMATS:
-            self.take(FORMATS[field_type.name], count)
-            return
-        for index in range(count):
-            try:
-                self.single(field_type, nested)
-            except InvalidMessage as inner:
-                raise InvalidMessage(f"[{index}]{inner.path}", inner.problem) from None
-
-    def single(self, field_type: FieldType, nested: type[Message] | None) -> None:
-        """Read a number, a text or a message."""
-        if nested is not None:
-            self.message(nested)
-        elif field_type.is_string:
-            self.text(field_type)
-        else:
-            self.take(FORMATS[field_type.name])
-
-    def text(self, field_type: FieldType) -> None:
-        """Read a text."""
-        count = self.count(None)
-        begin = self.take("B" if field_type.name == "string" else COUNT, count)
-        try:
-            text, _ = text_content(field_type, self.order)(self.data, begin, count)
-        except ValueError as error:
-            raise InvalidMessage("", f"no characters in the text at byte {begin}") from error
-        bound = field_type.string_bound
-        if bound is not None and len(text) > bound:
-            raise InvalidMessage("", f"at most {bound} characters, got {len(text)}")
-
-    def count(self, bound: int | None) -> int:
-        """Read the length of a text or sequence."""
-        begin = self.take(COUNT)
-        count: int = struct.unpack_from(self.order + COUNT, self.data, begin)[0]
-        if bound is not None and count > bound:
-            raise InvalidMessage("", f"at most {bound} elements, got {count}")
-        return count
-
-    def take(self, code: str, count: int = 1) -> int:
-        """Skip ``count`` values of fixed size, and return the place where they begin."""
-        if count:
-            self.place += padding(self.place, size_of(code))
-        begin, size = self.place, size_of(code) * count
-        left = max(0, len(self.data) - begin)
-        if size > left:
-            problem = f"cut off at byte {begin}: {size} more are needed, {left} are there"
-            raise InvalidMessage("", problem)
-        self.place += size
-        return begin

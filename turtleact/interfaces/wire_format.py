@@ -85,8 +85,7 @@ class WireFormat:
         """Decode a message.
 
         Raises:
-            InvalidMessage: if the bytes are not a message of the expected class. The error names
-                the field and the byte where decoding fails.
+            InvalidMessage: if the bytes are not a message of the expected class.
         """
         message: Message = self._cdr.decode(self._classes[1], data)
         return message
@@ -151,15 +150,14 @@ class FeedbackFormat(WireFormat):
         """Decode only the feedback in a feedback message. The goal id is ``data[GOAL_ID]``.
 
         Raises:
-            InvalidMessage: if the bytes are not a feedback message of the action. The error names
-                the field and the byte where decoding fails.
+            InvalidMessage: if the bytes are not a feedback message of the action.
         """
         if data[:2] == self._cdr.HEADER[:2]:
             try:
                 read: Message = self._cdr.decoder(self._feedback, place=GOAL_ID.stop)(data)
                 return read
             except self._cdr.MISREAD:
-                pass  # the decoding below raises again, with the place of the error
+                pass  # the decoding below raises again, with a clear error
         message: Any = WireFormat.decode(self, data)
         return cast("Message", message.feedback)
 

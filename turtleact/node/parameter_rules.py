@@ -32,7 +32,7 @@ import msgspec
 from turtleact.errors import InvalidMessage, InvalidOption, InvalidParameter
 from turtleact.interfaces import snapshotter
 from turtleact.interfaces.definition import did_you_mean
-from turtleact.interfaces.standard import (
+from turtleact.interfaces.standard.rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
     ListParametersResult,

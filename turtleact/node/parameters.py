@@ -15,18 +15,20 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar, cast
 
 from turtleact.errors import InvalidParameter, TurtleactError, summary, text_of
 from turtleact.interfaces import Message, stamp_of
-from turtleact.interfaces.standard import (
+from turtleact.interfaces.standard.rcl_interfaces.msg import Parameter as ParameterMessage
+from turtleact.interfaces.standard.rcl_interfaces.msg import (
+    ParameterEvent,
+    ParameterValue,
+    SetParametersResult,
+)
+from turtleact.interfaces.standard.rcl_interfaces.srv import (
     DescribeParameters,
     GetParameters,
     GetParameterTypes,
     ListParameters,
-    ParameterEvent,
-    ParameterValue,
     SetParameters,
     SetParametersAtomically,
-    SetParametersResult,
 )
-from turtleact.interfaces.standard import Parameter as ParameterMessage
 from turtleact.node.parameter_rules import (
     ParameterDeclaration,
     ParameterTable,

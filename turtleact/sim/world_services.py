@@ -26,17 +26,19 @@ from msgspec import field
 
 from turtleact.errors import Abort, SimError
 from turtleact.interfaces import Message, Service, float32, string
-from turtleact.interfaces.standard import (
+from turtleact.interfaces.standard import Time
+from turtleact.interfaces.standard.simulation_interfaces.action import SimulateSteps
+from turtleact.interfaces.standard.simulation_interfaces.msg import Result as SimulationResult
+from turtleact.interfaces.standard.simulation_interfaces.msg import (
+    SimulationState,
+    SimulatorFeatures,
+)
+from turtleact.interfaces.standard.simulation_interfaces.srv import (
     GetSimulationState,
     GetSimulatorFeatures,
     ResetSimulation,
     SetSimulationState,
-    SimulateSteps,
-    SimulationResult,
-    SimulationState,
-    SimulatorFeatures,
     StepSimulation,
-    Time,
 )
 from turtleact.sim.kinematics import DT
 from turtleact.sim.pictures import Snapshot, to_png, to_svg

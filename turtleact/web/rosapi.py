@@ -24,13 +24,15 @@ import msgspec
 from turtleact.errors import InvalidMessage, InvalidParameter, ServerUnavailable, TurtleactError
 from turtleact.interfaces import Message, fields, interface_text, known_interfaces
 from turtleact.interfaces.definition import ArrayForm, Field, did_you_mean
-from turtleact.interfaces.standard import (
-    GetParameters,
-    ListParameters,
+from turtleact.interfaces.standard.rcl_interfaces.msg import (
     Parameter,
     ParameterValue,
-    SetParameters,
     SetParametersResult,
+)
+from turtleact.interfaces.standard.rcl_interfaces.srv import (
+    GetParameters,
+    ListParameters,
+    SetParameters,
 )
 from turtleact.interfaces.types import constants, nested_classes
 from turtleact.names import resolve_name

@@ -3,9 +3,8 @@
 As in ROS 2, each ROS package is a Python package with one module per kind:
 ``turtleact.interfaces.standard.geometry_msgs.msg``. The modules are generated from the files beside
 them, and ``scripts/check`` compares modules and files. This module has shortcuts to the most used
-classes, each imported on first use. Four shortcuts have other names than in ROS, because the ROS
-names are ambiguous: ``TurtlePose``, ``GoalStatusMessage``, ``ExampleFibonacci`` and
-``SimulationResult``.
+classes, each imported on first use. Three shortcuts have other names than in ROS, because the ROS
+names are ambiguous: ``TurtlePose``, ``GoalStatusMessage`` and ``ExampleFibonacci``.
 
 Source: ROS 2 Jazzy; see the README in this folder.
 """
@@ -24,39 +23,7 @@ if TYPE_CHECKING:
     )
     from turtleact.interfaces.standard.geometry_msgs.msg import Point, Twist, Vector3
     from turtleact.interfaces.standard.patrol_interfaces.action import PatrolCommandInterface
-    from turtleact.interfaces.standard.rcl_interfaces.msg import (
-        FloatingPointRange,
-        IntegerRange,
-        ListParametersResult,
-        Parameter,
-        ParameterDescriptor,
-        ParameterEvent,
-        ParameterType,
-        ParameterValue,
-        SetParametersResult,
-    )
-    from turtleact.interfaces.standard.rcl_interfaces.srv import (
-        DescribeParameters,
-        GetParameters,
-        GetParameterTypes,
-        ListParameters,
-        SetParameters,
-        SetParametersAtomically,
-    )
     from turtleact.interfaces.standard.service_msgs.msg import ServiceEventInfo
-    from turtleact.interfaces.standard.simulation_interfaces.action import SimulateSteps
-    from turtleact.interfaces.standard.simulation_interfaces.msg import Result as SimulationResult
-    from turtleact.interfaces.standard.simulation_interfaces.msg import (
-        SimulationState,
-        SimulatorFeatures,
-    )
-    from turtleact.interfaces.standard.simulation_interfaces.srv import (
-        GetSimulationState,
-        GetSimulatorFeatures,
-        ResetSimulation,
-        SetSimulationState,
-        StepSimulation,
-    )
     from turtleact.interfaces.standard.std_srvs.srv import Empty
     from turtleact.interfaces.standard.turtlesim.action import RotateAbsolute
     from turtleact.interfaces.standard.turtlesim.msg import Color
@@ -74,44 +41,20 @@ __all__ = [
     "UUID",
     "CancelGoal",
     "Color",
-    "DescribeParameters",
     "Duration",
     "Empty",
     "ExampleFibonacci",
     "Fibonacci",
-    "FloatingPointRange",
-    "GetParameterTypes",
-    "GetParameters",
-    "GetSimulationState",
-    "GetSimulatorFeatures",
     "GoalInfo",
     "GoalStatusArray",
     "GoalStatusMessage",
-    "IntegerRange",
     "Kill",
-    "ListParameters",
-    "ListParametersResult",
-    "Parameter",
-    "ParameterDescriptor",
-    "ParameterEvent",
-    "ParameterType",
-    "ParameterValue",
     "PatrolCommandInterface",
     "Point",
-    "ResetSimulation",
     "RotateAbsolute",
     "ServiceEventInfo",
-    "SetParameters",
-    "SetParametersAtomically",
-    "SetParametersResult",
     "SetPen",
-    "SetSimulationState",
-    "SimulateSteps",
-    "SimulationResult",
-    "SimulationState",
-    "SimulatorFeatures",
     "Spawn",
-    "StepSimulation",
     "TeleportAbsolute",
     "TeleportRelative",
     "Time",
@@ -122,17 +65,10 @@ __all__ = [
 
 #: The names of each module.
 _HOMES = {
-    "action_msgs.msg": (
-        "GoalInfo",
-        "GoalStatusMessage",
-        "GoalStatusArray",
-    ),
+    "action_msgs.msg": ("GoalInfo", "GoalStatusMessage", "GoalStatusArray"),
     "action_msgs.srv": ("CancelGoal",),
     "action_tutorials_interfaces.action": ("Fibonacci",),
-    "builtin_interfaces.msg": (
-        "Duration",
-        "Time",
-    ),
+    "builtin_interfaces.msg": ("Duration", "Time"),
     "example_interfaces.action": ("ExampleFibonacci",),
     "geometry_msgs.msg": (
         "Point",
@@ -140,52 +76,11 @@ _HOMES = {
         "Vector3",
     ),
     "patrol_interfaces.action": ("PatrolCommandInterface",),
-    "rcl_interfaces.msg": (
-        "FloatingPointRange",
-        "IntegerRange",
-        "ListParametersResult",
-        "Parameter",
-        "ParameterDescriptor",
-        "ParameterEvent",
-        "ParameterType",
-        "ParameterValue",
-        "SetParametersResult",
-    ),
-    "rcl_interfaces.srv": (
-        "DescribeParameters",
-        "GetParameters",
-        "GetParameterTypes",
-        "ListParameters",
-        "SetParameters",
-        "SetParametersAtomically",
-    ),
     "service_msgs.msg": ("ServiceEventInfo",),
-    "simulation_interfaces.action": ("SimulateSteps",),
-    "simulation_interfaces.msg": (
-        "SimulationResult",
-        "SimulationState",
-        "SimulatorFeatures",
-    ),
-    "simulation_interfaces.srv": (
-        "GetSimulationState",
-        "GetSimulatorFeatures",
-        "ResetSimulation",
-        "SetSimulationState",
-        "StepSimulation",
-    ),
     "std_srvs.srv": ("Empty",),
     "turtlesim.action": ("RotateAbsolute",),
-    "turtlesim.msg": (
-        "Color",
-        "TurtlePose",
-    ),
-    "turtlesim.srv": (
-        "Kill",
-        "SetPen",
-        "Spawn",
-        "TeleportAbsolute",
-        "TeleportRelative",
-    ),
+    "turtlesim.msg": ("Color", "TurtlePose"),
+    "turtlesim.srv": ("Kill", "SetPen", "Spawn", "TeleportAbsolute", "TeleportRelative"),
     "unique_identifier_msgs.msg": ("UUID",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
@@ -194,7 +89,6 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 _IN_ROS = {
     "GoalStatusMessage": "GoalStatus",
     "ExampleFibonacci": "Fibonacci",
-    "SimulationResult": "Result",
     "TurtlePose": "Pose",
 }
 
