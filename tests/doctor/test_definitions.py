@@ -1,10 +1,10 @@
-"""Definitions as flat fields: the same from a class and from what a node says about it."""
+"""Definitions as flat fields."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from turtleact.doctor.checks import own_fields
+from turtleact.doctor.checks import fields_of
 from turtleact.interfaces import implied, load_interface
 from turtleact.interfaces.standard import Point
 
@@ -12,11 +12,11 @@ from ..lab import Count
 
 
 def test_fields_are_flat_with_their_types():
-    assert own_fields(Point) == {"x": "float64", "y": "float64", "z": "float64"}
+    assert fields_of(Point) == {"x": "float64", "y": "float64", "z": "float64"}
 
 
 def test_lists_and_the_parts_of_services_are_in_the_path():
-    assert own_fields(implied(Count).send_goal) == {
+    assert fields_of(implied(Count).send_goal) == {
         "request.goal_id.uuid[]": "uint8[16]",
         "request.goal.upto": "int32",
         "response.accepted": "bool",
@@ -28,7 +28,7 @@ def test_lists_and_the_parts_of_services_are_in_the_path():
 def test_bounds_belong_to_the_type():
     text = "string<=5 short\nstring[<=3] few\nint8[2] two\nwstring[] wide\n"
     mixed: Any = load_interface(text, type_name="lab_interfaces/msg/Mixed")
-    assert own_fields(mixed) == {
+    assert fields_of(mixed) == {
         "short": "string<=5",
         "few[]": "string[<=3]",
         "two[]": "int8[2]",

@@ -14,11 +14,11 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import product
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 
-from turtleact.interfaces.type_hash import NESTED_ID, TYPE_IDS, description, referenced
+from turtleact.interfaces.type_hash import members
 from turtleact.interfaces.types import Interface
 from turtleact.names import EVENT_SUFFIX
 from turtleact.transports.base import Endpoint
@@ -35,10 +35,9 @@ __all__ = [
     "Report",
     "Router",
     "Snapshot",
-    "described_fields",
     "differing_definitions",
+    "fields_of",
     "find_faults",
-    "own_fields",
 ]
 
 CLOCKS_APART: Final = 0.1
@@ -66,13 +65,6 @@ Fields = Mapping[str, str]
 PARTS: Final = {"request_message": "request", "response_message": "response"}
 
 EVENTS: Final = "event_message"
-
-#: Numbers below this are single values; numbers of lists of them follow in steps of this size.
-FORM_STEP: Final = 48
-
-NAMES: Final = {number: name for name, number in TYPE_IDS.items() if name != "char"}
-
-Row = tuple[str, Mapping[str, Any]]
 
 
 class NodeSeen(msgspec.Struct, frozen=True):
@@ -573,50 +565,17 @@ def _differences(definitions: list[Fields]) -> Iterator[tuple[str, list[str]]]:
 # the fields of types
 
 
-def own_fields(interface: Interface) -> Fields:
-    """The fields of an interface that is known in this process."""
-    others = {name: _rows(description(each)) for name, each in referenced(interface).items()}
-    return dict(_flat(_rows(description(interface)), others))
+def fields_of(interface: Interface) -> Fields:
+    """The fields of an interface, with those of the messages in it."""
+    return dict(_flat(interface))
 
 
-def described_fields(said: Any) -> Fields:  # noqa: ANN401  # a TypeDescription, of any class
-    """The fields of a type that a node has described."""
-    others = {each.type_name: _said_rows(each) for each in said.referenced_type_descriptions}
-    return dict(_flat(_said_rows(said.type_description), others))
-
-
-def _rows(described: Mapping[str, Any]) -> list[Row]:
-    return [(each["name"], each["type"]) for each in described["fields"]]
-
-
-def _said_rows(described: Any) -> list[Row]:  # noqa: ANN401  # an IndividualTypeDescription
-    keys = "type_id", "capacity", "string_capacity", "nested_type_name"
-    return [
-        (each.name, {key: getattr(each.type, key) for key in keys}) for each in described.fields
-    ]
-
-
-def _flat(
-    rows: list[Row], others: Mapping[str, list[Row]], prefix: str = ""
-) -> Iterator[tuple[str, str]]:
-    for name, kind in rows:
+def _flat(interface: Interface, prefix: str = "") -> Iterator[tuple[str, str]]:
+    for name, kind, nested in members(interface):
         if name == EVENTS:
             continue
-        form = kind["type_id"] // FORM_STEP * FORM_STEP
-        path = f"{prefix}{PARTS.get(name, name)}{'' if form == 0 else '[]'}"
-        nested = others.get(kind["nested_type_name"])
-        if kind["type_id"] - form == NESTED_ID and nested is not None:
-            yield from _flat(nested, others, f"{path}.")
+        path = f"{prefix}{PARTS.get(name, name)}{'[]' if kind.is_sequence else ''}"
+        if nested is not None:
+            yield from _flat(nested, f"{path}.")
         else:
-            yield path, _type_text(kind, form)
-
-
-def _type_text(kind: Mapping[str, Any], form: int) -> str:
-    number = kind["type_id"] - form
-    bounded = {each + 4: f"{name}<={kind['string_capacity']}" for each, name in NAMES.items()}
-    name = kind["nested_type_name"] or NAMES.get(number) or bounded.get(number, f"type {number}")
-    return f"{name}{_brackets(form, kind['capacity'])}"
-
-
-def _brackets(form: int, capacity: int) -> str:
-    return {0: "", 48: f"[{capacity}]", 96: f"[<={capacity}]"}.get(form, "[]")
+            yield path, str(kind).replace("char", "uint8")  # one type in a hash

@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final
 
@@ -30,14 +31,14 @@ from turtleact.doctor.checks import (
     Report,
     Router,
     Snapshot,
-    described_fields,
-    own_fields,
+    fields_of,
 )
-from turtleact.errors import TurtleactError
+from turtleact.errors import NotLearned, TurtleactError
 from turtleact.goals.fault_reports import ADVICE, TOPIC, UNTIL
 from turtleact.interfaces import WireFormat, get_interface, type_hash
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.interfaces.standard.diagnostic_msgs.msg import DiagnosticArray
+from turtleact.node.learning import Use
 from turtleact.transports import QoS, ZenohTransport
 from turtleact.transports.base import Endpoint
 
@@ -47,11 +48,10 @@ if TYPE_CHECKING:
 
 __all__ = ["take_snapshot"]
 
+FieldsByType = dict[tuple[str, str], Fields]
+
 PATIENCE: Final = 2.0
 """How long to wait for the answers of processes (s, event loop time)."""
-
-DESCRIBING: Final = 1.0
-"""How long to wait for a node's description of a type (s, event loop time)."""
 
 REPORTING: Final = 1.0
 """How long to wait for the faults that processes report (s, event loop time)."""
@@ -87,7 +87,7 @@ async def take_snapshot(node: Node, *, with_domains: bool = False) -> Snapshot:
     reports: list[Report] = []
     around: list[Snapshot] = []
     known = _known({each.endpoint.type_name for each in endpoints})
-    fields: dict[tuple[str, str], Fields] = {}
+    fields: FieldsByType = {}
     async with anyio.create_task_group() as group:
         for session, asked in _to_ask(endpoints).items():
             group.start_soon(_ask, node, session, asked, answers)
@@ -260,7 +260,7 @@ async def _find_fields(
     node: Node,
     endpoints: Sequence[EndpointSeen],
     known: Mapping[str, str],
-    fields: dict[tuple[str, str], Fields],
+    fields: FieldsByType,
 ) -> None:
     """Find the fields of types that have several definitions on the graph."""
     holders: dict[str, dict[str, str]] = {}  # type name to hash to one node that has it
@@ -274,27 +274,15 @@ async def _find_fields(
             if len({*found, ours} - {""}) < 2:
                 continue
             if ours:
-                fields[type_name, ours] = own_fields(get_interface(type_name))
+                fields[type_name, ours] = fields_of(get_interface(type_name))
             for type_hash_, holder in found.items():
                 if type_hash_ != ours:
-                    wanted = type_name, type_hash_
-                    group.start_soon(_ask_for_fields, node, holder, wanted, fields)
+                    use = Use("topic", type_name, (type_hash_,))
+                    group.start_soon(_learn_fields, node, use, holder, fields)
 
 
-async def _ask_for_fields(
-    node: Node, holder: str, wanted: tuple[str, str], fields: dict[tuple[str, str], Fields]
-) -> None:
+async def _learn_fields(node: Node, use: Use, holder: str, fields: FieldsByType) -> None:
     """Ask a node for the fields of a type that it uses."""
-    service: Any = get_interface(GET_DESCRIPTION)
-    client = node.service_client(service, f"{holder}/get_type_description")
-    request = service.Request(*wanted, include_type_sources=False)
-    try:
-        with anyio.move_on_after(DESCRIBING):
-            if await client.wait_for_service():
-                response: Any = await client.call(request)
-                if response.successful:
-                    fields[wanted] = described_fields(response.type_description)
-    except TurtleactError:
-        return
-    finally:
-        await client.aclose()
+    with suppress(NotLearned):
+        described = await node.learner.described(use, [holder])
+        fields[use.type_name, use.hashes[0]] = fields_of(described)

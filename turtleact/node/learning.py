@@ -340,11 +340,17 @@ class Learner:
         with anyio.move_on_after(QUESTION), suppress(NotLearned):
             for use, nodes in self.uses(name, kind).items() if self.is_on else ():
                 if use.type_name == ours.type_name and not use.is_of(ours):
-                    theirs = known_class(use, nodes)
-                    if theirs is None:
-                        theirs = (await self._ask_all(use, nodes, None)).interface
-                    return first_difference(ours, theirs)
+                    return first_difference(ours, await self.described(use, nodes))
         return ""
+
+    async def described(self, use: Use, nodes: list[str]) -> Interface:
+        """Return the class of a type as nodes describe it, without using it from now on.
+
+        Raises:
+            NotLearned: if none of the nodes describes it.
+        """
+        known = known_class(use, nodes)
+        return known or (await self._ask_all(use, nodes, None)).interface
 
     async def learn_all(self, wants: Callable[[Kind, str], bool]) -> None:
         """Learn the unknown types of all names on the graph that are wanted.
