@@ -6,13 +6,11 @@ from hypothesis import strategies as st
 
 from turtleact.errors import InvalidInterface
 from turtleact.interfaces.definition import (
-    ActionDefinition,
     ArrayForm,
     Constant,
     Field,
     FieldType,
     MessageDefinition,
-    ServiceDefinition,
     definition_text,
     did_you_mean,
     zero,
@@ -79,19 +77,6 @@ def test_a_keyword_gets_an_underscore_in_python_only():
 def test_a_full_name_is_package_kind_and_name(name):
     with pytest.raises(InvalidInterface, match="is not a full interface name"):
         MessageDefinition(name)
-
-
-def test_a_service_is_not_named_as_a_message():
-    part = message()
-    with pytest.raises(InvalidInterface, match="package_name/action/InterfaceName"):
-        ServiceDefinition("example_msgs/msg/Sample", part, part)
-
-
-def test_a_part_bears_the_name_of_the_whole():
-    name = "example_msgs/action/Go"
-    goal, result = message(name=f"{name}_Goal"), message(name=f"{name}_Result")
-    with pytest.raises(InvalidInterface, match=f"its Feedback is named '{name}_Goal'"):
-        ActionDefinition(name, goal, result, goal)
 
 
 def test_a_name_is_given_once():

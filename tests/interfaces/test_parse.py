@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from turtleact.errors import InvalidInterface
 from turtleact.interfaces.definition import (
-    ActionDefinition,
     ArrayForm,
+    CompoundDefinition,
     Constant,
     Field,
     FieldType,
@@ -120,8 +120,8 @@ def test_line_ends_of_any_system_are_taken():
 
 def test_an_action_has_three_parts():
     action = parse("int32 a\n---\n---\nOther b", "example_msgs/action/Sample")
-    assert isinstance(action, ActionDefinition)
-    assert action.feedback.fields == (Field("b", FieldType("example_msgs/msg/Other")),)
+    assert isinstance(action, CompoundDefinition)
+    assert action.parts[2].fields == (Field("b", FieldType("example_msgs/msg/Other")),)
 
 
 def test_an_error_shows_the_line_and_a_caret():

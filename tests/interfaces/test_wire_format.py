@@ -204,5 +204,5 @@ def test_an_event_is_little_endian_even_if_its_response_is_not():
 
 def test_no_event_is_written_from_bytes_that_are_no_request():
     events = EventFormat(lambda: Sum)
-    with pytest.raises(InvalidMessage, match="numbers"):
+    with pytest.raises(InvalidMessage, match="bytes are not of type"):
         events.write(events.info(0, 0, GID, 1), request=STAMP[:8])

@@ -1,6 +1,6 @@
 """Makes classes from definitions, and makes the types that ROS 2 derives from such classes.
 
-``make_message``, ``make_service`` and ``make_action`` make classes like those that a class
+``make_message`` and ``make_interface`` make classes like those that a class
 statement makes. These functions read no files and look up no interfaces. Instead, the caller passes
 ``find``, which returns the class of an interface or raises ``UnknownInterface``.
 
@@ -23,8 +23,8 @@ from turtleact.interfaces.class_body import annotation_of
 from turtleact.interfaces.definition import (
     ArrayForm,
     FieldType,
+    MessageDefinition,
     check_type_name,
-    parts_of,
 )
 from turtleact.interfaces.standard.builtin_interfaces.msg import Time
 from turtleact.interfaces.standard.service_msgs.msg import ServiceEventInfo
@@ -43,10 +43,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from turtleact.interfaces.definition import (
-        ActionDefinition,
+        Definition,
         Field,
-        MessageDefinition,
-        ServiceDefinition,
     )
     from turtleact.interfaces.types import Interface, field
 
@@ -84,9 +82,8 @@ __all__ = [
     "Implied",
     "event_message",
     "implied",
-    "make_action",
+    "make_interface",
     "make_message",
-    "make_service",
     "owner_and_part",
     "part_of",
 ]
@@ -116,22 +113,20 @@ def message_body(definition: MessageDefinition, find: Find) -> tuple[str, dict[s
     return name, body
 
 
-def make_service(
-    definition: ServiceDefinition, find: Find, *, register: bool = True
-) -> type[Service]:
-    """Make a service class; see `make_message`."""
-    name, body = whole_body(definition, PARTS["srv"], find)
+def make_interface(definition: Definition, find: Find, *, register: bool = True) -> Interface:
+    """Make the class of a message, service or action; see `make_message`."""
+    if isinstance(definition, MessageDefinition):
+        return make_message(definition, find, register=register)
+    base = Service if len(definition.parts) == len(PARTS["srv"]) else Action
+    name, body = naming(definition.type_name)
+    names = PARTS["srv" if base is Service else "action"]
+    for part, content in zip(names, definition.parts, strict=True):
+        _, own = message_body(content, find)
+        own["__qualname__"] = f"{name}.{part}"
+        body[part] = MessageMeta(part, (Message,), own)
     # The metaclass is type, so that the keywords reach __init_subclass__.
-    made = type(name, (Service,), body, type_name=definition.type_name, register=register)
-    return cast("type[Service]", made)
-
-
-def make_action(definition: ActionDefinition, find: Find, *, register: bool = True) -> type[Action]:
-    """Make an action class; see `make_message`."""
-    name, body = whole_body(definition, PARTS["action"], find)
-    # The metaclass is type, so that the keywords reach __init_subclass__.
-    made = type(name, (Action,), body, type_name=definition.type_name, register=register)
-    return cast("type[Action]", made)
+    made = type(name, (base,), body, type_name=definition.type_name, register=register)
+    return cast("Interface", made)
 
 
 def nested(definition: MessageDefinition, field: Field, find: Find) -> type[Message] | None:
@@ -147,18 +142,6 @@ def nested(definition: MessageDefinition, field: Field, find: Find) -> type[Mess
         problem = f"{field.name}: {field.type.name} is not a message"
         raise InvalidInterface(problem, source=definition.type_name)
     return found
-
-
-def whole_body(
-    definition: ServiceDefinition | ActionDefinition, parts: tuple[str, ...], find: Find
-) -> tuple[str, dict[str, object]]:
-    """Return the name and the namespace of a service or action, with a class for each part."""
-    name, body = naming(definition.type_name)
-    for part, content in zip(parts, parts_of(definition), strict=True):
-        _, own = message_body(content, find)
-        own["__qualname__"] = f"{name}.{part}"
-        body[part] = MessageMeta(part, (Message,), own)
-    return name, body
 
 
 class Implied(msgspec.Struct, frozen=True):

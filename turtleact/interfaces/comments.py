@@ -21,7 +21,7 @@ from turtleact.errors import TurtleactError
 from turtleact.interfaces.definition import part_lines
 from turtleact.interfaces.loading import authored_text, interface_source
 from turtleact.interfaces.parse import Line, lines_of, member_pattern, split, without_comment
-from turtleact.interfaces.types import PARTS, REGISTRY, Action, Message, Service, definition
+from turtleact.interfaces.types import REGISTRY, Action, Message, Service, definition, parts
 
 if TYPE_CHECKING:
     from turtleact.interfaces.types import Interface
@@ -97,10 +97,9 @@ def commented_text(cls: Interface) -> str:
         return text
     if issubclass(cls, Message):
         return "\n".join(_part_text(cls))
-    kind = "action" if issubclass(cls, Action) else "srv"
-    parts = [_part_text(getattr(cls, part)) for part in PARTS[kind]]
-    lines = [*_set_off(introduction(cls)), *parts[0]]
-    for part in parts[1:]:
+    first, *rest = map(_part_text, parts(cls))
+    lines = [*_set_off(introduction(cls)), *first]
+    for part in rest:
         lines += ["---", *part]
     return "\n".join(lines)
 

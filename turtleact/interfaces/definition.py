@@ -25,15 +25,14 @@ __all__ = [
     "BYTE_TYPES",
     "INTEGER_RANGES",
     "PRIMITIVES",
-    "ActionDefinition",
     "ArrayForm",
+    "CompoundDefinition",
     "Constant",
     "Definition",
     "Field",
     "FieldType",
     "MessageDefinition",
     "Primitive",
-    "ServiceDefinition",
     "check_type_name",
     "constant_name_pattern",
     "definition_text",
@@ -228,35 +227,19 @@ class MessageDefinition(msgspec.Struct, frozen=True):
             seen.add(member.name)
 
 
-class ServiceDefinition(msgspec.Struct, frozen=True):
-    """A .srv; its parts are named ``NAME_Request`` and ``NAME_Response``."""
+class CompoundDefinition(msgspec.Struct, frozen=True):
+    """A .srv or .action.
+
+    Attributes:
+        type_name: The full name.
+        parts: The messages: request and response, or goal, result and feedback.
+    """
 
     type_name: str
-    request: MessageDefinition
-    response: MessageDefinition
-
-    def __post_init__(self) -> None:
-        check_type_name(self.type_name, kinds=("srv", "action"))
-        check_part(self.type_name, self.request, "Request")
-        check_part(self.type_name, self.response, "Response")
+    parts: tuple[MessageDefinition, ...]
 
 
-class ActionDefinition(msgspec.Struct, frozen=True):
-    """A .action; its parts are named ``NAME_Goal``, ``NAME_Result`` and ``NAME_Feedback``."""
-
-    type_name: str
-    goal: MessageDefinition
-    result: MessageDefinition
-    feedback: MessageDefinition
-
-    def __post_init__(self) -> None:
-        check_type_name(self.type_name, kinds=("action",))
-        check_part(self.type_name, self.goal, "Goal")
-        check_part(self.type_name, self.result, "Result")
-        check_part(self.type_name, self.feedback, "Feedback")
-
-
-Definition: TypeAlias = MessageDefinition | ServiceDefinition | ActionDefinition
+Definition: TypeAlias = MessageDefinition | CompoundDefinition
 
 
 def definition_text(definition: Definition) -> str:
@@ -275,12 +258,7 @@ def definition_text(definition: Definition) -> str:
 
 def parts_of(definition: Definition) -> tuple[MessageDefinition, ...]:
     """Return the definitions of the messages in an interface, in the order of its text."""
-    match definition:
-        case ServiceDefinition():
-            return definition.request, definition.response
-        case ActionDefinition():
-            return definition.goal, definition.result, definition.feedback
-    return (definition,)
+    return (definition,) if isinstance(definition, MessageDefinition) else definition.parts
 
 
 def check_type_name(type_name: str, *, kinds: tuple[str, ...] = ("msg", "srv", "action")) -> None:
@@ -293,13 +271,6 @@ def check_type_name(type_name: str, *, kinds: tuple[str, ...] = ("msg", "srv", "
     if match is None or match["kind"] not in kinds:
         example = f"package_name/{kinds[-1]}/InterfaceName"
         problem = f"'{type_name}' is not a full interface name: write it as {example}"
-        raise InvalidInterface(problem, source=type_name)
-
-
-def check_part(type_name: str, part: MessageDefinition, suffix: str) -> None:
-    """Check that a part of a service or action has the right name."""
-    if part.type_name != f"{type_name}_{suffix}":
-        problem = f"its {suffix} is named '{part.type_name}', not '{type_name}_{suffix}'"
         raise InvalidInterface(problem, source=type_name)
 
 

@@ -27,7 +27,6 @@ from turtleact.interfaces.definition import (
     Constant,
     Field,
     MessageDefinition,
-    ServiceDefinition,
     is_bytes,
     parts_of,
     zero,
@@ -182,7 +181,7 @@ class Module:
             body = self.members(definition, comments[0])
             return [head, *indented([*about, *([""] if body else []), *body])]
         lines = documented(comments[0].about, default)
-        names = PARTS["srv" if isinstance(definition, ServiceDefinition) else "action"]
+        names = PARTS[self.kind]
         for part_name, part, said in zip(names, parts_of(definition), comments, strict=True):
             is_first = part_name == names[0]
             above = said.first if is_first else said.about or said.first

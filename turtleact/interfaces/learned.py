@@ -21,15 +21,14 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Final, cast
 
 from turtleact.errors import InvalidInterface, InvalidMessage
-from turtleact.interfaces.classes import make_action, make_message, make_service
+from turtleact.interfaces.classes import make_interface, make_message
 from turtleact.interfaces.definition import (
-    ActionDefinition,
     ArrayForm,
+    CompoundDefinition,
     Field,
     FieldType,
     MessageDefinition,
     Primitive,
-    ServiceDefinition,
     parts_of,
 )
 from turtleact.interfaces.loading import installed_class
@@ -128,14 +127,11 @@ class LearnedTypes:
         is_service = said is not None and "request_message" in [each.name for each in said.fields]
         if (said is not None and not is_service) or "/msg/" in type_name:
             return self._message(type_name)
-        kind = "srv" if is_service else "action"
-        parts = [self._definition(f"{type_name}_{part}") for part in PARTS[kind]]
-        made: Interface
-        if kind == "action":
-            made = make_action(ActionDefinition(type_name, *parts), self._message, register=False)
-        else:
-            made = make_service(ServiceDefinition(type_name, *parts), self._message, register=False)
-        self._keep(made, *(getattr(made, part) for part in PARTS[kind]))
+        names = PARTS["srv" if is_service else "action"]
+        whole = tuple(self._definition(f"{type_name}_{part}") for part in names)
+        definition = CompoundDefinition(type_name, whole)
+        made = make_interface(definition, self._message, register=False)
+        self._keep(made, *(getattr(made, part) for part in names))
         return made
 
     def _message(self, type_name: str) -> type[Message]:

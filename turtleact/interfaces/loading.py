@@ -18,15 +18,11 @@ from msgspec.structs import replace
 
 from turtleact.errors import InvalidInterface, UnknownInterface
 from turtleact.interfaces.classes import (
-    make_action,
-    make_message,
-    make_service,
+    make_interface,
     owner_and_part,
     part_of,
 )
 from turtleact.interfaces.definition import (
-    MessageDefinition,
-    ServiceDefinition,
     definition_text,
     nearest,
     parts_of,
@@ -423,13 +419,7 @@ def build(definition: Definition, making: tuple[str, ...]) -> Interface:
     def find(type_name: str) -> Interface:
         return needed(look_up(type_name, (*making, definition.type_name)), type_name)
 
-    made: Interface
-    if isinstance(definition, MessageDefinition):
-        made = make_message(definition, find)
-    elif isinstance(definition, ServiceDefinition):
-        made = make_service(definition, find)
-    else:
-        made = make_action(definition, find)
+    made = make_interface(definition, find)
     return REGISTRY.get(definition.type_name) or made
 
 

@@ -23,13 +23,12 @@ from turtleact.errors import InvalidInterface, InvalidMessage
 from turtleact.interfaces.definition import (
     INTEGER_RANGES,
     PRIMITIVES,
-    ActionDefinition,
     ArrayForm,
+    CompoundDefinition,
     Constant,
     Field,
     FieldType,
     MessageDefinition,
-    ServiceDefinition,
     check_type_name,
     did_you_mean,
 )
@@ -117,11 +116,7 @@ def parse(text: str, type_name: str, *, source: str = "") -> Definition:
     parts = [
         parse_part(section, name, package) for section, name in zip(sections, names, strict=True)
     ]
-    if kind == "srv":
-        return ServiceDefinition(type_name, *parts)
-    if kind == "action":
-        return ActionDefinition(type_name, *parts)
-    return parts[0]
+    return parts[0] if kind == "msg" else CompoundDefinition(type_name, tuple(parts))
 
 
 _HAS = {

@@ -43,14 +43,13 @@ from turtleact.interfaces.class_body import (
 )
 from turtleact.interfaces.definition import (
     INTEGER_RANGES,
-    ActionDefinition,
     ArrayForm,
+    CompoundDefinition,
     Constant,
     Definition,
     Field,
     MessageDefinition,
     Primitive,
-    ServiceDefinition,
     check_type_name,
     did_you_mean,
     zero,
@@ -93,6 +92,7 @@ __all__ = [
     "int64",
     "named_values",
     "nested_classes",
+    "parts",
     "string",
     "uint8",
     "uint16",
@@ -421,10 +421,8 @@ def nested_classes(cls: type[Message]) -> tuple[type[Message] | None, ...]:
 @overload
 def definition(cls: type[Message]) -> MessageDefinition: ...
 @overload
-def definition(cls: type[Service]) -> ServiceDefinition: ...
-@overload
-def definition(cls: type[Action]) -> ActionDefinition: ...
-def definition(cls: type[Message] | type[Service] | type[Action]) -> Definition:
+def definition(cls: type[Service] | type[Action]) -> CompoundDefinition: ...
+def definition(cls: Interface) -> Definition:
     """Return the definition of an interface class.
 
     Raises:
@@ -432,15 +430,17 @@ def definition(cls: type[Message] | type[Service] | type[Action]) -> Definition:
     """
     if issubclass(cls, Message):
         return MessageDefinition(cls.type_name, fields(cls), constants(cls))
-    if issubclass(cls, Service):
-        return ServiceDefinition(cls.type_name, definition(cls.Request), definition(cls.Response))
-    return ActionDefinition(
-        cls.type_name, definition(cls.Goal), definition(cls.Result), definition(cls.Feedback)
-    )
+    check_type_name(cls.type_name, kinds=("action", "srv"))
+    return CompoundDefinition(cls.type_name, tuple(map(definition, parts(cls))))
 
 
 #: The classes inside a service or action.
 PARTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
+
+
+def parts(cls: type[Service] | type[Action]) -> list[type[Message]]:
+    """Return the message classes of a service or action."""
+    return [getattr(cls, name) for name in PARTS["srv" if issubclass(cls, Service) else "action"]]
 
 
 def expect_interface(kind: type, given: object) -> None:
