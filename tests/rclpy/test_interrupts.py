@@ -65,16 +65,6 @@ def execute(goal_handle):
 """
 
 MOMENTS = {
-    "before rclpy is imported": "interrupt(); time.sleep(60)",
-    "while rclpy is imported": """
-interrupt_in('create_module')
-while True:
-    import rclpy.action
-    for name in [each for each in sys.modules if each.startswith('rclpy')]:
-        del sys.modules[name]
-""",
-    "while a node is made": f"{IMPORTS}rclpy.init(); interrupt_in('create_node')\n"
-    "while True: rclpy.create_node('lab')",
     "in a spin with nothing to do": "{node}interrupt_in('_sleep'); rclpy.spin(node)",
     "in a callback": "{node}node.create_timer(0.001, interrupt); rclpy.spin(node)",
     "in a callback that sleeps": "{node}interrupt_in('nap')\n"
@@ -91,7 +81,6 @@ while True:
     "in an execute callback": "{node}server = ActionServer(node, Fibonacci, 'f', execute)\n"
     "ActionClient(node, Fibonacci, 'f').send_goal_async(Fibonacci.Goal())\n"
     "executor.add_node(node); executor.spin()",
-    "in shutdown": "{node}node.context.on_shutdown(interrupt); rclpy.shutdown(); time.sleep(60)",
     "after shutdown": "{node}rclpy.shutdown(); interrupt(); time.sleep(60)",
 }
 

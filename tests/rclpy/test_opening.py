@@ -53,18 +53,13 @@ async def test_a_program_becomes_the_router_if_there_is_none(attempts, fails, ma
     assert attempts[0] == made
 
 
-async def test_a_program_gives_up_in_the_end(attempts):
+@pytest.mark.parametrize("connect", [(), ("tcp/127.0.0.1:1",)])
+async def test_a_program_gives_up_in_the_end_and_tries_a_given_endpoint_once(
+    attempts, monkeypatch, connect
+):
+    monkeypatch.setattr(SETTINGS, "place", JoinOptions(connect))
     attempts[1][0] = 10**6
     with pytest.raises(TurtleactError, match="nobody there"):
         async with opening.open_chosen(0):
             pass
-    assert attempts[0].count("router") == opening.ATTEMPTS
-
-
-async def test_a_given_endpoint_is_tried_once(attempts, monkeypatch):
-    monkeypatch.setattr(SETTINGS, "place", JoinOptions(("tcp/127.0.0.1:1",)))
-    attempts[1][0] = 1
-    with pytest.raises(TurtleactError, match="nobody there"):
-        async with opening.open_chosen(0):
-            pass
-    assert attempts[0] == ["peer"]
+    assert attempts[0].count("peer") == (1 if connect else opening.ATTEMPTS - 1)
