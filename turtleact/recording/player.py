@@ -9,10 +9,10 @@ a server may still hold the recorded goals and would then reject their ids.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Collection, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Collection, Mapping
 from contextlib import aclosing
 from pathlib import Path
-from typing import Any, Final, Literal, TypedDict, Unpack
+from typing import Any, Final, Literal, TypeAlias, TypedDict, Unpack
 
 import anyio
 import anyio.to_thread
@@ -21,14 +21,15 @@ import msgspec
 from turtleact.errors import InvalidInterface, InvalidOption, TurtleactError, UnknownInterface
 from turtleact.goals.client import ActionClient, ClientGoalHandle
 from turtleact.goals.state import GoalStatus
-from turtleact.interfaces import Message, WireFormat, get_action, nanoseconds, stamp_of, type_hash
+from turtleact.interfaces import WireFormat, get_action, stamp_of, type_hash
 from turtleact.interfaces.standard.rosgraph_msgs.msg import Clock
 from turtleact.names import resolve_name
 from turtleact.node import Node, check_open
 from turtleact.recording.bag import Bag, Reading, Recorded, reader_of
 from turtleact.recording.metadata import Offer
+from turtleact.recording.recorded_goals import RecordedGoal, goals_in
 from turtleact.recording.schemas import class_of
-from turtleact.recording.selection import EVERYTHING, REQUESTS, Selection, owner_of, part_of
+from turtleact.recording.selection import EVERYTHING, Selection, owner_of, part_of
 from turtleact.recording.storage import Channel, Range, in_nanoseconds
 from turtleact.tasks import Background, current_tasks, thread_work
 from turtleact.transports.base import Endpoint, Publication, QoS, RawFormat
@@ -51,7 +52,9 @@ UNSENT: Final = (
 CLOCK: Final = "/clock"
 """The topic with the time, for nodes with ``use_sim_time``."""
 
-Sender = Literal["service", "client"]
+
+WaitUntil: TypeAlias = Callable[[int], Awaitable[None]]
+"""Waits until a stamp of the bag (ns since 1970) is due."""
 
 
 class PlayOptions(TypedDict, total=False):
@@ -129,10 +132,10 @@ async def play(node: Node, path: str | Path, **options: Unpack[PlayOptions]) -> 
     try:
         async with anyio.create_task_group() as goals:
             try:
-                player.prepare(goals)
+                await player.prepare()
                 await player.wait_for_readers()
                 while True:
-                    await player.run(None if rate == "max" else float(rate))
+                    await player.run(None if rate == "max" else float(rate), goals)
                     if not options.get("loop") or player.is_idle:
                         break
             except TurtleactError as error:  # the task group would wrap it
@@ -173,14 +176,18 @@ class _Player:
         self._outlets: dict[str, Callable[[bytes], None]] = {}
         self._publications: dict[str, Publication] = {}
         self._goals: _GoalSender | None = None
+        self._resent: list[RecordedGoal] = []
         self._frequency = options.get("clock", 0.0)
         self._qos = options.get("qos", {})
         self._clock: Publication | None = None
 
-    def prepare(self, tasks: anyio.abc.TaskGroup) -> None:
-        """Open the publishers and clients that the bag needs."""
+    async def prepare(self) -> None:
+        """Open the publishers and clients that the bag needs, and look for its goals."""
         if self._sends_goals:
-            self._goals = _GoalSender(self._node, tasks, self._remap, self.played, self._start)
+            self._goals = _GoalSender(self._node, self._remap, self.played)
+            with thread_work().counted():
+                found = await goals_in(self._bag, self._selection)
+            self._resent = [each for each in found if self._is_resent(each)]
         if self._frequency:
             endpoint = self._endpoint(
                 CLOCK, Clock.type_name, QoS(depth=1, reliability="best_effort")
@@ -219,39 +226,48 @@ class _Player:
 
     @property
     def is_idle(self) -> bool:
-        """Whether the last `run` had no topics to publish and no goals to send."""
-        return not (self._outlets or (self._goals is not None and self._goals.has_sent))
+        """Whether there are no topics to publish and no goals to send."""
+        return not (self._outlets or any(each.goal is not None for each in self._resent))
 
-    async def run(self, rate: float | None) -> None:
-        """Play the bag once. If ``rate`` is None, play without pauses."""
-        if self._goals is not None:
-            self._goals.start_over()
-        begun = self._node.clock.time()
+    async def run(self, rate: float | None, tasks: anyio.abc.TaskGroup) -> None:
+        """Play the bag once, and send its goals in a task group.
+
+        If ``rate`` is None, play without pauses.
+        """
+        clock = self._node.clock
+        begun = clock.time()
         self._reached = self._start
+
+        async def wait_until(stamp: int) -> None:
+            if rate is not None:
+                due = begun + (stamp - self._start) / 1e9 / rate
+                if due > clock.time():
+                    await clock.sleep_until(due)
+
         ticking: Background | None = None
         if self._clock is not None:
             ticking = Background(self._tick(begun, rate), f"the clock of {self._bag.path}")
         try:
-            await self._play_all(begun, rate)
             if self._goals is not None:
-                self._goals.note_unsent()
+                for goal in self._resent:
+                    tasks.start_soon(self._goals.send, goal, wait_until)
+            await self._play_all(wait_until)
+            for goal in self._resent:
+                await wait_until(max(goal.requested, goal.canceled))
         finally:
             if ticking is not None:
                 await ticking.aclose()
 
-    async def _play_all(self, begun: float, rate: float | None) -> None:
-        clock, count = self._node.clock, 0
+    async def _play_all(self, wait_until: WaitUntil) -> None:
+        count = 0
         reading = Reading(
-            self._bag, Range(self._start, self._end, self._is_wanted), is_decoded=False
+            self._bag, Range(self._start, self._end, self._outlets.__contains__), is_decoded=False
         )
         async with aclosing(reading.batches()) as read, aclosing(_still(read)) as batches:
             async for message in batches:
                 count += 1
                 self._reached = message.stamp
-                if rate is not None:
-                    due = begun + (message.stamp - self._start) / 1e9 / rate
-                    if due > clock.time():
-                        await clock.sleep_until(due)
+                await wait_until(message.stamp)
                 if not count % TURN:
                     await current_tasks().checkpoint()
                 await self._play(message)
@@ -269,18 +285,14 @@ class _Player:
             self._clock.publish(Clock(stamp_of(stamp)))
             await clock.sleep(1 / self._frequency)
 
-    def _is_wanted(self, topic: str) -> bool:
-        return topic in self._outlets or (
-            self._goals is not None
-            and part_of(topic).owner == "action"
-            and self._selection.wants(topic, "")
-        )
+    def _is_resent(self, goal: RecordedGoal) -> bool:
+        """Whether to send a goal again, or to count that the bag does not have it."""
+        if goal.is_begun_before or (goal.goal is None and not goal.states):
+            return False
+        stamp = goal.requested or goal.stamp
+        return self._start <= stamp and (self._end is None or stamp <= self._end)
 
     async def _play(self, message: Recorded) -> None:
-        if message.topic not in self._outlets:
-            if self._goals is not None:
-                await self._goals.take(message)
-            return
         self._outlets[message.topic](message.data)
         self.played.messages += 1
         publication = self._publications[message.topic]
@@ -317,67 +329,31 @@ class _Player:
         return self._remap.get(topic, topic)
 
 
-class _Resent(msgspec.Struct):
-    """A recorded goal that is sent again.
-
-    Attributes:
-        stamp: When the goal was requested during the recording (ns since 1970).
-        handle: The handle of the new goal; None until the server has accepted it.
-        is_canceled: Whether to cancel the goal as soon as it is accepted.
-    """
-
-    stamp: int
-    handle: ClientGoalHandle[Any, Any] | None = None
-    is_canceled: bool = False
-
-    def cancel(self) -> None:
-        """Cancel the goal now, or when it is accepted."""
-        self.is_canceled = True
-        if self.handle is not None:
-            self.handle.cancel_nowait()
-
-
 class _GoalSender:
-    """Sends the goals of a bag again, and repeats the recorded cancel requests.
+    """Sends the goals of a bag again, and cancels those that were canceled.
 
     Args:
         node: A node on the graph.
-        tasks: The task group in which the goals are awaited.
         remap: New names of actions, by their recorded names.
         played: The outcome of `play`. The sender updates its counts when a goal ends.
-        start: The time in the bag at which playing begins (ns since 1970).
-
-    Attributes:
-        has_sent: Whether a goal was sent since the last call of `start_over`.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        tasks: anyio.abc.TaskGroup,
-        remap: Mapping[str, str],
-        played: Played,
-        start: int,
-    ) -> None:
-        self.has_sent = False
-        self._start = start
-        self._accepted: dict[bytes, str] = {}  # the actions of the goals in status messages
+    def __init__(self, node: Node, remap: Mapping[str, str], played: Played) -> None:
         self._node = node
-        self._tasks = tasks
         self._remap = remap
         self._played = played
-        self._clients: dict[str, ActionClient[Any, Any, Any]] = {}
-        self._goals: dict[bytes, _Resent] = {}  # by their recorded ids
-        self._canceled: set[tuple[bytes, int]] = set()
-        self._readers: dict[str, Callable[[bytes], Message | None]] = {}
+        self._clients: dict[str, ActionClient[Any, Any, Any]] = {}  # by recorded names
 
     def expect(self, channel: Channel) -> None:
         """Open the client of an action that has goals in the bag."""
         action = part_of(channel.topic).name
         try:
-            self._client(action, owner_of(channel.topic, channel.schema.name))
+            action_type = get_action(owner_of(channel.topic, channel.schema.name))
         except (UnknownInterface, InvalidInterface) as error:
             self._played.skipped[action] = str(error)
+        else:
+            name = self._remap.get(action, action)
+            self._clients[action] = self._node.action_client(action_type, name)
 
     async def wait_for_servers(self, served: Collection[str]) -> None:
         """Wait until the action servers can be reached.
@@ -395,109 +371,46 @@ class _GoalSender:
         for client in self._clients.values():
             await client.aclose()
 
-    def start_over(self) -> None:
-        """Forget the goals sent so far, so that all goals in the bag can be sent again."""
-        self.has_sent = False
-        self._goals.clear()
-        self._canceled.clear()
-        self._accepted.clear()
+    async def send(self, recorded: RecordedGoal, wait_until: WaitUntil) -> None:
+        """Send a goal when it was sent, cancel it when it was canceled, and count its end.
 
-    def note_unsent(self) -> None:
-        """Count an accepted goal as failed if its request is not in the bag."""
-        for goal_id, action in self._accepted.items():
-            if goal_id in self._goals:
-                continue
-            if action in self._played.skipped:
-                self._played.failed += 1
-            else:
-                self._fail(self._remap.get(action, action), UNSENT)
-
-    async def take(self, message: Recorded) -> None:
-        """Handle a message of an action's topics.
-
-        If the message is a goal request or a cancel request, send the request again. If it is a
-        status message, note its goals as accepted. Ignore all other messages.
+        Args:
+            recorded: The goal in the bag.
+            wait_until: Waits until a stamp of the bag is due.
         """
-        _, action, part = part_of(message.topic)
-        if part not in ("send_goal", "cancel_goal", "status"):
+        action = self._remap.get(recorded.action, recorded.action)
+        if recorded.action in self._played.skipped:
+            self._played.failed += 1
             return
-        event = self._decoded(message)
-        if event is not None and part == "status":
-            self._note_accepted(action, event)
+        if recorded.goal is None:
+            self._fail(action, UNSENT)
             return
-        if event is None or event.info.event_type not in REQUESTS:
+        client = self._clients[recorded.action]
+        try:
+            goal = client.action_type.Goal(**msgspec.structs.asdict(recorded.goal))
+        except TypeError:
+            self._fail(action, "the recorded goal has other fields")
             return
-        for request in event.request:
-            if part == "send_goal":
-                self._send(action, request, nanoseconds(event.info.stamp))
-            else:
-                self._cancel(event.info, request)
-
-    def _note_accepted(self, action: str, states: Any) -> None:  # noqa: ANN401  # a message
-        for each in states.status_list:
-            # A server also lists goals that it accepted before the recording began.
-            if nanoseconds(each.goal_info.stamp) >= self._start:
-                self._accepted[bytes(each.goal_info.goal_id.uuid)] = action
+        await wait_until(recorded.requested)
+        try:
+            async with client.send_goal(goal) as handle, anyio.create_task_group() as beside:
+                if recorded.canceled:
+                    beside.start_soon(_cancel, handle, recorded.canceled, wait_until)
+                status: GoalStatus = (await handle.outcome()).status
+                beside.cancel_scope.cancel()
+        except TurtleactError as error:
+            self._fail(action, str(error))
+            return
+        self._played.goals[action, status.name] += 1
 
     def _fail(self, action: str, reason: str) -> None:
         self._played.goals[action, reason] += 1
         self._played.failed += 1
 
-    def _decoded(self, message: Recorded) -> Any:  # noqa: ANN401  # an event of any service
-        read = self._readers.get(message.topic)
-        if read is None:
-            channel = Channel(topic=message.topic, schema=message.schema)
-            read = self._readers[message.topic] = reader_of(channel)
-        return read(message.data)
 
-    def _send(self, action: str, request: Any, stamp: int) -> None:  # noqa: ANN401  # a message
-        old = bytes(request.goal_id.uuid)
-        if old in self._goals:  # the client's event and the server's are of one request
-            return
-        resent = self._goals[old] = _Resent(stamp)
-        client = self._clients.get(self._remap.get(action, action))
-        if client is None:  # its type is not known here
-            self._played.failed += 1
-            return
-        try:
-            goal = client.action_type.Goal(**msgspec.structs.asdict(request.goal))
-        except TypeError:
-            self._fail(client.name, "the recorded goal has other fields")
-            return
-        self.has_sent = True
-        self._tasks.start_soon(self._follow, client, goal, resent)
-
-    async def _follow(
-        self, client: ActionClient[Any, Any, Any], goal: Message, resent: _Resent
-    ) -> None:
-        try:
-            async with client.send_goal(goal) as handle:
-                resent.handle = handle
-                if resent.is_canceled:
-                    handle.cancel_nowait()
-                status: GoalStatus = (await handle.outcome()).status
-        except TurtleactError as error:
-            self._fail(client.name, str(error))
-            return
-        self._played.goals[client.name, status.name] += 1
-
-    def _cancel(self, info: Any, request: Any) -> None:  # noqa: ANN401  # messages
-        call = bytes(info.client_gid), info.sequence_number
-        if call in self._canceled:
-            return
-        self._canceled.add(call)
-        old = bytes(request.goal_info.goal_id.uuid)
-        stamp = nanoseconds(request.goal_info.stamp)
-        everything = not any(old) and not stamp
-        for each, goal in self._goals.items():
-            if everything or each == old or (stamp and goal.stamp <= stamp):
-                goal.cancel()
-
-    def _client(self, action: str, type_name: str) -> ActionClient[Any, Any, Any]:
-        name = self._remap.get(action, action)
-        if name not in self._clients:
-            self._clients[name] = self._node.action_client(get_action(type_name), name)
-        return self._clients[name]
+async def _cancel(handle: ClientGoalHandle[Any, Any], stamp: int, wait_until: WaitUntil) -> None:
+    await wait_until(stamp)
+    handle.cancel_nowait()
 
 
 async def _still(batches: AsyncIterator[list[Recorded]]) -> AsyncGenerator[Recorded]:

@@ -21,7 +21,7 @@ from turtleact.recording.bag import Bag, Reading, Recorded
 from turtleact.recording.selection import REQUESTS, Selection, owner_of, part_of
 from turtleact.recording.storage import Range
 
-__all__ = ["ENDED", "RecordedGoal", "goals"]
+__all__ = ["ENDED", "RecordedGoal", "goals", "goals_in"]
 
 ENDED: Final = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
 
@@ -42,6 +42,7 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
         feedback_count: How many feedback messages were recorded.
         result: The result; None if it was not recorded.
         is_begun_before: Whether the goal was accepted before the recording began.
+        requested: When the request for the goal was recorded (ns since 1970); 0 if it was not.
         told: The reason that the server published for rejecting the goal, or for ending the goal
             without success; empty if the bag has no reason.
     """
@@ -56,12 +57,19 @@ class RecordedGoal(msgspec.Struct, kw_only=True):
     feedback_count: int = 0
     result: Any = None
     is_begun_before: bool = False
+    requested: int = 0
     told: str = ""
 
     @property
     def status(self) -> GoalStatus:
         """The last state that was recorded; UNKNOWN if there is none."""
         return self.states[-1][1] if self.states else GoalStatus.UNKNOWN
+
+    @property
+    def canceled(self) -> int:
+        """When the server was seen to cancel the goal (ns since 1970); 0 if it did not."""
+        ways = (GoalStatus.CANCELING, GoalStatus.CANCELED)
+        return next((stamp for stamp, status in self.states if status in ways), 0)
 
     @property
     def ended(self) -> int:
@@ -105,15 +113,20 @@ async def goals(path: str | Path, *, actions: Collection[str] | None = None) -> 
     """
     wanted = Selection(actions=frozenset(actions or ()), all_actions=actions is None)
     bag = await anyio.to_thread.run_sync(Bag, path)
-    found = Gathering(bag.info.start)
     try:
-        reading = Reading(bag, Range(wants=lambda topic: wanted.wants(topic, "")))
-        async with aclosing(reading.batches()) as batches:
-            async for batch in batches:
-                for message in batch:
-                    found.take(message)
+        return await goals_in(bag, wanted)
     finally:
         bag.close()
+
+
+async def goals_in(bag: Bag, wanted: Selection) -> list[RecordedGoal]:
+    """Return the goals of the wanted actions in an open bag; see `goals`."""
+    found = Gathering(bag.info.start)
+    reading = Reading(bag, Range(wants=lambda topic: wanted.wants(topic, "")))
+    async with aclosing(reading.batches()) as batches:
+        async for batch in batches:
+            for message in batch:
+                found.take(message)
     return found.goals
 
 
@@ -181,6 +194,7 @@ class Gathering:
                 goal = self._asked[call] = self._goal(action, request.goal_id.uuid, message)
                 if part == "send_goal":
                     goal.goal = request.goal
+                    goal.requested = goal.requested or message.stamp
             return
         asked = self._asked.get(call)
         if asked is None:  # the recording began in between
