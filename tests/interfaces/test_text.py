@@ -105,31 +105,34 @@ def test_a_text_is_taken_as_meant(text, message):
         ("n: 3.7", "goal.n: expected a whole number (int64), got 3.7"),
         ("n: 1e3", "goal.n: expected a whole number (int64), got 1000.0"),
         ('n: "5"', "goal.n: expected a whole number (int64), got '5'"),
-        ("n: true", "goal.n: expected a whole number (int64), got true"),
+        ("n: true", "goal.n: expected a whole number (int64), got True"),
         ("n: 017", "goal.n: expected a whole number (int64), got '017'"),
         ("n: 1_000", "goal.n: expected a whole number (int64), got '1_000'"),
         ("n: 1:30", "goal.n: expected a whole number (int64), got '1:30'"),
         ("n: 9223372036854775808", "goal.n: 9223372036854775808 is out of range for int64"),
-        (f"n: {'9' * 5000}", "goal.n: a number of 5000 digits is out of range for int64 (-9"),
-        (f'{{"n": {"9" * 5000}}}', "goal.n: a number of 5000 digits is out of range for int64 (-9"),
-        (f"x: -{'9' * 5000}", "goal.x: a number of 5001 digits is out of range for float64 (-1.7"),
+        (
+            f"n: {'9' * 5000}",
+            "goal.n: expected a whole number (int64), got a number of 5000 digits",
+        ),
+        (
+            f'{{"n": {"9" * 5000}}}',
+            "goal.n: expected a whole number (int64), got a number of 5000 digits",
+        ),
+        (f"x: -{'9' * 5000}", "goal.x: expected a number (float64), got a number of 5001 digits"),
         (f"name: {'9' * 5000}", "goal.name: expected text (string), got a number of 5000 digits"),
         ("n: 1e999", "goal.n: expected a whole number (int64), got 1e999"),
         ("on: no", "goal.on: expected true or false (bool), got 'no'"),
         ('on: "no"', "goal.on: expected true or false (bool), got 'no'"),
         ("on: 1", "goal.on: expected true or false (bool), got 1"),
         ("name: 5", "goal.name: expected text (string), got 5"),
-        ("name: true", "goal.name: expected text (string), got true"),
-        ('{"on": true, "n": false}', "goal.n: expected a whole number (int64), got false"),
-        ("name: [True, 1]", "goal.name: expected text (string), got [true, 1]"),
+        ("name: true", "goal.name: expected text (string), got True"),
+        ('{"on": true, "n": false}', "goal.n: expected a whole number (int64), got False"),
+        ("name: [True, 1]", "goal.name: expected text (string), got [True, 1]"),
         ("name:", "goal.name: expected text (string), got null"),
         ("x: .nan", "goal.x: expected a number (float64), got .nan"),
         ("x: -.inf", "goal.x: expected a number (float64), got -.inf"),
-        ("x: 1e999", "goal.x: 1e999 is out of range for float64 (-1.7976931348623157e+308 to "),
-        (
-            '{"x": -1e999}',
-            "goal.x: -1e999 is out of range for float64 (-1.7976931348623157e+308 to",
-        ),
+        ("x: 1e999", "goal.x: expected a number (float64), got 1e999"),
+        ('{"x": -1e999}', "goal.x: expected a number (float64), got -1e999"),
         ('{"x": NaN}', "goal.x: expected a number (float64), got NaN"),
         ('{"x": -Infinity}', "goal.x: expected a number (float64), got -Infinity"),
         ('{"x": null}', "goal.x: expected a number (float64), got null"),
@@ -221,23 +224,8 @@ def test_json_nested_too_deeply_is_refused():
         from_text(Sample, text)
 
 
-@pytest.mark.parametrize(
-    ("mistake", "problem"),
-    [
-        ('"x": [' + "[" * MOST_YAML, "goal: nested more than 100 levels deep"),
-        ('"x": 1, "x": 2', "goal: a name appears twice"),
-        ('"x" 1', "goal:1:131078: Expecting ':' delimiter; it is too long to be YAML"),
-    ],
-    ids=["depth", "twice", "syntax"],
-)
-def test_a_mistake_in_json_that_is_too_long_for_yaml_is_told_as_one_of_json(mistake, problem):
-    with pytest.raises(InvalidGoal) as caught:
-        from_text(Sample, "{" + " " * MOST_YAML + mistake + "}")
-    assert str(caught.value).startswith(problem)
-
-
 def test_a_finite_number_never_becomes_infinite():
-    with pytest.raises(InvalidGoal, match="1e999 is out of range for float64"):
+    with pytest.raises(InvalidGoal, match="got 1e999"):
         from_text(Sample, "x: 1e999", allow_nonfinite=True)
 
 
@@ -249,15 +237,13 @@ def test_aliases_that_blow_up_are_refused():
         from_text(Sample, "\n".join(rows))
 
 
-def test_too_much_yaml_is_refused():
-    limits = rf"at most {MOST_YAML}; as JSON it may have {MOST_JSON}"
-    with pytest.raises(InvalidGoal, match=rf"^a.yaml: [0-9]+ .* of YAML are too many: {limits}"):
-        from_text(Sample, "x: 1 #" + " " * MOST_YAML, source="a.yaml")
-
-
-def test_too_much_json_is_refused():
-    with pytest.raises(InvalidGoal, match=rf"are too many: at most {MOST_JSON}"):
-        from_text(Sample, "{}" + " " * MOST_JSON)
+@pytest.mark.parametrize("text", ["x: 1 #" + " " * MOST_YAML, "{}" + " " * MOST_JSON])
+def test_too_long_a_text_is_refused(text):
+    limits = f"at most {MOST_YAML}, or {MOST_JSON} of JSON"
+    with pytest.raises(
+        InvalidGoal, match=f"^a.yaml: {len(text)} characters are too many: {limits}"
+    ):
+        from_text(Sample, text, source="a.yaml")
 
 
 def test_json_may_be_longer_than_yaml():

@@ -17,6 +17,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 import msgspec
@@ -27,9 +28,7 @@ from yaml.reader import Reader, ReaderError
 from yaml.resolver import BaseResolver
 from yaml.scanner import Scanner
 
-from turtleact.errors import InvalidMessage
 from turtleact.interfaces.conversion import error_class, from_dict, to_dict
-from turtleact.interfaces.definition import INTEGER_RANGES
 from turtleact.interfaces.types import Message
 from turtleact.interfaces.values import Spelled, describe
 
@@ -63,8 +62,6 @@ float_pattern = re.compile(
     r"[-+]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
     r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
 )
-FLOATS = frozenset({"float32", "float64"})
-NUMBERS = FLOATS | set(INTEGER_RANGES)
 #: Text that needs no quotes in any YAML, except for the special words of YAML 1.1.
 plain_pattern = re.compile(r"[A-Za-z_](?:[A-Za-z0-9_ ./()%!?+=;,-]*[A-Za-z0-9_./()%!?+=;,-])?")
 misread_pattern = re.compile(r"y|n|yes|no|on|off|true|false|null", re.IGNORECASE)
@@ -102,12 +99,7 @@ def from_text(
     Point(x=1.0, y=1000.0, z=0.0)
     """
     document = Document(text.removeprefix("\ufeff"), root, source, allow_nonfinite)
-    tree = tree_of(document)
-    try:
-        return from_dict(cls, tree, root=root)  # type: ignore[arg-type]  # it checks that
-    except InvalidMessage:
-        tree = with_spelled_bools(tree)
-    return from_dict(cls, tree, root=root)  # type: ignore[arg-type]  # it raises the same error
+    return from_dict(cls, tree_of(document), root=root)  # type: ignore[arg-type]  # it checks that
 
 
 def to_yaml(message: Message) -> str:
@@ -187,18 +179,13 @@ class Loader(Reader, Scanner, Parser, Composer, BaseResolver):
 def tree_of(document: Document) -> object:
     """Parse a YAML or JSON text into plain values: dicts, lists, strings, numbers and bools."""
     text = document.text
-    if len(text) > MOST_JSON:
-        document.refuse(f"{len(text)} characters are too many: at most {MOST_JSON}")
-    if text.lstrip()[:1] == "{":
-        try:
+    if text.lstrip()[:1] == "{" and len(text) <= MOST_JSON:
+        # YAML accepts most JSON, and its parser knows the place of an error.
+        with suppress(ValueError, RecursionError):
             return json_tree(document)
-        except (ValueError, RecursionError) as error:
-            # YAML accepts most JSON, and its parser knows the place of an error.
-            if len(text) > MOST_YAML:
-                refuse_json(document, error)
     if len(text) > MOST_YAML:
-        problem = f"{len(text)} characters of YAML are too many: at most {MOST_YAML}"
-        document.refuse(f"{problem}; as JSON it may have {MOST_JSON}")
+        problem = f"{len(text)} characters are too many: at most {MOST_YAML}"
+        document.refuse(f"{problem}, or {MOST_JSON} of JSON")
     node = compose(document)
     return {} if node is None else Expansion(document).value(node, 0)
 
@@ -222,14 +209,6 @@ def json_tree(document: Document) -> object:
     return sounded(document, value, 0)
 
 
-def refuse_json(document: Document, error: ValueError | RecursionError) -> NoReturn:
-    """Raise the error for a faulty JSON text that is too long to be parsed as YAML."""
-    if isinstance(error, json.JSONDecodeError):
-        place = error.lineno - 1, error.colno - 1
-        document.refuse(f"{error.msg}; it is too long to be YAML", place)
-    document.refuse(TOO_DEEP if isinstance(error, RecursionError) else str(error))
-
-
 def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     """Make a dict from the members of a JSON object. Raise an error if a name appears twice."""
     result = dict(pairs)
@@ -247,15 +226,6 @@ def sounded(document: Document, value: object, depth: int) -> object:
     if isinstance(value, list):
         return [sounded(document, item, depth + 1) for item in value]
     return Spelled("null") if value is None else value
-
-
-def with_spelled_bools(value: object) -> object:
-    """Replace the bools in a plain value, so that errors show ``true`` instead of ``True``."""
-    if isinstance(value, dict):
-        return {key: with_spelled_bools(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [with_spelled_bools(item) for item in value]
-    return Spelled(inline(value), truth=value) if isinstance(value, bool) else value
 
 
 def compose(document: Document) -> Node | None:
@@ -335,13 +305,13 @@ def scalar(word: str, allow_nonfinite: bool) -> object:
         return WORDS[word]
     if integer_pattern.fullmatch(word):
         if len(word) > LONGEST_INTEGER:
-            return Spelled(f"a number of {len(word)} digits", NUMBERS)
+            return Spelled(f"a number of {len(word)} digits")
         return int(word, 16 if word.startswith("0x") else 10)
     if not float_pattern.fullmatch(word):
         return word
     if "n" not in word.lower():
         number = float(word)
-        return number if math.isfinite(number) else Spelled(word, FLOATS)
+        return number if math.isfinite(number) else Spelled(word)
     return float(word.lower().replace(".", "")) if allow_nonfinite else Spelled(word)
 
 

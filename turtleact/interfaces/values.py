@@ -24,7 +24,7 @@ from turtleact.errors import InvalidMessage
 from turtleact.interfaces.definition import BYTE_TYPES, INTEGER_RANGES, ArrayForm
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from turtleact.interfaces.definition import FieldType
 
@@ -79,21 +79,10 @@ SHORT = ShortRepr()
 
 
 class Spelled:
-    """A YAML or JSON value that keeps its original spelling, so that errors can show it.
+    """A YAML or JSON value that no field accepts, spelled as it was written."""
 
-    Only a bool field accepts such a value, and only if ``truth`` is not None.
-
-    Attributes:
-        word: The value as it was written, or a description.
-        fits: For an integer that is too large, the names of all number types. For a float that is
-            too large, the names of the float types. Empty for any other value.
-        truth: The bool that the word stands for; None if the word means neither true nor false.
-    """
-
-    def __init__(self, word: str, fits: Collection[str] = (), *, truth: bool | None = None) -> None:
+    def __init__(self, word: str) -> None:
         self.word = word
-        self.fits = fits
-        self.truth = truth
 
     def __repr__(self) -> str:
         return self.word
@@ -122,8 +111,6 @@ def whole_number(field_type: FieldType, value: object) -> int:
     if name == "byte" and isinstance(value, bytes) and len(value) == 1:
         return value[0]
     low, high = INTEGER_RANGES[name]
-    if is_too_large(field_type, value):
-        raise out_of_range(field_type, value, low, high)
     if is_bool(value) or not hasattr(value, "__index__"):
         raise misfit(field_type, value)
     try:
@@ -138,8 +125,6 @@ def whole_number(field_type: FieldType, value: object) -> int:
 def number(field_type: FieldType, value: object) -> float:
     """Convert a real number of Python or numpy to a float, which is not rounded to float32."""
     limit, edge = FLOAT_LIMITS[field_type.name]
-    if is_too_large(field_type, value):
-        raise out_of_range(field_type, value, f"-{edge}", edge)
     if is_bool(value) or not isinstance(value, numbers.Real):
         raise misfit(field_type, value)
     try:
@@ -155,8 +140,6 @@ def number(field_type: FieldType, value: object) -> float:
 
 def truth(field_type: FieldType, value: object) -> bool:
     """Convert a bool of Python or numpy to a bool of Python."""
-    if isinstance(value, Spelled) and value.truth is not None:
-        return value.truth
     if not is_bool(value):
         raise misfit(field_type, value)
     return bool(value)
@@ -227,11 +210,6 @@ def check_length(field_type: FieldType, length: int) -> None:
         raise InvalidMessage("", f"at most {size} elements, got {length}")
     if field_type.form is ArrayForm.FIXED and length != size:
         raise InvalidMessage("", f"exactly {size} elements, got {length}")
-
-
-def is_too_large(field_type: FieldType, value: object) -> bool:
-    """Whether a value is a `Spelled` that stands for a number too large for this type."""
-    return isinstance(value, Spelled) and field_type.name in value.fits
 
 
 def out_of_range(field_type: FieldType, value: object, low: object, high: object) -> InvalidMessage:
