@@ -19,7 +19,7 @@ from turtleact.interfaces import (
     string,
     type_hash,
 )
-from turtleact.interfaces.comments import commented_text, comments
+from turtleact.interfaces.loading import commented_text, comments
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.types import REGISTRY, definition
 

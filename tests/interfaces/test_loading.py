@@ -21,6 +21,7 @@ from turtleact.interfaces.definition import (
     MessageDefinition,
     zero,
 )
+from turtleact.interfaces.generator import package_texts
 from turtleact.interfaces.loading import (
     class_of,
     get_action,
@@ -36,7 +37,6 @@ from turtleact.interfaces.loading import (
     load_service,
     load_workspace,
     offer_interfaces,
-    package_texts,
 )
 from turtleact.interfaces.parse import parse
 from turtleact.interfaces.standard import Point, Time

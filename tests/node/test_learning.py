@@ -22,8 +22,7 @@ from turtleact import (
     open_zenoh,
 )
 from turtleact.interfaces import type_hash
-from turtleact.interfaces.comments import comments
-from turtleact.interfaces.loading import authored_text
+from turtleact.interfaces.loading import authored_text, comments
 from turtleact.interfaces.standard import Fibonacci, Point
 from turtleact.interfaces.type_hash import structure_hash
 from turtleact.interfaces.types import REGISTRY

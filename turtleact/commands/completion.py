@@ -208,7 +208,7 @@ def messages(ctx: typer.Context, incomplete: str) -> Candidates:  # as above
         get_interface(type_name)
     except UnknownInterface:
         make_known(_folder(ctx), is_silent=True)
-        from turtleact.node.type_cache import cached, remember
+        from turtleact.interfaces.learned import cached, remember
 
         for each in cached(type_name):
             remember(each)

@@ -36,9 +36,8 @@ from turtleact.interfaces import (
     to_yaml,
     type_hash,
 )
-from turtleact.interfaces.comments import commented_text
 from turtleact.interfaces.definition import did_you_mean
-from turtleact.interfaces.loading import authored_text, find_interface
+from turtleact.interfaces.loading import authored_text, commented_text, find_interface
 from turtleact.interfaces.parse import Line, parse_member, without_comment
 from turtleact.interfaces.text import flow
 from turtleact.interfaces.type_hash import referenced
@@ -81,7 +80,7 @@ def list_(
 ) -> None:
     """List all interfaces."""
     if learned:
-        from turtleact.node.type_cache import cached_types
+        from turtleact.interfaces.learned import cached_types
 
         for each in cached_types():
             say(f"{each.interface.type_name} {each.type_hash} {each.node}\n")
@@ -298,7 +297,7 @@ def _lines(type_name: str, *, depth: int, comments: bool, nested_comments: bool)
 
 def _find_learned(type_name: str) -> bool:
     """Find a type that no file here has in the cache, and say where it came from."""
-    from turtleact.node.type_cache import cached, remember
+    from turtleact.interfaces.learned import cached, remember
 
     found = list(cached(type_name))
     for each in found:
@@ -330,8 +329,7 @@ def _write_python(packages: Sequence[str], folder: Path, *, is_check: bool) -> i
         InvalidInterface: if a file of an interface is malformed.
         UsageError: if an existing file was not generated, or a file cannot be written.
     """
-    from turtleact.interfaces.generator import MARK, generate
-    from turtleact.interfaces.loading import package_texts
+    from turtleact.interfaces.generator import MARK, generate, package_texts
 
     for package in packages:
         _check_package(package)
@@ -387,7 +385,7 @@ ament_package()
 
 def _learned_files() -> Iterator[tuple[Path, str]]:
     """Yield the path and the text of each interface that was learned now."""
-    from turtleact.node.type_cache import cached
+    from turtleact.interfaces.learned import cached
 
     for held, _ in REGISTRY.learned.values():
         versions = [each for each in cached(held.type_name) if each.type_hash == type_hash(held)]

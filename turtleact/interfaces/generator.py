@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from turtleact.interfaces.comments import Comments, read_comments
+from turtleact.errors import UnknownInterface
 from turtleact.interfaces.definition import (
     PRIMITIVES,
     ArrayForm,
@@ -28,12 +28,14 @@ from turtleact.interfaces.definition import (
     Field,
     MessageDefinition,
     is_bytes,
+    nearest,
     parts_of,
     zero,
 )
-from turtleact.interfaces.finders import BUILT_IN
-from turtleact.interfaces.parse import parse
-from turtleact.interfaces.types import PARTS
+from turtleact.interfaces.finders import BUILT_IN, built_in_file
+from turtleact.interfaces.loading import get_interface, interface_source, known_interfaces, read
+from turtleact.interfaces.parse import Comments, parse, read_comments
+from turtleact.interfaces.types import PARTS, definition
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
@@ -268,6 +270,51 @@ class Module:
             self.imports.setdefault(module, {})[name] = alias
             return alias
         return self.use(module, name, alias=alias)
+
+
+def package_texts(*packages: str) -> dict[str, str]:
+    """Return the texts of all interfaces in these packages and in their dependencies.
+
+    A dependency is left out if all its interfaces are built into turtleact with the same
+    definitions. A package in ``packages`` is never left out.
+
+    Returns:
+        The text of each interface, by its full name.
+
+    Raises:
+        UnknownInterface: if a package is not known; the error suggests the most similar name.
+        InvalidInterface: if a file is malformed.
+    """
+    known = known_interfaces()
+    all_packages = {name.partition("/")[0] for name in known}
+    waiting, found = list(packages), dict[str, str]()
+    done: set[str] = set()
+    while waiting:
+        package = waiting.pop()
+        if package not in all_packages:
+            raise UnknownInterface(package, nearest(package, all_packages))
+        done.add(package)
+        for name in (name for name in known if name.startswith(f"{package}/")):
+            found[name] = interface_source(name)
+            waiting += used_packages(name) - done - set(waiting)
+        waiting = [each for each in waiting if each in packages or not ships(each, known)]
+    return dict(sorted(found.items()))
+
+
+def used_packages(type_name: str) -> set[str]:
+    """Return the names of the packages whose messages an interface contains."""
+    parts = parts_of(definition(get_interface(type_name)))
+    types = [field.type for part in parts for field in part.fields]
+    return {each.name.partition("/")[0] for each in types if each.is_nested}
+
+
+def ships(package: str, known: tuple[str, ...]) -> bool:
+    """Whether every known interface of a package is also built in, with the same definition."""
+    for name in (name for name in known if name.startswith(f"{package}/")):
+        file = built_in_file(name)
+        if file is None or parse(read(file), name) != definition(get_interface(name)):
+            return False
+    return True
 
 
 def in_order(interfaces: Iterable[Interface]) -> list[Interface]:

@@ -1,4 +1,4 @@
-"""Makes classes from the description of a type that another node has sent.
+"""Makes classes from the description of a type that another node has sent, and keeps them.
 
 A description has the fields of a type and of all types in it, but no constants and no comments.
 Those are in the text of the interface, which a node may send too. Nothing here is trusted:
@@ -10,6 +10,11 @@ The classes are not registered, so `get_interface` never returns them. A message
 is made only if it differs from the one that is known here. So a learned goal takes the poses that
 the program already has.
 
+The user's cache folder has one file for each type name and hash, with the description of the type
+and the texts that came with it. Defaults are left out, because the hash does not cover them:
+another node of the same hash may have others. A file is verified again whenever it is read, so a
+file that was changed or that lies under a wrong name is not used.
+
 Source: REP 2016; ``type_description_interfaces/msg/FieldType.msg``; for the text of defaults,
 ``rosidl_generator_type_description/__init__.py``.
 """
@@ -17,11 +22,15 @@ Source: REP 2016; ``type_description_interfaces/msg/FieldType.msg``; for the tex
 from __future__ import annotations
 
 import ast
+import json
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final, cast
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple, cast
 
-from turtleact.errors import InvalidInterface, InvalidMessage
+from turtleact.errors import InvalidInterface, InvalidMessage, TurtleactError
 from turtleact.interfaces.classes import make_interface, make_message
+from turtleact.interfaces.conversion import from_dict, to_dict
 from turtleact.interfaces.definition import (
     ArrayForm,
     CompoundDefinition,
@@ -30,9 +39,14 @@ from turtleact.interfaces.definition import (
     MessageDefinition,
     Primitive,
     parts_of,
+    type_name_pattern,
 )
 from turtleact.interfaces.loading import installed_class
 from turtleact.interfaces.parse import literal, parse
+from turtleact.interfaces.standard.type_description_interfaces.msg import (
+    IndividualTypeDescription,
+    TypeSource,
+)
 from turtleact.interfaces.type_hash import (
     BOUNDED_STRING,
     FORM_IDS,
@@ -40,6 +54,7 @@ from turtleact.interfaces.type_hash import (
     PLACEHOLDER,
     TYPE_IDS,
     field_type,
+    type_hash,
 )
 from turtleact.interfaces.types import (
     PARTS,
@@ -53,11 +68,18 @@ from turtleact.interfaces.types import (
 from turtleact.interfaces.values import converter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from turtleact.interfaces.standard.type_description_interfaces import msg
 
-__all__ = ["LearnedTypes", "default_text"]
+__all__ = [
+    "Known",
+    "LearnedTypes",
+    "cached",
+    "cached_names",
+    "cached_types",
+    "default_text",
+    "keep",
+    "remember",
+]
 
 MOST_TYPES: Final = 1_000
 MOST_FIELDS: Final = 10_000
@@ -66,6 +88,9 @@ LONGEST_TEXT: Final = 1_000_000
 
 DEEPEST: Final = 50
 """How deep messages may be nested. In ROS's own packages, no message is nested deeper than 8."""
+
+LONGEST_FILE: Final = 4_000_000
+"""The most bytes of a file that is read."""
 
 LARGEST: Final = 1_000_000
 """The most values that a new message may have: the arrays of fixed length, multiplied."""
@@ -272,3 +297,100 @@ def _shape(members: Iterable[Field]) -> list[tuple[str, object]]:
 
 def _defaults(members: Iterable[Field]) -> list[str]:
     return [default_text(each.default) for each in members]
+
+
+class Known(NamedTuple):
+    """A learned type, as the cache has it.
+
+    Attributes:
+        interface: The class.
+        type_hash: The hash of the class.
+        node: The node that described it.
+        described: The descriptions of the type and of all types in it.
+        sources: Their texts.
+        has_own_defaults: Whether the node also sent defaults, which the cache does not keep.
+    """
+
+    interface: Interface
+    type_hash: str
+    node: str
+    described: tuple[IndividualTypeDescription, ...]
+    sources: tuple[TypeSource, ...] = ()
+    has_own_defaults: bool = False
+
+
+def folder() -> Path:
+    """Return the folder with the files of all learned types."""
+    import platformdirs  # only this module needs it
+
+    return platformdirs.user_cache_path("turtleact") / "types"
+
+
+def keep(known: Known) -> None:
+    """Write a learned type to the cache. If that fails, it is learned again the next time."""
+    described = [to_dict(each) for each in known.described]
+    for each in described:
+        for field in each["fields"]:  # type: ignore[attr-defined]  # a list of dicts
+            field["default_value"] = ""
+    content = {
+        "node": known.node,
+        "has_own_defaults": known.has_own_defaults,
+        "types": described,
+        "sources": [to_dict(each) for each in known.sources],
+    }
+    path = folder() / known.interface.type_name / f"{known.type_hash}.json"
+    part = path.with_suffix(".part")
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(json.dumps(content), "utf-8")
+        part.replace(path)
+
+
+def remember(known: Known) -> Interface:
+    """Keep a learned type for this process, and return its class."""
+    holder = known.node if known.has_own_defaults else ""
+    REGISTRY.learned[known.interface.type_name, known.type_hash] = known.interface, holder
+    return known.interface
+
+
+def cached(type_name: str) -> Iterator[Known]:
+    """Yield every version of a type that the cache has, the one that was learned last first."""
+    if type_name_pattern.fullmatch(type_name):
+        files = (folder() / type_name).glob("RIHS01_*.json")
+        for path in sorted(files, key=_changed, reverse=True):
+            with suppress(OSError, ValueError, KeyError, TypeError, TurtleactError):
+                yield _read(path, type_name)
+
+
+def cached_names() -> list[str]:
+    """Return the names of all types in the cache, sorted."""
+    root = folder()
+    names = ("/".join(path.relative_to(root).parts) for path in root.glob("*/*/*"))
+    return sorted(name for name in names if type_name_pattern.fullmatch(name))
+
+
+def cached_types() -> Iterator[Known]:
+    """Yield all learned types in the cache, sorted by name."""
+    for name in cached_names():
+        yield from cached(name)
+
+
+def _read(path: Path, type_name: str) -> Known:
+    if path.stat().st_size > LONGEST_FILE:
+        raise ValueError(path)
+    content = json.loads(path.read_text("utf-8"))
+    described = tuple(from_dict(IndividualTypeDescription, each) for each in content["types"])
+    sources = tuple(from_dict(TypeSource, each) for each in content["sources"])
+    types = LearnedTypes(described, sources, with_defaults=False)
+    interface = types.interface(type_name)
+    if type_hash(interface) != path.stem:
+        raise ValueError(path)
+    node, has_own = str(content["node"]), bool(content["has_own_defaults"])
+    return Known(interface, path.stem, node, described, sources, has_own)
+
+
+def _changed(path: Path) -> float:
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0

@@ -4,19 +4,23 @@
 ``REGISTRY.finders`` in their order: folders given to ``load_interfaces``, the ROS packages of
 ``load_workspace``, the files of ``offer_interfaces``, and the built-in classes in ``standard``. If
 a file has the same definition as a built-in class, the built-in class is used. A class is imported,
-or made from its text, when it is first used. In ``turtleact.interfaces``, only this module and
-``finders`` open files.
+or made from its text, when it is first used. Of ``turtleact.interfaces``, only this module,
+``finders`` and ``learned`` open files.
 """
 
 from __future__ import annotations
 
+import inspect
+import re
+import textwrap
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from msgspec.structs import replace
 
-from turtleact.errors import InvalidInterface, UnknownInterface
+from turtleact.errors import InvalidInterface, TurtleactError, UnknownInterface
 from turtleact.interfaces.classes import (
     make_interface,
     owner_and_part,
@@ -25,7 +29,7 @@ from turtleact.interfaces.classes import (
 from turtleact.interfaces.definition import (
     definition_text,
     nearest,
-    parts_of,
+    part_lines,
     type_name_pattern,
 )
 from turtleact.interfaces.finders import (
@@ -39,8 +43,8 @@ from turtleact.interfaces.finders import (
     name_of,
     proper_name,
 )
-from turtleact.interfaces.parse import parse
-from turtleact.interfaces.types import REGISTRY, Action, Message, Service, definition
+from turtleact.interfaces.parse import Comments, parse, read_comments
+from turtleact.interfaces.types import REGISTRY, Action, Message, Service, definition, parts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -74,6 +78,8 @@ if TYPE_CHECKING:
 __all__ = [
     "authored_text",
     "class_of",
+    "commented_text",
+    "comments",
     "find_interface",
     "get_action",
     "get_interface",
@@ -82,6 +88,7 @@ __all__ = [
     "installed_class",
     "interface_source",
     "interface_text",
+    "introduction",
     "known_classes",
     "known_interfaces",
     "learned_classes",
@@ -92,8 +99,12 @@ __all__ = [
     "load_service",
     "load_workspace",
     "offer_interfaces",
-    "package_texts",
 ]
+
+WIDTH = 80
+"""Comments in the text of a class are wrapped to this many characters."""
+
+attribute_pattern = re.compile(r" {4}(\w+): (.*)")
 
 #: Where a folder has packages: directly inside, in a ROS prefix, or in one of several prefixes.
 LAYOUTS = ("*", "share/*", "*/share/*")
@@ -346,49 +357,120 @@ def authored_text(cls: Interface) -> str:
     return ""
 
 
-def package_texts(*packages: str) -> dict[str, str]:
-    """Return the texts of all interfaces in these packages and in their dependencies.
+def comments(cls: type[Message]) -> dict[str, str]:
+    """Return the comments on a message's fields, by field name.
 
-    A dependency is left out if all its interfaces are built into turtleact with the same
-    definitions. A package in ``packages`` is never left out.
+    A comment in a file takes precedence over one in a docstring.
 
-    Returns:
-        The text of each interface, by its full name.
-
-    Raises:
-        UnknownInterface: if a package is not known; the error suggests the most similar name.
-        InvalidInterface: if a file is malformed.
+    >>> class Move(Message, type_name="example_msgs/msg/Move"):
+    ...     '''A move.
+    ...
+    ...     Attributes:
+    ...         speed: How fast to go
+    ...             at most (m/s).
+    ...     '''
+    ...
+    ...     speed: float = 1.0
+    >>> comments(Move)
+    {'speed': 'How fast to go at most (m/s).'}
     """
-    known = known_interfaces()
-    all_packages = {name.partition("/")[0] for name in known}
-    waiting, found = list(packages), dict[str, str]()
-    done: set[str] = set()
-    while waiting:
-        package = waiting.pop()
-        if package not in all_packages:
-            raise UnknownInterface(package, nearest(package, all_packages))
-        done.add(package)
-        for name in (name for name in known if name.startswith(f"{package}/")):
-            found[name] = interface_source(name)
-            waiting += used_packages(name) - done - set(waiting)
-        waiting = [each for each in waiting if each in packages or not ships(each, known)]
-    return dict(sorted(found.items()))
+    whole, _, part = cls.type_name.rpartition("_")
+    index = SECTIONS.get(part)
+    if index is None or whole.count("/") != 2:
+        whole, index = cls.type_name, 0
+    text = REGISTRY.texts.get(cls)
+    found = _in_file(whole) if text is None else read_comments(text, whole)
+    return _in_docstring(cls) | (found[index].texts() if found else {})
 
 
-def used_packages(type_name: str) -> set[str]:
-    """Return the names of the packages whose messages an interface contains."""
-    parts = parts_of(definition(get_interface(type_name)))
-    types = [field.type for part in parts for field in part.fields]
-    return {each.name.partition("/")[0] for each in types if each.is_nested}
+SECTIONS = {"Goal": 0, "Result": 1, "Feedback": 2, "Request": 0, "Response": 1}
 
 
-def ships(package: str, known: tuple[str, ...]) -> bool:
-    """Whether every known interface of a package is also built in, with the same definition."""
-    for name in (name for name in known if name.startswith(f"{package}/")):
-        file = built_in_file(name)
-        if file is None or parse(read(file), name) != definition(get_interface(name)):
-            return False
-    return True
+def introduction(cls: type[Message | Service | Action]) -> str:
+    """Return what an interface is for: the first paragraph of its docstring.
+
+    The text is empty if the class has no docstring of its own.
+    """
+    doc = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
+    return " ".join(doc.partition("\n\n")[0].split())
+
+
+def commented_text(cls: Interface) -> str:
+    """Return the text of an interface with its comments.
+
+    If the interface has a file, the text is that of the file. If there is no file, the text is
+    generated, with the comments from the docstrings of the classes.
+
+    >>> class Move(Message, type_name="example_msgs/msg/Move"):
+    ...     '''A move.
+    ...
+    ...     Attributes:
+    ...         speed: How fast to go (m/s).
+    ...     '''
+    ...
+    ...     speed: float = 1.0
+    >>> print(commented_text(Move))
+    # A move.
+    <BLANKLINE>
+    # How fast to go (m/s).
+    float64 speed 1.0
+    """
+    text = authored_text(cls)
+    if text:
+        return text
+    if issubclass(cls, Message):
+        return "\n".join(_part_text(cls))
+    first, *rest = map(_part_text, parts(cls))
+    lines = [*_set_off(introduction(cls)), *first]
+    for part in rest:
+        lines += ["---", *part]
+    return "\n".join(lines)
+
+
+def _part_text(cls: type[Message]) -> list[str]:
+    """Return the lines of one part of an interface, with the comments from its docstring."""
+    part, notes = definition(cls), _in_docstring(cls)
+    lines = _set_off(introduction(cls))
+    names = [*(each.name for each in part.constants), *(each.name for each in part.fields)]
+    for name, line in zip(names, part_lines(part), strict=True):
+        lines += [*_as_comment(notes.get(name, "")), line]
+    return lines
+
+
+def _set_off(text: str) -> list[str]:
+    """Return a text as comment lines and an empty line. An empty text gives no lines."""
+    return [*_as_comment(text), ""] if text else []
+
+
+def _as_comment(text: str) -> list[str]:
+    """Wrap a text into lines that begin with ``#``. Double backticks become single ones."""
+    plain = text.replace("``", "`")
+    return textwrap.wrap(plain, WIDTH, initial_indent="# ", subsequent_indent="# ")
+
+
+def _in_docstring(cls: type[Message]) -> dict[str, str]:
+    doc = inspect.cleandoc(cls.__doc__ or "")
+    found: dict[str, str] = {}
+    name = ""
+    for line in doc.partition("Attributes:\n")[2].splitlines():
+        begun = attribute_pattern.fullmatch(line)
+        if begun:
+            name = begun[1]
+            found[name] = begun[2]
+        elif not line.startswith(" " * 8):
+            break
+        else:
+            found[name] += f" {line.strip()}"
+    return found
+
+
+@cache
+def _in_file(type_name: str) -> tuple[Comments, ...]:
+    """Return the comments in an interface's file."""
+    try:
+        return read_comments(interface_source(type_name), type_name)
+    except TurtleactError:  # the class was made by hand, or the type is derived
+        return ()
 
 
 def class_of(definition: Definition) -> Interface:

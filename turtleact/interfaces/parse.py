@@ -1,10 +1,11 @@
 """Parses the text of a .msg, .srv or .action file into a definition.
 
 Each line declares a field or a constant. A field has a type, a name and perhaps a default; a
-constant has a type, a name and a value. ``#`` starts a comment, which is ignored. A line ``---``
-separates the parts of a service or action. Each error gives the file, line and column, and shows a
-caret below the column. This module reads only the text; the module ``classes`` checks whether the
-messages that a definition uses exist.
+constant has a type, a name and a value. ``#`` starts a comment. `parse` ignores it; `read_comments`
+finds the comments on each member: those beside it, those on the lines above it, or both. A line
+``---`` separates the parts of a service or action. Each error gives the file, line and column, and
+shows a caret below the column. This module reads only the text; the module ``classes`` checks
+whether the messages that a definition uses exist.
 
 Source: the ROS 2 article "Interface definition", and ``rosidl_adapter/parser.py``.
 """
@@ -15,7 +16,7 @@ import contextlib
 import functools
 import math
 import re
-from typing import TYPE_CHECKING, NoReturn, cast
+from typing import TYPE_CHECKING, NamedTuple, NoReturn, cast
 
 import msgspec
 
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
     from turtleact.interfaces.definition import Definition, Primitive
 
-__all__ = ["Line", "lines_of", "member_pattern", "parse", "split", "without_comment"]
+__all__ = ["Comments", "Line", "parse", "parse_member", "read_comments", "without_comment"]
 
 #: The name suffixes of each kind's parts.
 PARTS = {
@@ -301,3 +302,117 @@ def without_comment(text: str) -> str:
     """Remove the comment from a line. A ``#`` inside quotes does not begin a comment."""
     match = comment_pattern.match(text) if "#" in text else None
     return text if match is None else match[0]
+
+
+class Comments(msgspec.Struct, frozen=True):
+    """The comments on one part of an interface, without their ``#``.
+
+    Attributes:
+        about: The comment on the whole part: the lines at the top before a blank line, and the
+            lines below the last member.
+        first: The comment directly above the first member, which may describe the whole part.
+            ``first`` is empty if the part has a second comment above its first member, or a comment
+            above a later member.
+        members: The comments above and after each field and constant, by name. The comment in
+            ``first`` is left out.
+    """
+
+    about: tuple[str, ...] = ()
+    first: tuple[str, ...] = ()
+    members: dict[str, tuple[str, ...]] = {}
+
+    def of(self, name: str) -> tuple[str, ...]:
+        """Return the comments on a field or constant."""
+        return self.members.get(name, ())
+
+    def texts(self) -> dict[str, str]:
+        """Return the comments on each field and constant that has any, on one line."""
+        lines = dict(self.members)
+        for name in tuple(lines)[:1]:
+            lines[name] = (*self.first, *lines[name])
+        return {name: " ".join(filter(None, each)) for name, each in lines.items() if each}
+
+
+def read_comments(text: str, type_name: str) -> tuple[Comments, ...]:
+    r"""Return the comments in the text of an interface, one entry per part.
+
+    Args:
+        text: The text of an interface, which `parse` must accept.
+        type_name: The full name of the interface.
+
+    >>> text = "# A place.\nfloat64 x  # in metres"
+    >>> [comments] = read_comments(text, "example_msgs/msg/Place")
+    >>> comments.first, comments.of("x")
+    (('A place.',), ('in metres',))
+    """
+    sections = split(lines_of(text, type_name), type_name.split("/")[1])
+    return tuple(map(part_comments, sections))
+
+
+class Commented(NamedTuple):
+    """The name of a field or constant, with the comment lines above it and after it."""
+
+    name: str
+    above: list[str]
+    behind: list[str]
+
+
+def part_comments(lines: list[Line]) -> Comments:
+    """Return the comments on one part of an interface."""
+    entries, left = commented(lines)
+    about, top = set_off(entries[0].above) if entries else ([], [])
+    is_lone = bool(top) and not about and not any(any(entry.above) for entry in entries[1:])
+    members = {entry.name: trimmed([*entry.above, *entry.behind]) for entry in entries}
+    if entries:
+        name, _, behind = entries[0]
+        members[name] = trimmed(behind if is_lone else [*top, *behind])
+    return Comments(trimmed([*about, "", *left]), tuple(top) if is_lone else (), members)
+
+
+def commented(lines: list[Line]) -> tuple[list[Commented], list[str]]:
+    """Return the members of a part with their comments, and the comment below the last member.
+
+    A comment on a line of its own belongs to the member below the comment. However, an indented
+    line directly below a trailing comment continues the trailing comment.
+    """
+    entries: list[Commented] = []
+    above: list[str] = []
+    is_behind = False
+    for line in lines:
+        code = without_comment(line.text)
+        comment = uncommented(line.text[len(code) :])
+        if code.strip():
+            match = cast("re.Match[str]", member_pattern.fullmatch(code))
+            entries.append(Commented(match["name"], above, [comment] * bool(comment)))
+            above, is_behind = [], bool(comment)
+        elif is_behind and comment and line.text[0].isspace():
+            entries[-1].behind.append(comment)
+        else:
+            above.append(comment)
+            is_behind = False
+    return entries, above
+
+
+def set_off(above: list[str]) -> tuple[list[str], list[str]]:
+    """Split the comment above a field or constant.
+
+    Return the lines about the whole message, then the lines about the field or constant.
+    """
+    blank = max((index for index, line in enumerate(above) if not line), default=-1)
+    return (
+        (above[:blank], above[blank + 1 :])
+        if any(above[: max(blank, 0)])
+        else ([], above[blank + 1 :])
+    )
+
+
+def trimmed(lines: list[str]) -> tuple[str, ...]:
+    """Remove the blank lines at the beginning and at the end."""
+    text = "\n".join(lines).strip("\n")
+    return tuple(text.split("\n")) if text else ()
+
+
+def uncommented(text: str) -> str:
+    """Return the text of a comment without the leading ``#``; empty if there is no text."""
+    said = text.lstrip("#").expandtabs().rstrip()
+    return "".join(c for c in said.removeprefix(" ") if c.isprintable())

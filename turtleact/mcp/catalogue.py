@@ -14,7 +14,7 @@ import msgspec
 from mcp.types import Tool, ToolAnnotations
 
 from turtleact.interfaces import Action, Service
-from turtleact.interfaces.comments import introduction
+from turtleact.interfaces.loading import introduction
 from turtleact.interfaces.types import REGISTRY
 from turtleact.mcp.messages import (
     Schema,

@@ -34,7 +34,6 @@ from mcp.types import CallToolResult, TextContent
 from turtleact.errors import GoalAborted, GoalCanceled, InvalidMessage
 from turtleact.goals.state import GoalStatus
 from turtleact.interfaces import Message, fields, from_dict, from_text, to_dict
-from turtleact.interfaces.comments import comments
 from turtleact.interfaces.conversion import error_class
 from turtleact.interfaces.definition import (
     INTEGER_RANGES,
@@ -44,6 +43,7 @@ from turtleact.interfaces.definition import (
     Primitive,
     zero,
 )
+from turtleact.interfaces.loading import comments
 from turtleact.interfaces.text import flow, sayable
 from turtleact.interfaces.types import REGISTRY, choices, named_values, nested_classes
 

@@ -41,9 +41,8 @@ from turtleact.transports.base import Endpoint, EndpointKind, Target, Transport
 from turtleact.transports.graph import ENDPOINTS, SEND_GOAL, Kind, types_by_name
 
 if TYPE_CHECKING:
-    from turtleact.interfaces.learned import LearnedTypes
+    from turtleact.interfaces.learned import Known, LearnedTypes
     from turtleact.interfaces.types import Interface
-    from turtleact.node.type_cache import Known
 
 __all__ = ["Learner", "Use", "learn_interface", "uses_of"]
 
@@ -312,7 +311,11 @@ class Learner:
         found = known_class(use, nodes)
         if found is not None:
             return found
-        from turtleact.node.type_cache import cached, keep, remember  # a known type needs no cache
+        from turtleact.interfaces.learned import (  # a known type needs no cache
+            cached,
+            keep,
+            remember,
+        )
 
         if not all(map(HASH.fullmatch, filter(None, use.hashes))) or not use.hashes[0]:
             problem = f"node {nodes[0]} sends no type hash, as in ROS 2 Humble"
@@ -401,8 +404,7 @@ class Learner:
 
     async def _ask_for(self, use: Use, holder: str) -> Known:
         """Ask one node for a type, then for the texts of the type."""
-        from turtleact.interfaces.learned import LearnedTypes
-        from turtleact.node.type_cache import Known
+        from turtleact.interfaces.learned import Known, LearnedTypes
 
         described: dict[str, Any] = {}
         suffixes = PARTS if use.kind == "action" else ("",)

@@ -26,8 +26,8 @@ from typing import Final
 from turtleact.errors import TurtleactError, UnknownInterface
 from turtleact.interfaces import get_interface, known_interfaces
 from turtleact.interfaces.definition import type_name_pattern
+from turtleact.interfaces.learned import cached_names
 from turtleact.interfaces.loading import find_interface
-from turtleact.node.type_cache import cached_names
 
 __all__ = ["Finder", "install", "uninstall"]
 

@@ -22,10 +22,10 @@ import anyio
 
 from turtleact.errors import NotLearned, TurtleactError
 from turtleact.interfaces import type_hash
+from turtleact.interfaces.learned import cached, cached_names, remember
 from turtleact.interfaces.loading import learned_classes
 from turtleact.node import open_node
 from turtleact.node.learning import Learner
-from turtleact.node.type_cache import cached, cached_names, remember
 from turtleact.rclpy.face import SETTINGS
 from turtleact.transports import open_zenoh
 from turtleact.transports.graph import Kind

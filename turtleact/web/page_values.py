@@ -3,7 +3,7 @@
 A message may hold a million numbers, but the page shows only a few. To save time, the functions of
 this module read only the values that they return. `form` describes an action's fields, so that the
 page can show input fields for a goal, and can label values. The comments in this description come
-from `turtleact.interfaces.comments`.
+from `turtleact.interfaces.loading`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from functools import cache
 from typing import Any, Final, TypeAlias, cast
 
 from turtleact.interfaces import Action, Message, fields
-from turtleact.interfaces.comments import comments
 from turtleact.interfaces.definition import INTEGER_RANGES, Constant, Field
+from turtleact.interfaces.loading import comments
 from turtleact.interfaces.types import are_flags, choices, named_values, nested_classes
 from turtleact.sim.pictures import hue_of
 
