@@ -71,21 +71,6 @@ async def test_a_task_over_http_goes_on_when_its_client_has_gone():
     assert task.result["structuredContent"]["result"] == {"sequence": list(range(50))}
 
 
-async def test_two_models_work_at_once():
-    async with (
-        open_lab() as (lab, _, server),
-        open_http(server) as address,
-        Client(address.url) as one,
-        Client(address.url, mode="legacy") as two,
-        anyio.create_task_group() as calling,
-    ):
-        calling.start_soon(one.call_tool, "count", {"order": 0})
-        await lab.started.wait()
-        [goal] = (await two.call_tool("list_goals", {})).structured_content["goals"]
-        assert goal["status"] == "EXECUTING"
-        await two.call_tool("cancel_all_goals", {})
-
-
 BODY = {"jsonrpc": "2.0", "id": 1, "method": "ping"}
 
 

@@ -12,9 +12,7 @@ from turtleact.actions.steering import Style
 from turtleact.interfaces import (
     Action,
     Message,
-    get_action,
     load_action,
-    load_interfaces,
     load_message,
     string,
 )
@@ -172,15 +170,3 @@ def test_the_comments_of_a_docstring_are_kept():
     assert comments["tolerance"].endswith("(m), above zero.")
     (left,) = [each for each in described["feedback"] if each["name"] == "distance_remaining"]
     assert "(m)" in left["comment"]
-
-
-def test_the_comments_of_a_file_are_kept(tmp_path):
-    folder = tmp_path / "lab_notes" / "action"
-    folder.mkdir(parents=True)
-    (folder / "Outer.action").write_text(OUTER.replace("lab_forms/Inner", "geometry_msgs/Point"))
-    load_interfaces(tmp_path)
-    described = form(get_action("lab_notes/action/Outer"))
-    comments = {field["name"]: field["comment"] for field in described["goal"]}
-    assert comments["many"] == "up to four"
-    assert comments["one"] == ""
-    assert described["feedback"][0]["comment"] == "how far it is [m]"

@@ -254,7 +254,7 @@ async def test_a_paused_world_shows_its_turtles_and_those_that_are_spawned(devto
 @on_asyncio
 async def test_of_many_goals_the_first_are_open_and_each_names_its_turtle(devtools):
     async with (
-        open_world(turtles=5) as node,
+        open_world(speed=0.1, turtles=5) as node,
         open_web(node, port=0) as web,
         connected(devtools, web.url) as page,
     ):
