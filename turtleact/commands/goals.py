@@ -359,11 +359,13 @@ def result(
 
 
 @verb(action, "list")
-async def list_actions(node: Node, *, types: ShowTypes = False, count: CountActions = False) -> int:
+async def list_actions(
+    node: Node, *, types: ShowTypes = False, count: CountActions = False
+) -> None:
     """List the actions on the graph."""
     from turtleact.commands import graph
 
-    return await graph.print_list(node, "action", types=types, count=count, hidden=False)
+    graph.print_list(node, "action", types=types, count=count, hidden=False)
 
 
 @verb(action)
@@ -373,11 +375,11 @@ async def info(
     *,
     types: ShowTypes = False,
     count: Annotated[bool, count_of("--count")] = False,
-) -> int:
+) -> None:
     """Print which nodes serve an action and which are its clients."""
     from turtleact.commands import graph
 
-    return await graph.print_action_info(node, name, types=types, count=count)
+    graph.print_action_info(node, name, types=types, count=count)
 
 
 @verb(action, "type")
@@ -385,17 +387,17 @@ async def type_(node: Node, name: Name) -> int:
     """Print the type of an action."""
     from turtleact.commands import graph
 
-    return await graph.print_type(node, "action", name)
+    return graph.print_type(node, "action", name)
 
 
 @verb(action)
 async def find(
     node: Node, type_name: Annotated[str, type_of("action")], *, count: CountActions = False
-) -> int:
+) -> None:
     """List the actions of a type."""
     from turtleact.commands import graph
 
-    return await graph.print_list(node, "action", type_name=type_name, count=count, hidden=False)
+    graph.print_list(node, "action", type_name=type_name, count=count, hidden=False)
 
 
 @verb(action)

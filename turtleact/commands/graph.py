@@ -363,16 +363,13 @@ def is_served(node: Node, name: str, type_name: str) -> bool:
 
 # what exists
 
-FOUND, NOT_FOUND = 0, 1
-"""Exit statuses."""
-
 SIDES: dict[str, EndpointKind] = {"Publish": "publisher", "Subscrib": "subscription"}
 
 
 # all kinds
 
 
-async def print_list(
+def print_list(
     node: Node,
     kind: Kind,
     *,
@@ -380,7 +377,7 @@ async def print_list(
     types: bool = False,
     count: bool,
     hidden: bool,
-) -> int:
+) -> None:
     """Print the names of all actions, services or topics, or only how many there are.
 
     Args:
@@ -395,23 +392,22 @@ async def print_list(
     names = [name for name, own in found.items() if type_name is None or type_name in own]
     lines = (_with_types(name, found[name] if types else ()) for name in names)
     _say_lines([str(len(names))] if count else lines)
-    return FOUND
 
 
-async def print_type(node: Node, kind: Kind, name: str) -> int:
+def print_type(node: Node, kind: Kind, name: str) -> int:
     """Print the types of an action, service or topic.
 
     If the name is not on the graph, print nothing and return the exit status 1.
     """
     types = types_by_name(node.transport.endpoints(), kind, hidden=True).get(name, ())
     _say_lines(types)
-    return FOUND if types else NOT_FOUND
+    return int(not types)
 
 
 # actions
 
 
-async def print_action_info(node: Node, name: str, *, types: bool, count: bool) -> int:
+def print_action_info(node: Node, name: str, *, types: bool, count: bool) -> None:
     """Print the nodes that are clients of an action, and the nodes that serve it.
 
     Raises:
@@ -428,7 +424,6 @@ async def print_action_info(node: Node, name: str, *, types: bool, count: bool) 
     served = types_by_name(node.transport.endpoints(), "action", "service", hidden=True)
     if full_name not in served and (hint := did_you_mean(full_name, served)):
         note(f"nobody serves '{full_name}'{hint}")
-    return FOUND
 
 
 def _nodes_of_action(
@@ -453,7 +448,7 @@ def _is_of(endpoint: Endpoint, action: str) -> bool:
 # services
 
 
-async def print_service_info(node: Node, name: str) -> int:
+def print_service_info(node: Node, name: str) -> None:
     """Print the type of a service, and how many clients and servers it has.
 
     Raises:
@@ -465,13 +460,12 @@ async def print_service_info(node: Node, name: str) -> int:
     counts = Counter(endpoint.kind for endpoint in endpoints if endpoint.name == name)
     say_names(f"Type: {_as_said(types)}\n")
     say_names(f"Clients count: {counts['client']}\nServices count: {counts['service']}\n")
-    return FOUND
 
 
 # topics
 
 
-async def print_topics_in_full(node: Node, *, hidden: bool) -> int:
+def print_topics_in_full(node: Node, *, hidden: bool) -> None:
     """Print the topics that have publishers, and then the topics that have subscriptions.
 
     Each line says how many publishers or subscriptions the topic has.
@@ -486,10 +480,9 @@ async def print_topics_in_full(node: Node, *, hidden: bool) -> int:
                 plural = "s" if number > 1 else ""
                 say_names(f" * {_with_types(name, types)} {number} {word.lower()}er{plural}\n")
         say_names("\n")
-    return FOUND
 
 
-async def print_topic_info(node: Node, name: str, *, verbose: bool) -> int:
+def print_topic_info(node: Node, name: str, *, verbose: bool) -> None:
     """Print the type of a topic, and how many publishers and subscriptions it has.
 
     With ``verbose``, also describe each publisher and subscription in full.
@@ -507,7 +500,6 @@ async def print_topic_info(node: Node, name: str, *, verbose: bool) -> int:
         say_names(f"{word} count: {len(there)}{end}")
         if verbose:
             _say_lines(f"{_in_full(endpoint)}\n" for endpoint in there)
-    return FOUND
 
 
 def _in_full(endpoint: Endpoint) -> str:
@@ -548,17 +540,16 @@ def _hash_of(type_name: str) -> str:
 # nodes
 
 
-async def print_nodes(node: Node, *, count: bool, hidden: bool) -> int:
+def print_nodes(node: Node, *, count: bool, hidden: bool) -> None:
     """Print the names of all nodes, or their number. If nodes share a name, also print a note."""
     names = sorted(name for name in node.transport.nodes() if hidden or not is_hidden_node(name))
     shared = [name for name, number in Counter(names).items() if number > 1]
     if shared:
         note(f"several nodes have the same name: {', '.join(shared)}")
     _say_lines([str(len(names))] if count else names)
-    return FOUND
 
 
-async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
+def print_node_info(node: Node, name: str, *, hidden: bool) -> None:
     """Print the topics, services and actions of a node, with their types.
 
     Raises:
@@ -586,7 +577,6 @@ async def print_node_info(node: Node, name: str, *, hidden: bool) -> int:
         _say_lines([f"    {each}: {', '.join(types)}" for each, types in found.items()] or [""])
     names_here = {each.name for each in own}
     note_differing(node, [e for e in node.transport.endpoints() if e.name in names_here], {})
-    return FOUND
 
 
 # what they share

@@ -94,11 +94,11 @@ async def list_nodes(
     *,
     hidden: Annotated[bool, flag("--all", "-a", text="List hidden nodes too.")] = False,
     count: Annotated[bool, count_of("--count-nodes")] = False,
-) -> int:
+) -> None:
     """List the nodes on the graph."""
     from turtleact.commands import graph
 
-    return await graph.print_nodes(node, count=count, hidden=hidden)
+    graph.print_nodes(node, count=count, hidden=hidden)
 
 
 @verb(app)
@@ -109,11 +109,11 @@ async def info(
     hidden: Annotated[
         bool, flag("--include-hidden", text="Print hidden topics, services and actions too.")
     ] = False,
-) -> int:
+) -> None:
     """Print the topics, services and actions of a node."""
     from turtleact.commands import graph
 
-    return await graph.print_node_info(node, name, hidden=hidden)
+    graph.print_node_info(node, name, hidden=hidden)
 
 
 @verb(param, "list")
@@ -273,19 +273,19 @@ async def list_services(
     types: ShowTypes = False,
     count: CountServices = False,
     hidden: HiddenServices = False,
-) -> int:
+) -> None:
     """List the services on the graph."""
     from turtleact.commands import graph
 
-    return await graph.print_list(node, "service", types=types, count=count, hidden=hidden)
+    graph.print_list(node, "service", types=types, count=count, hidden=hidden)
 
 
 @verb(service, "info")
-async def service_info(node: Node, name: ServiceName) -> int:
+async def service_info(node: Node, name: ServiceName) -> None:
     """Print the type of a service, and how many servers and clients it has."""
     from turtleact.commands import graph
 
-    return await graph.print_service_info(node, name)
+    graph.print_service_info(node, name)
 
 
 @verb(service, "type")
@@ -293,7 +293,7 @@ async def type_(node: Node, name: ServiceName) -> int:
     """Print the type of a service."""
     from turtleact.commands import graph
 
-    return await graph.print_type(node, "service", name)
+    return graph.print_type(node, "service", name)
 
 
 @verb(service)
@@ -303,11 +303,11 @@ async def find(
     *,
     count: CountServices = False,
     hidden: HiddenServices = False,
-) -> int:
+) -> None:
     """List the services of a type."""
     from turtleact.commands import graph
 
-    return await graph.print_list(node, "service", type_name=type_name, count=count, hidden=hidden)
+    graph.print_list(node, "service", type_name=type_name, count=count, hidden=hidden)
 
 
 @verb(service, cls=MessageVerb, knows=True)

@@ -121,21 +121,22 @@ async def list_(
     count: Count = False,
     hidden: Hidden = False,
     verbose: Verbose = False,
-) -> int:
+) -> None:
     """List the topics on the graph."""
     from turtleact.commands import graph
 
     if verbose and not count:
-        return await graph.print_topics_in_full(node, hidden=hidden)
-    return await graph.print_list(node, "topic", types=types, count=count, hidden=hidden)
+        graph.print_topics_in_full(node, hidden=hidden)
+    else:
+        graph.print_list(node, "topic", types=types, count=count, hidden=hidden)
 
 
 @verb(app, knows=True)
-async def info(node: Node, name: Name, *, verbose: Verbose = False) -> int:
+async def info(node: Node, name: Name, *, verbose: Verbose = False) -> None:
     """Print the type of a topic, its publishers and its subscribers."""
     from turtleact.commands import graph
 
-    return await graph.print_topic_info(node, name, verbose=verbose)
+    graph.print_topic_info(node, name, verbose=verbose)
 
 
 @verb(app, "type")
@@ -143,7 +144,7 @@ async def type_(node: Node, name: Name) -> int:
     """Print the type of a topic."""
     from turtleact.commands import graph
 
-    return await graph.print_type(node, "topic", name)
+    return graph.print_type(node, "topic", name)
 
 
 @verb(app)
@@ -153,11 +154,11 @@ async def find(
     *,
     count: Count = False,
     hidden: Hidden = False,
-) -> int:
+) -> None:
     """List the topics of a type."""
     from turtleact.commands import graph
 
-    return await graph.print_list(node, "topic", type_name=type_name, count=count, hidden=hidden)
+    graph.print_list(node, "topic", type_name=type_name, count=count, hidden=hidden)
 
 
 @verb(app, knows=True)
@@ -218,7 +219,7 @@ def echo(
 
 
 @verb(app, knows=True)
-async def hz(node: Node, name: Name, *, window: Window = 10000) -> int:
+async def hz(node: Node, name: Name, *, window: Window = 10000) -> None:
     """Print how many messages arrive per second."""
     full_name, message_type = await _awaited_topic(node, name)
     between = _Samples(window)
@@ -231,11 +232,11 @@ async def hz(node: Node, name: Name, *, window: Window = 10000) -> int:
     def headline(mean: float) -> str:
         return f"average rate: {1 / mean if mean else 0:.3f}"
 
-    return await _measure(node, full_name, message_type, add, lambda: between.lines(headline))
+    await _measure(node, full_name, message_type, add, lambda: between.lines(headline))
 
 
 @verb(app, knows=True)
-async def bw(node: Node, name: Name, *, window: Window = 100) -> int:
+async def bw(node: Node, name: Name, *, window: Window = 100) -> None:
     """Print how many bytes arrive per second."""
     from turtleact.interfaces import encode
 
@@ -250,11 +251,11 @@ async def bw(node: Node, name: Name, *, window: Window = 100) -> int:
         elapsed = node.clock.now() - came[0][0] if len(came) > 1 else 0
         return _bandwidth([size for _, size in came], elapsed * 1e-9) if elapsed > 0 else ""
 
-    return await _measure(node, full_name, message_type, add, lines)
+    await _measure(node, full_name, message_type, add, lines)
 
 
 @verb(app, knows=True)
-async def delay(node: Node, name: Name, *, window: Window = 10000) -> int:
+async def delay(node: Node, name: Name, *, window: Window = 10000) -> None:
     """Print the age of messages at their arrival, by the stamp in their header."""
     from turtleact.interfaces import nanoseconds
     from turtleact.interfaces.types import fields
@@ -272,7 +273,7 @@ async def delay(node: Node, name: Name, *, window: Window = 10000) -> int:
     def lines() -> str:
         return ages.lines(lambda mean: f"average delay: {mean:.3f}")
 
-    return await _measure(node, full_name, message_type, add, lines)
+    await _measure(node, full_name, message_type, add, lines)
 
 
 @verb(app, cls=MessageVerb, knows=True)
@@ -593,7 +594,7 @@ async def _measure(
     message_type: type[Message],
     add: Callable[[int, Message], None],
     lines: Callable[[], str],
-) -> int:
+) -> None:
     """Print the measurements of a topic each second, until the node is closed.
 
     Args:
@@ -611,13 +612,12 @@ async def _measure(
             await node.clock.sleep(PERIOD)
             say(lines())
 
-    async def read() -> int:
+    async def read() -> None:
         async for message in node.subscription(message_type, name, QoS(depth=METER_DEPTH)):
             add(node.clock.now(), message)
-        return DONE
 
     printing = Background(print_lines(), "printing measurements")
     try:
-        return await _beside_notes(node, name, read())
+        await _beside_notes(node, name, read())
     finally:
         await printing.aclose()
