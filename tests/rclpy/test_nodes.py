@@ -28,6 +28,7 @@ from turtleact.rclpy.messages import (
     interface_class,
     serialize_message,
 )
+from turtleact.rclpy.node import wait_for_message
 from turtleact.rclpy.parameter import Parameter
 from turtleact.rclpy.qos import (
     DurabilityPolicy,
@@ -37,7 +38,7 @@ from turtleact.rclpy.qos import (
     ReliabilityPolicy,
 )
 from turtleact.rclpy.time import Duration, Infinite, Time
-from turtleact.rclpy.topics import InvalidQosOverridesError, QoSOverridingOptions, wait_for_message
+from turtleact.rclpy.topics import InvalidQosOverridesError, QoSOverridingOptions
 from turtleact.rclpy.toplevel import rclpy_implementation
 
 String = interface_class("std_msgs/msg/String")

@@ -437,10 +437,10 @@ class MultiThreadedExecutor(Executor):
 def _in_order(nodes: list[Anything]) -> Iterator[tuple[Anything, Entity]]:
     """Yield each entity of the nodes with its node, in the order of execution."""
     for node in nodes:
-        for waitable in node.entities[0]:
+        for waitable in node.held_entities[0]:
             yield node, waitable
     for node in nodes:
-        for entities in node.entities[1:]:
+        for entities in node.held_entities[1:]:
             for entity in entities:
                 yield node, entity
 

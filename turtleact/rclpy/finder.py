@@ -52,9 +52,7 @@ ALIASES: Final = {
     ),
     **dict.fromkeys(("callback_groups", "guard_condition", "handle", "waitable"), "impl.entity"),
     **dict.fromkeys(("client", "service", "service_introspection"), "services"),
-    **dict.fromkeys(
-        ("publisher", "subscription", "qos_overriding_options", "wait_for_message"), "topics"
-    ),
+    **dict.fromkeys(("publisher", "subscription", "qos_overriding_options"), "topics"),
     **dict.fromkeys(
         ("logging_service", "parameter_service", "type_description_service"), "node_services"
     ),
@@ -68,6 +66,7 @@ ALIASES: Final = {
     "serialization": "messages",
     "time_source": "clock",
     "type_support": "messages",
+    "wait_for_message": "node",
 }
 """Modules of rclpy, each with the module of turtleact's rclpy that contains its names."""
 

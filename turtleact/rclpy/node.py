@@ -1,4 +1,4 @@
-"""Nodes."""
+"""Nodes, which open everything that a program has on the graph."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from turtleact.rclpy.event_handler import (
     SubscriptionEventCallbacks,
 )
 from turtleact.rclpy.exceptions import InvalidHandle, NotInitializedException
+from turtleact.rclpy.executors import Executor, SingleThreadedExecutor
 from turtleact.rclpy.graph import NodeGraph
 from turtleact.rclpy.impl.arguments import arguments_of
 from turtleact.rclpy.impl.connection import CallEnd, Connection
@@ -59,6 +60,7 @@ from turtleact.rclpy.qos import (
     qos_profile_services_default,
 )
 from turtleact.rclpy.services import Client, Service, SwitchableEvents
+from turtleact.rclpy.task import Future
 from turtleact.rclpy.time import S_TO_NS
 from turtleact.rclpy.timer import Rate, Timer
 from turtleact.rclpy.topics import (
@@ -71,9 +73,8 @@ from turtleact.transports.base import EVERY_SERVER, Endpoint, EndpointKind, Targ
 
 if TYPE_CHECKING:
     from turtleact.rclpy.context import Context
-    from turtleact.rclpy.executors import Executor
 
-__all__ = ["HIDDEN_NODE_PREFIX", "Node"]
+__all__ = ["HIDDEN_NODE_PREFIX", "Node", "wait_for_message"]
 
 HIDDEN_NODE_PREFIX = "_"
 PARAMETER_EVENTS = "/parameter_events"
@@ -267,7 +268,7 @@ class Node(NodeParameters, NodeGraph, Block):
     def _hold(self, entities: list[Anything]) -> None:
         # The lists never change, so any thread may iterate over them.
         self._held = entities
-        self.entities = [list(self._of_kind(kind)) for kind in ORDER]
+        self.held_entities = [list(self._of_kind(kind)) for kind in ORDER]
         self.wake_executor()
 
     def _destroy(self, entity: Anything) -> bool:
@@ -612,3 +613,41 @@ class Node(NodeParameters, NodeGraph, Block):
 
     def _leave(self) -> None:
         self.destroy_node()
+
+
+def wait_for_message(
+    msg_type: Anything,
+    node: Node,
+    topic: str,
+    *,
+    qos_profile: QoSProfile | int = 1,
+    time_to_wait: float = -1,
+) -> tuple[bool, Anything]:
+    """Wait for the next message of a topic, without running other callbacks of the node.
+
+    Args:
+        msg_type: The class of the message.
+        node: The node.
+        topic: The name of the topic.
+        qos_profile: The quality of service, or a number; see `Node.create_publisher`.
+        time_to_wait: How long to wait (s); -1 means for ever.
+
+    Returns:
+        A pair: whether a message has arrived, and the message, or None if no message has arrived.
+    """
+    received = Future()
+    # A node of its own, so that the caller's callbacks do not run here.
+    helper = Node(
+        f"_{node.get_name()}_wait",
+        context=node.context,
+        namespace=node.get_namespace(),
+        use_global_arguments=False,
+        enable_rosout=False,
+        start_parameter_services=False,
+    )
+    with helper, SingleThreadedExecutor(context=node.context) as executor:
+        full_name = node.resolve_topic_name(topic)
+        helper.create_subscription(msg_type, full_name, received.set_result, qos_profile)
+        executor.add_node(helper)
+        executor.spin_until_future_complete(received, time_to_wait)
+    return received.done(), received.result()

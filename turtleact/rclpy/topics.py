@@ -10,7 +10,6 @@ from enum import Enum
 
 from turtleact.errors import InvalidMessage
 from turtleact.rclpy.exceptions import ParameterAlreadyDeclaredException
-from turtleact.rclpy.executors import SingleThreadedExecutor
 from turtleact.rclpy.impl.connection import Connection
 from turtleact.rclpy.impl.entity import (
     NOTHING,
@@ -23,7 +22,6 @@ from turtleact.rclpy.impl.rcutils_logger import RcutilsLogger
 from turtleact.rclpy.impl.typing import Anything, Subscriptable
 from turtleact.rclpy.messages import decode, encode, interface_class
 from turtleact.rclpy.qos import QoSPolicyEnum, QoSPolicyKind, QoSProfile
-from turtleact.rclpy.task import Future
 from turtleact.rclpy.time import Duration
 
 __all__ = [
@@ -34,7 +32,6 @@ __all__ = [
     "QosCallbackResult",
     "Subscription",
     "declare_qos_parameters",
-    "wait_for_message",
 ]
 
 logger = RcutilsLogger("rclpy.subscription")
@@ -229,46 +226,6 @@ def _callback_type(callback: Anything) -> Subscription.CallbackType:
         "Subscription.__init__(): callback should be either be callable with one argument "
         "(to get only the message) or two (to get message and message info)"
     )
-
-
-def wait_for_message(
-    msg_type: Anything,
-    node: Anything,
-    topic: str,
-    *,
-    qos_profile: QoSProfile | int = 1,
-    time_to_wait: float = -1,
-) -> tuple[bool, Anything]:
-    """Wait for the next message of a topic, without running other callbacks of the node.
-
-    Args:
-        msg_type: The class of the message.
-        node: The node.
-        topic: The name of the topic.
-        qos_profile: The quality of service, or a number; see `Node.create_publisher`.
-        time_to_wait: How long to wait (s); -1 means for ever.
-
-    Returns:
-        A pair: whether a message has arrived, and the message, or None if no message has arrived.
-    """
-    from turtleact.rclpy.node import Node
-
-    received = Future()
-    # A node of its own, so that the caller's callbacks do not run here.
-    helper = Node(
-        f"_{node.get_name()}_wait",
-        context=node.context,
-        namespace=node.get_namespace(),
-        use_global_arguments=False,
-        enable_rosout=False,
-        start_parameter_services=False,
-    )
-    with helper, SingleThreadedExecutor(context=node.context) as executor:
-        full_name = node.resolve_topic_name(topic)
-        helper.create_subscription(msg_type, full_name, received.set_result, qos_profile)
-        executor.add_node(helper)
-        executor.spin_until_future_complete(received, time_to_wait)
-    return received.done(), received.result()
 
 
 # --- quality of service from parameters -----------------------------------------------------------
