@@ -8,6 +8,7 @@ import logging
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextvars import ContextVar
+from functools import partial
 from typing import Any
 
 import anyio
@@ -30,7 +31,6 @@ from ..lab import (
     Count,
     Gate,
     awaited,
-    entered,
     feedback,
     goal,
     lab,
@@ -63,7 +63,7 @@ async def canceled_end_of(body, send, **options):
         return sent.value
 
 
-def in_both_styles(act: Callable[[], Awaitable[object]]) -> list[object]:
+def in_both_styles(act: Callable[[], Awaitable[object]]) -> list[Any]:
     """Two bodies that do the same, one of each style: what ``act`` returns is the result."""
 
     async def coroutine(goal):
@@ -122,14 +122,6 @@ async def give_nothing_at_once():
     pass
 
 
-WITHOUT_RESULT = in_both_styles(give_nothing) + in_both_styles(give_nothing_at_once)
-
-
-@pytest.mark.parametrize("body", WITHOUT_RESULT)
-async def test_a_body_that_ends_without_a_result_is_aborted(body, send):
-    assert await end_of(body, send) == ended_without_result(body)
-
-
 async def swallow():
     try:
         await anyio.sleep_forever()
@@ -137,23 +129,12 @@ async def swallow():
         pass
 
 
-@both_styles(swallow)
-async def test_a_canceled_body_that_ends_without_a_result_is_aborted(body, send):
+WITHOUT_RESULT = in_both_styles(give_nothing) + in_both_styles(give_nothing_at_once)
+
+
+@pytest.mark.parametrize("body", [*WITHOUT_RESULT, *in_both_styles(swallow)])
+async def test_a_body_that_ends_without_a_result_is_aborted(body, send):
     assert await canceled_end_of(body, send) == ended_without_result(body)
-
-
-async def test_the_result_is_a_snapshot(send):
-    numbers = [1]
-
-    async def body(goal):
-        return result_of(numbers)
-
-    def result_of(list_):
-        return Count.Result(counted=list_)
-
-    outcome = await end_of(body, send)
-    numbers.append(2)
-    assert outcome.result == result(1)
 
 
 @pytest.mark.parametrize("wrong", [goal(1), "done", 7, None, [result()]])
@@ -216,7 +197,7 @@ async def fail_behind(goal):
 
 async def wait_behind(goal):
     yield result(1)
-    await anyio.lowlevel.checkpoint()
+    await anyio.sleep_forever()
 
 
 async def cancel_behind(goal):
@@ -261,49 +242,32 @@ async def a_cancellation() -> BaseException:
 
 
 @pytest.mark.parametrize(
-    "body",
-    [
-        yield_again,
-        yield_another_result,
-        fail_behind,
-        wait_behind,
-        cancel_behind,
-        fail_when_closed,
-        wait_when_closed,
-        refuse_to_close,
-    ],
-)
-async def test_a_result_stands_whatever_the_body_does_behind_it(body, send):
-    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
-
-
-@pytest.mark.parametrize(
     ("body", "level", "said"),
     [
         (yield_again, logging.WARNING, "yielded Feedback after its result"),
         (yield_another_result, logging.WARNING, "yielded Result after its result"),
         (fail_behind, logging.ERROR, "failed after it had yielded its result"),
+        (wait_behind, logging.INFO, "canceled after it had yielded its result"),
         (cancel_behind, logging.INFO, "canceled after it had yielded its result"),
         (fail_when_closed, logging.ERROR, "failed after it had yielded its result"),
+        (wait_when_closed, logging.WARNING, "yielded Feedback after its result"),
         (refuse_to_close, logging.ERROR, "failed after it had yielded its result"),
     ],
 )
-async def test_what_a_body_does_behind_its_result_is_logged(caplog, body, level, said):
+async def test_a_result_stands_whatever_the_body_does_behind_it(body, send, level, said, caplog):
     caplog.set_level(logging.INFO)
-    await end_of(body, entered)
+    heard: list[object] = []
+    async with lab(body) as served:
+        sending = partial(send, served, goal(), feedback_callback=heard.append)
+        async with running(sending) as sent:
+            await served.client.cancel_all()
+        assert sent.value == Outcome(GoalStatus.SUCCEEDED, result(1))
     last = caplog.records[-1]
-    assert (last.name, last.levelno) == ("turtleact.server", level)
+    assert (last.name, last.levelno, heard) == ("turtleact.server", level, [])
     assert said in last.getMessage()
 
 
-async def test_feedback_behind_the_result_is_not_heard(send):
-    heard: list[object] = []
-    async with lab(yield_again) as served:
-        await served.client.send_goal(goal(), feedback_callback=heard.append)
-    assert heard == []
-
-
-# --- giving up ------------------------------------------------------------------------------
+# --- giving up and failing --------------------------------------------------------------------
 
 
 async def abort_with_a_result():
@@ -311,25 +275,28 @@ async def abort_with_a_result():
     raise Abort("the pen is empty", result(7))
 
 
-@both_styles(abort_with_a_result)
-async def test_a_body_can_abort_with_a_result(body, send):
-    expected = Outcome(GoalStatus.ABORTED, result(7), "the pen is empty")
-    assert await end_of(body, send) == expected
-
-
 async def abort():
     raise Abort("the pen is empty")
 
 
-@both_styles(abort)
-async def test_a_body_can_abort_without_a_result(body, send):
-    expected = Outcome(GoalStatus.ABORTED, result(), "the pen is empty")
-    assert await end_of(body, send) == expected
+async def abort_when_canceled():
+    try:
+        await anyio.sleep_forever()
+    finally:
+        raise Abort("the pen is empty", result(7))
 
 
-@both_styles(abort)
-async def test_an_abort_is_not_logged(body, caplog):
-    await end_of(body, entered)
+@pytest.mark.parametrize(
+    ("body", "partial_result"),
+    [
+        *((each.values[0], result(7)) for each in in_both_styles(abort_with_a_result)),
+        *((each.values[0], result()) for each in in_both_styles(abort)),
+        *((each.values[0], result(7)) for each in in_both_styles(abort_when_canceled)),
+    ],
+)
+async def test_a_body_can_abort_with_a_result(body, partial_result, send, caplog):
+    expected = Outcome(GoalStatus.ABORTED, partial_result, "the pen is empty")
+    assert await canceled_end_of(body, send) == expected
     assert not caplog.records
 
 
@@ -344,22 +311,6 @@ async def test_an_abort_with_a_wrong_result_says_so(body, send):
     assert outcome.reason.startswith("the pen is empty (its result does not fit: ")
 
 
-async def abort_when_canceled():
-    try:
-        await anyio.sleep_forever()
-    finally:
-        raise Abort("half way", result(5))
-
-
-@both_styles(abort_when_canceled)
-async def test_a_canceled_body_can_abort(body, send):
-    expected = Outcome(GoalStatus.ABORTED, result(5), "half way")
-    assert await canceled_end_of(body, send) == expected
-
-
-# --- failing --------------------------------------------------------------------------------
-
-
 async def fail():
     await anyio.lowlevel.checkpoint()
     raise ValueError("no pen")
@@ -370,14 +321,9 @@ async def fail_at_once():
 
 
 @pytest.mark.parametrize("body", in_both_styles(fail) + in_both_styles(fail_at_once))
-async def test_a_body_that_fails_is_aborted_with_a_summary(body, send):
+async def test_a_body_that_fails_is_aborted_with_a_summary(body, send, caplog):
     expected = Outcome(GoalStatus.ABORTED, result(), "ValueError: no pen")
     assert await end_of(body, send) == expected
-
-
-@both_styles(fail)
-async def test_a_failure_is_logged_with_its_traceback(body, send, caplog):
-    await end_of(body, send)
     (record,) = caplog.records
     assert (record.name, record.levelno) == ("turtleact.server", logging.ERROR)
     assert re.fullmatch(r"the body of /count failed \(goal [0-9a-f]{32}\)", record.getMessage())
@@ -385,40 +331,51 @@ async def test_a_failure_is_logged_with_its_traceback(body, send, caplog):
     assert str(record.exc_info[1]) == "no pen"
 
 
-async def test_a_failed_body_reports_its_partial_result(send):
-    async def body(goal, handle):
-        handle.set_partial_result(result(1, 2))
-        raise ValueError("no pen")
-
-    expected = Outcome(GoalStatus.ABORTED, result(1, 2), "ValueError: no pen")
-    assert await end_of(body, send) == expected
+# --- partial results ------------------------------------------------------------------------
 
 
-async def test_the_partial_result_is_a_snapshot(send):
-    async def body(goal, handle):
-        numbers = [1]
-        handle.set_partial_result(Count.Result(counted=numbers))
-        numbers.append(2)
-        raise Abort("enough")
-
-    assert (await end_of(body, send)).result == result(1)
+async def fail_half_way(goal, handle):
+    handle.set_partial_result(result(1, 2))
+    raise ValueError("no pen")
 
 
-async def test_a_wrong_partial_result_raises_where_it_is_set(send):
-    async def body(goal, handle):
-        with pytest.raises(InvalidMessage, match="Count_Result"):
-            handle.set_partial_result(feedback(1))
-        return result(1)
-
-    assert (await end_of(body, send)).status is GoalStatus.SUCCEEDED
+async def wait_half_way(goal, handle):
+    handle.set_partial_result(result(1, 2))
+    await anyio.sleep_forever()
 
 
-async def test_a_full_result_takes_the_place_of_a_partial_one(send):
-    async def body(goal, handle):
-        handle.set_partial_result(result(1))
-        return result(2)
+async def change_what_was_reached(goal, handle):
+    reached = result(1, 2)
+    handle.set_partial_result(reached)
+    reached.counted.append(3)
+    raise Abort("enough")
 
-    assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(2))
+
+async def succeed_in_the_end(goal, handle):
+    handle.set_partial_result(result(1))
+    return result(1, 2)
+
+
+async def reach_what_does_not_fit(goal, handle):
+    with pytest.raises(InvalidMessage, match="Count_Result"):
+        handle.set_partial_result(feedback(1))
+    return result(1, 2)
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "reason"),
+    [
+        (fail_half_way, GoalStatus.ABORTED, "ValueError: no pen"),
+        (wait_half_way, GoalStatus.CANCELED, ""),
+        (change_what_was_reached, GoalStatus.ABORTED, "enough"),
+        (succeed_in_the_end, GoalStatus.SUCCEEDED, ""),
+        (reach_what_does_not_fit, GoalStatus.SUCCEEDED, ""),
+    ],
+)
+async def test_the_partial_result_of_a_body_is_reported_unless_it_succeeds(
+    body, status, reason, send
+):
+    assert await canceled_end_of(body, send) == Outcome(status, result(1, 2), reason)
 
 
 # --- letting the cancellation out -----------------------------------------------------------
@@ -428,23 +385,45 @@ async def wait():
     await anyio.sleep_forever()
 
 
-@both_styles(wait)
-async def test_a_body_that_lets_a_requested_cancellation_out_is_canceled(body, send):
-    assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result())
-
-
-@both_styles(wait)
-async def test_a_cancellation_is_not_logged(body, send, caplog):
-    await canceled_end_of(body, send)
-    assert not caplog.records
-
-
-async def test_a_canceled_body_reports_its_partial_result(send):
-    async def body(goal, handle):
-        handle.set_partial_result(result(1, 2))
+async def wait_in_a_group():
+    async with anyio.create_task_group() as group:
+        group.start_soon(anyio.sleep_forever)
         await anyio.sleep_forever()
 
-    assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result(1, 2))
+
+async def let_a_group_of_cancellations_out():
+    try:
+        await anyio.sleep_forever()
+    except anyio.get_cancelled_exc_class() as cancellation:
+        raise BaseExceptionGroup("only", [cancellation]) from None
+
+
+async def wait_after_a_timeout_of_its_own():
+    with anyio.move_on_after(0):
+        await anyio.sleep_forever()
+    await anyio.sleep_forever()
+
+
+async def canceled_without_a_result():
+    try:
+        await anyio.sleep_forever()
+    finally:
+        raise Cancel
+
+
+WAYS_OUT = [
+    wait,
+    wait_in_a_group,
+    let_a_group_of_cancellations_out,
+    wait_after_a_timeout_of_its_own,
+    canceled_without_a_result,
+]
+
+
+@pytest.mark.parametrize("body", [body for act in WAYS_OUT for body in in_both_styles(act)])
+async def test_a_body_that_lets_a_requested_cancellation_out_is_canceled(body, send, caplog):
+    assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result())
+    assert not caplog.records
 
 
 async def canceled_with_a_result():
@@ -457,18 +436,6 @@ async def canceled_with_a_result():
 @both_styles(canceled_with_a_result)
 async def test_a_canceled_body_can_report_a_result_in_its_clean_up(body, send):
     assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result(5))
-
-
-async def canceled_without_a_result():
-    try:
-        await anyio.sleep_forever()
-    finally:
-        raise Cancel
-
-
-@both_styles(canceled_without_a_result)
-async def test_a_canceled_body_need_not_report_a_result(body, send):
-    assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result())
 
 
 async def canceled_with_a_wrong_result():
@@ -491,9 +458,8 @@ async def canceled_unasked():
 
 @both_styles(canceled_unasked)
 async def test_a_body_that_was_not_asked_to_cancel_cannot_end_canceled(body, send):
-    expected = Outcome(GoalStatus.ABORTED, result(), "Cancel")
     outcome = await end_of(body, send)
-    assert (outcome.status, outcome.result) == (expected.status, expected.result)
+    assert (outcome.status, outcome.result) == (GoalStatus.ABORTED, result())
     assert outcome.reason.startswith("Cancel")
 
 
@@ -505,29 +471,6 @@ async def cancel_oneself():
 async def test_a_body_that_lets_its_own_cancellation_out_is_aborted(body, send):
     expected = Outcome(GoalStatus.ABORTED, result(), "canceled from within")
     assert await end_of(body, send) == expected
-
-
-async def wait_in_a_group():
-    async with anyio.create_task_group() as group:
-        group.start_soon(anyio.sleep_forever)
-        await anyio.sleep_forever()
-
-
-@both_styles(wait_in_a_group)
-async def test_a_body_canceled_within_a_task_group_is_canceled(body, send):
-    assert await canceled_end_of(body, send) == Outcome(GoalStatus.CANCELED, result())
-
-
-async def cancellations_in_a_group():
-    try:
-        await anyio.sleep_forever()
-    except anyio.get_cancelled_exc_class() as cancellation:
-        raise BaseExceptionGroup("only", [cancellation]) from None
-
-
-@both_styles(cancellations_in_a_group)
-async def test_a_group_of_nothing_but_cancellations_is_a_cancellation(body, send):
-    assert (await canceled_end_of(body, send)).status is GoalStatus.CANCELED
 
 
 async def cancellation_and_failure_in_a_group():
@@ -700,17 +643,6 @@ async def native_timeout():
 @both_styles(native_timeout)
 async def test_a_bodys_own_timeout_of_asyncio_is_its_own_affair(body, send):
     assert await end_of(body, send) == Outcome(GoalStatus.SUCCEEDED, result(1))
-
-
-async def caught_timeout_then_cancel():
-    with anyio.move_on_after(0):
-        await anyio.sleep_forever()
-    await anyio.sleep_forever()
-
-
-@both_styles(caught_timeout_then_cancel)
-async def test_a_body_is_canceled_after_a_timeout_of_its_own(body, send):
-    assert (await canceled_end_of(body, send)).status is GoalStatus.CANCELED
 
 
 async def test_a_task_group_around_a_yield_whose_child_fails_aborts_the_goal(send):
