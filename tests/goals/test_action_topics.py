@@ -18,6 +18,8 @@ from turtleact.goals.wire import GoalReason, reason_topic
 from turtleact.interfaces import WireFormat, decode
 from turtleact.interfaces.standard import GoalStatusArray
 from turtleact.tasks.clock import VirtualClock
+from turtleact.transports import MemoryTransport
+from turtleact.transports.base import Endpoint
 
 from ..lab import Count, Lab, bare_goal, goal, lab, result, settle
 
@@ -49,21 +51,22 @@ def source_of(local: LocalActionServer, topic: Any = None) -> StatusTopic:
     return source
 
 
-class FullLane:
-    """A publication that drops every second message."""
+class FullLane(MemoryTransport):
+    """A transport whose publication drops every second message."""
 
     sent = 0
     has_local_readers = has_object_readers = False
 
-    @property
-    def dropped(self) -> int:
-        return self.sent // 2
-
     def send(self, data: bytes) -> None:
         self.sent += 1
+        if self.sent % 2 == 0:
+            self._source.message_lost()
 
-    def advertise(self, endpoint: Any, format: Any, source: Any) -> Any:
+    def advertise(self, endpoint: Any, format: Any, source: Any = None) -> Any:
         """What a transport does."""
+        if source is None:
+            return super().advertise(endpoint, format)
+        self._source = source
         return self
 
 
@@ -79,7 +82,8 @@ async def test_observers_hear_of_feedback_that_cannot_be_sent():
     async with lab(act) as served:
         local = served.local
         local.observers.add(losses := Losses())
-        topic = FeedbackTopic(local, cast("Any", FullLane()), cast("Any", None))
+        described = Endpoint("publisher", "/count/_action/feedback", "", "/lab")
+        topic = FeedbackTopic(local, FullLane(), described)
         sent = bare_goal()
         for number in range(4):
             topic.send(sent, Count.Feedback(so_far=[number]))

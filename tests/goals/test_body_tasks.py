@@ -442,14 +442,6 @@ class Closing:
 
 
 @IN_VIRTUAL_TIME
-async def test_closing_waits_for_a_clean_up_within_the_grace():
-    body, closing = Body(3.0), Closing()
-    await closing.run((body, 5.0))
-    assert closing.took == pytest.approx(3.0)
-    assert body.log == ["over"]
-
-
-@IN_VIRTUAL_TIME
 async def test_a_body_is_given_up_after_its_grace():
     body, closing = Body(STUBBORN), Closing()
     await closing.run((body, 2.0))
@@ -468,19 +460,3 @@ async def test_closing_a_node_takes_one_grace_for_all_bodies():
     can_let_go = current_tasks().can_let_go
     assert closing.took == pytest.approx(3.0 if can_let_go else STUBBORN)
     await anyio.sleep(STUBBORN)
-
-
-@IN_VIRTUAL_TIME
-async def test_closing_a_server_takes_one_grace_for_all_bodies():
-    async with turtleact.open_node("lab") as node:
-        server = node.action_server(Count, "count", Body(STUBBORN), grace=2.0)
-        client = node.action_client(Count, "count")
-        handles = [await client.send_goal(goal()).__aenter__() for _ in range(3)]
-        began = anyio.current_time()
-        async with running(server.aclose) as closing:
-            assert [await handle.outcome() for handle in handles] == [SHUTDOWN] * 3
-            assert anyio.current_time() - began == pytest.approx(2.0)
-            await closing.done.wait()
-        can_let_go = current_tasks().can_let_go
-        assert anyio.current_time() - began == pytest.approx(2.0 if can_let_go else STUBBORN)
-        await anyio.sleep(STUBBORN)

@@ -108,18 +108,6 @@ async def test_a_goal_that_is_not_taken_is_not_accepted(asks):
         assert (refused.accepted, refused.stamp) == (False, Time())
 
 
-async def test_a_goal_callback_is_asked():
-    asked = []
-
-    async def take(request):
-        asked.append(request)
-        return GoalResponse.ACCEPT
-
-    async with lab(count, goal_callback=take) as served:
-        assert (await Wire(served.node).send()).accepted
-    assert asked == [goal()]
-
-
 async def test_a_goal_that_does_not_fit_is_told_to_its_sender():
     async with lab(count) as served:
         sender = served.node.service_client(IMPLIED.send_goal, "count/_action/send_goal")

@@ -757,13 +757,6 @@ async def test_a_reader_sees_what_was_published_not_what_became_of_it(body):
 
 
 @STYLES
-async def test_a_late_reader_sees_what_was_published_too(body):
-    async with lab(body) as served, served.client.send_goal(goal()) as handle:
-        await handle.result()
-        assert [message async for message in handle] == SNAPSHOTS
-
-
-@STYLES
 async def test_a_listener_hears_what_was_published_in_order(body):
     heard: list[object] = []
     async with lab(body) as served:

@@ -149,20 +149,6 @@ async def test_a_goal_callback_that_breaks_is_logged(callback, caplog):
     assert "no idea" in str(record.exc_info)
 
 
-async def test_a_goal_callback_sees_a_snapshot_of_the_goal():
-    seen: list[object] = []
-
-    def callback(request):
-        seen.append(request)
-        return GoalResponse.ACCEPT
-
-    request = goal(2)
-    async with lab(count, goal_callback=callback) as served:
-        await served.client.send_goal(request)
-    assert seen == [request]
-    assert seen[0] is not request
-
-
 async def test_a_goal_callback_is_asked_once_a_goal():
     asked: list[int] = []
 
@@ -226,18 +212,6 @@ async def test_a_body_sees_a_snapshot_of_the_goal():
 
 
 # --- ids and stamps -------------------------------------------------------------------------
-
-
-async def test_both_sides_know_a_goal_by_one_id():
-    seen: list[bytes] = []
-
-    async def body(request, handle):
-        seen.append(handle.goal_id)
-        return result()
-
-    async with lab(body) as served, served.client.send_goal(goal()) as handle:
-        await handle.result()
-        assert seen == [handle.goal_id]
 
 
 async def test_both_sides_know_a_goal_by_one_stamp():
@@ -542,18 +516,6 @@ async def test_a_closed_server_aborts_the_goals_that_run(style):
         assert (await handle.outcome(), gate.log[1:]) == (SHUTDOWN, ["canceled", "over"])
 
 
-@pytest.mark.parametrize("style", ["wait", "stream"])
-async def test_a_closed_server_answers_who_awaits_a_goal(style):
-    async with (
-        lab(getattr(Gate(), style)) as served,
-        running(lambda: served.client.send_goal(goal())) as sent,
-    ):
-        await served.server.aclose()
-        await sent.done.wait()
-        assert isinstance(sent.error, GoalAborted)
-        assert (sent.error.reason, sent.error.result) == ("shutdown", result())
-
-
 async def test_a_closed_server_ends_the_readers_of_feedback():
     read: list[object] = []
 
@@ -751,13 +713,6 @@ async def test_a_body_that_sends_a_goal_while_its_server_closes_is_refused():
         await settle()
         await served.server.aclose()
     assert len(seen) == 1
-
-
-async def test_a_closed_server_is_gone_from_the_graph():
-    async with lab(count) as served:
-        assert served.node.graph().actions == {"/count": (Count.type_name,)}
-        await served.server.aclose()
-        assert served.node.graph().actions == {}
 
 
 # --- the handle of a body -------------------------------------------------------------------

@@ -120,17 +120,6 @@ async def test_the_callbacks_bring_the_robot_to_rest_and_start_it(style):
     assert walker.log == [f"pause at {at}", f"resume at {at}"]
 
 
-async def test_an_action_with_on_pause_alone_can_be_paused():
-    walker = Walker()
-    async with (
-        lab(walker.blind, on_pause=walker.on_pause) as served,
-        served.client.send_goal(goal()) as handle,
-    ):
-        await handle.pause()
-        assert handle.is_paused
-    assert walker.log == ["pause at 0"]
-
-
 async def test_another_coroutine_body_refuses_with_a_reason():
     async with lab(Walker().blind) as served, served.client.send_goal(goal()) as handle:
         with pytest.raises(PauseRefused, match="declare it with pausable=True"):
@@ -324,34 +313,6 @@ async def test_a_child_that_refuses_refuses_for_its_parent():
             await take_turns()
             with pytest.raises(PauseRefused, match="pausable=True"):
                 await handle.pause()
-            assert not await walker.stands_still()
-
-
-async def test_a_child_may_end_while_another_one_is_resumed():
-    walker = Walker()
-    nodes = list[turtleact.Node]()
-
-    async def parent(request: Count.Goal, handle: Handle) -> AsyncIterator[Any]:
-        nodes.append(handle.node)
-        async with (
-            handle.node.action_client(Count, "first").send_goal(goal(MANY)) as first,
-            handle.node.action_client(Count, "second").send_goal(goal(MANY)),
-        ):
-            yield await first.result()
-
-    async def cancel_the_second(handle: Handle) -> None:
-        await nodes[0].action_client(Count, "second").cancel_all()
-        await take_turns()
-
-    async with lab(parent) as served:
-        server = served.node.action_server
-        server(Count, "first", walker.generator, on_resume=cancel_the_second)
-        server(Count, "second", Walker().generator)
-        async with served.client.send_goal(goal()) as handle:
-            await take_turns()
-            await handle.pause()
-            assert await walker.stands_still()
-            await handle.resume()
             assert not await walker.stands_still()
 
 

@@ -7,14 +7,13 @@ import logging
 import sys
 import threading
 from contextvars import ContextVar
-from typing import Any
 
 import anyio
 import pytest
 
 from turtleact.tasks import Background, current_tasks, run_in_daemon, wait_while
 
-from ..lab import ON_ASYNCIO, other_tasks, settle
+from ..lab import ON_ASYNCIO, settle
 
 COLOUR: ContextVar[str] = ContextVar("COLOUR", default="none")
 
@@ -40,12 +39,6 @@ async def test_a_spawned_task_is_among_the_tasks_of_the_loop():
     assert task in asyncio.all_tasks()
     task.cancel()
     await settle()
-
-
-@ON_ASYNCIO
-async def test_a_spawned_task_has_the_name_it_was_given():
-    task: Any = current_tasks().spawn(note([], ""), "the body of /count")
-    assert task.get_name() == "the body of /count"
 
 
 async def test_a_spawned_coroutine_sees_the_context_of_its_caller():
@@ -322,15 +315,6 @@ async def test_a_background_coroutine_that_fails_is_logged(caplog):
         "the clock has failed",
     )
     assert "the battery is flat" in str(record.exc_info)
-
-
-@ON_ASYNCIO
-async def test_nothing_is_left_running_after_a_close():
-    before = other_tasks()
-    background = Background(wait_forever([]), "the clock")
-    await background.aclose()
-    await settle()
-    assert other_tasks() == before
 
 
 async def test_a_function_in_a_daemon_returns_or_raises():

@@ -22,7 +22,6 @@ import msgspec
 
 from turtleact.errors import (
     GoalRejected,
-    InvalidMessage,
     ServerUnavailable,
     TurtleactError,
     encodable,
@@ -410,10 +409,7 @@ class DurableGoals(GoalObserver):
         """Decode a recorded message; None if there is no message, or if its type has changed."""
         if not data or record.type_hash != self._type_hash:
             return None
-        try:
-            return format.decode(data)
-        except InvalidMessage:  # the file was changed by something else
-            return None
+        return format.decode(data)
 
 
 class Restoring:

@@ -110,22 +110,17 @@ class ServiceEvents(CallObserver):
     def _publish(self, kind: int, gid: bytes, sequence: int, message: object) -> None:
         """Publish an event. A failure is only logged, because it must not affect the call."""
         try:
-            data = b""
+            contents: dict[str, bytes] = {}
             if self._has_contents:
-                encode = self._encode_request if kind == self._request else self._encode_response
+                is_request = kind == self._request
+                encode = self._encode_request if is_request else self._encode_response
                 data = message if isinstance(message, bytes) else encode(message)
-            event = self._written(kind, gid, sequence, data)
+                contents["request" if is_request else "response"] = data
+            info = self._format.info(kind, self._now(), gid, sequence)
+            event = self._format.write(info, **contents)
             if self._publication.has_object_readers:
                 self._publication.publish(self._format.decode(event))
             else:
                 self._publication.send(event)
         except Exception:
             logger.exception("an event of topic %s cannot be published", self._topic)
-
-    def _written(self, kind: int, gid: bytes, sequence: int, data: bytes) -> bytes:
-        info = self._format.info(kind, self._now(), gid, sequence)
-        if not self._has_contents:
-            return self._format.write(info)
-        if kind == self._request:
-            return self._format.write(info, request=data)
-        return self._format.write(info, response=data)

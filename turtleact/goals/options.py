@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import inspect
 import logging
+from collections import Counter
 from collections.abc import Callable
 from inspect import isawaitable
 from typing import Any, get_args
@@ -120,8 +121,10 @@ class Callbacks:
         self._server = server
         self._goal_callback: Any = options.get("goal_callback")
         self._cancel_callback: Any = options.get("cancel_callback")
-        self._open: dict[anyio.CancelScope, object] = {}  # each with the sender of its goal
+        self._open: set[anyio.CancelScope] = set()
         self._is_closed = False
+        self._deciding: Counter[object] = Counter()  # goals not decided yet, counted by sender
+        self._lost: set[object] = set()  # those of these senders that have gone
         if self._goal_callback is not None:
             server.admit = self.admit
             if options.get("on_client_lost") == "cancel":
@@ -141,8 +144,17 @@ class Callbacks:
 
     async def consider(self, request: GoalRequest) -> GoalRequest:
         """Ask the ``goal_callback``, and return the checked request. The errors are as above."""
-        message = self._server.check_goal(request.message)
-        await self._ask(message, request.sender)
+        message, sender = self._server.check_goal(request.message), request.sender
+        self._deciding[sender] += 1
+        try:
+            await self._ask(message)
+            if sender in self._lost:
+                raise GoalRejected("its client has gone")
+        finally:
+            self._deciding[sender] -= 1
+            if not self._deciding[sender]:
+                del self._deciding[sender]
+                self._lost.discard(sender)
         return msgspec.structs.replace(request, message=message)
 
     async def may_cancel(self, goal: Goal) -> bool:
@@ -157,23 +169,22 @@ class Callbacks:
 
     def client_lost(self, sender: object) -> None:
         """Reject the goals of a client that is gone, if they are not decided yet."""
-        for scope, asking in self._open.items():
-            if asking == sender:
-                scope.cancel()
+        if sender in self._deciding:
+            self._lost.add(sender)
         self._client_lost(sender)
 
     async def aclose(self) -> None:
         """Cancel the callbacks that have not returned yet, and close the server."""
         self._server.is_open = False
         self._is_closed = True
-        for scope in self._open:
+        for scope in tuple(self._open):
             scope.cancel()
         await self._aclose()
 
-    async def _ask(self, message: object, sender: object) -> None:
+    async def _ask(self, message: object) -> None:
         """Ask the ``goal_callback`` about a goal message; raise GoalRejected unless it agrees."""
         try:
-            answer = await self._answer(self._goal_callback(message), sender)
+            answer = await self._answer(self._goal_callback(message))
         except Reject as verdict:
             raise GoalRejected(text_of(verdict.reason)) from None
         except Exception as error:
@@ -182,19 +193,18 @@ class Callbacks:
             raise GoalRejected(f"the goal_callback failed: {summary(error)}") from None
         if answer is GoalResponse.REJECT:
             raise GoalRejected("the goal_callback rejected it")
-        if answer is _CUT_SHORT:
+        if answer is _CLOSED:
             self._server.check_open()
-            raise GoalRejected("its client has gone")
         if answer is not GoalResponse.ACCEPT:
             raise GoalRejected(f"the goal_callback answered {answer!r}, not a GoalResponse")
 
-    async def _answer(self, given: object, sender: object = None) -> object:
+    async def _answer(self, given: object) -> object:
         """Return the callback's answer; await the answer if it is awaitable."""
         if not isawaitable(given):
             return given
         tasks = self._server.tasks
         with anyio.CancelScope() as scope:
-            self._open[scope] = sender
+            self._open.add(scope)
             if self._is_closed:
                 scope.cancel()
             try:
@@ -206,11 +216,11 @@ class Callbacks:
                 # is a failure of the callback.
                 raise RuntimeError("it waited for something that was canceled") from None
             finally:
-                del self._open[scope]
-        return _CUT_SHORT
+                self._open.remove(scope)
+        return _CLOSED
 
 
-_CUT_SHORT = object()
+_CLOSED = object()
 
 
 def _cancel_goals_of_lost_clients(server: LocalActionServer) -> None:

@@ -41,7 +41,7 @@ from turtleact.goals.state import (
     cancel_code,
     select,
 )
-from turtleact.interfaces import Message, snapshotter, stamp_of
+from turtleact.interfaces import Action, Message, snapshotter, stamp_of
 from turtleact.interfaces.standard import UUID, CancelGoal, GoalInfo
 from turtleact.tasks import GRACE, LoopGuard, Signal, Tasks, wait_while
 
@@ -291,18 +291,11 @@ class LocalActionServer:
         self.client_lost: Callable[[object], None] = lambda _: None
         self.stop: Callable[[], Awaitable[None]] = self._stop
         self.aclose: Callable[[], Awaitable[None]] = self._aclose
-        goal_type, result_type, feedback_type = (
-            cast("type[Message]", each)
-            for each in (
-                spec.action_type.Goal,
-                spec.action_type.Result,
-                spec.action_type.Feedback,
-            )
-        )
-        self.result_type = result_type
-        self.check_goal = cast("_Check", snapshotter(goal_type, root="goal"))
-        self.check_result = cast("_Check", snapshotter(result_type, root="result"))
-        self._check_feedback = cast("_Check", snapshotter(feedback_type, root="feedback"))
+        action = cast("type[Action]", spec.action_type)
+        self.result_type = action.Result
+        self.check_goal = cast("_Check", snapshotter(action.Goal, root="goal"))
+        self.check_result = cast("_Check", snapshotter(action.Result, root="result"))
+        self._check_feedback = cast("_Check", snapshotter(action.Feedback, root="feedback"))
 
     @property
     def is_idle(self) -> bool:

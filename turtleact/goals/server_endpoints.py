@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 import msgspec
 
-from turtleact.errors import GoalRejected
+from turtleact.errors import CUT_OFF, STOPPED, GoalRejected
 from turtleact.goals.observers import FeedbackLost, GoalObserver
 from turtleact.goals.pause_endpoints import PauseEndpoints
 from turtleact.goals.server import LocalActionServer
@@ -83,6 +83,9 @@ OURS = GoalMetadata().write()
 A response with a note shows that a turtleact server has sent the response.
 """
 
+
+LATE_REQUEST = 0.5
+"""How long a closing server waits for clients in other processes to request results (s)."""
 
 EXPIRED_TOGETHER: Final = 1.0
 """The shortest time between two status messages that report only expired goals (s)."""
@@ -175,6 +178,8 @@ class ActionEndpoints:
         Call this after all bodies have ended.
         """
         results = self._get_result
+        if self._services:
+            await wait_while(self._is_expected, results.answered, LATE_REQUEST)
         await wait_while(lambda: results.waiting, results.answered, GRACE)
         for opened in self._services:
             opened.close()
@@ -183,6 +188,17 @@ class ActionEndpoints:
         for topic in self._topics:
             topic.close()
         await self._pausing.aclose()
+
+    def _is_expected(self) -> bool:
+        """Whether a client in another process is likely to ask soon how a goal ended just now."""
+        reasons = (self._server.closing_reason, STOPPED, CUT_OFF)
+        return any(
+            isinstance(goal.sender, bytes)
+            and goal.sender != b""
+            and goal.reason in reasons
+            and goal.id not in self._get_result.told
+            for goal in self._server.held().values()
+        )
 
 
 class FeedbackTopic(Source):
@@ -201,14 +217,14 @@ class FeedbackTopic(Source):
         self._transport, self._endpoint = transport, endpoint
         self._lost: LostFeedback | None = None
         self._publication = transport.advertise(endpoint, self._format, self)
-        self._dropped = 0
+        self._latest: Goal | None = None  # the goal of the newest message
 
     def readers_changed(self, *, has_readers: bool) -> None:
         """Start to publish feedback if the topic has readers; otherwise stop."""
         self._server.publisher = self if has_readers else None
 
     def message_lost(self) -> None:
-        """Report to ``turtleact doctor`` that feedback was dropped."""
+        """Tell observers and ``turtleact doctor`` that the newest message was dropped."""
         if self._lost is None:
             from turtleact.goals.fault_reports import LostFeedback  # few programs need it
 
@@ -216,6 +232,8 @@ class FeedbackTopic(Source):
             place = self._transport, self._endpoint.node
             self._lost = LostFeedback(*place, self._server.name, how, advice)
         self._lost.add(1)
+        if self._latest is not None:
+            self._server.observers.noted(self._latest, FeedbackLost(1))
 
     def expect_readers(self) -> None:
         """Publish from now on, even if no reader is known yet.
@@ -241,21 +259,11 @@ class FeedbackTopic(Source):
 
     def send(self, goal: Goal, message: Message) -> None:
         """Publish feedback that has been checked and copied."""
-        publication = self._publication
-        if publication.has_object_readers:
-            publication.publish(self._message_type(UUID(goal.id), message))
+        self._latest = goal
+        if self._publication.has_object_readers:
+            self._publication.publish(self._message_type(UUID(goal.id), message))
         else:
-            publication.send(self._format.write(goal.id, message))
-            if publication.dropped != self._dropped:
-                self._tell_of_loss(goal)
-
-    def _tell_of_loss(self, goal: Goal) -> None:
-        """Tell the observers that feedback was dropped.
-
-        The report names ``goal``, but the dropped feedback may belong to another goal.
-        """
-        lost, self._dropped = self._publication.dropped - self._dropped, self._publication.dropped
-        self._server.observers.noted(goal, FeedbackLost(lost))
+            self._publication.send(self._format.write(goal.id, message))
 
     @cached_property
     def _message_type(self) -> type[Any]:
@@ -550,7 +558,15 @@ class _CancelGoal(_ActionService):
 
 
 class _GetResult(_ActionService):
-    """Answers with the results of goals, once the goals have ended."""
+    """Answers with the results of goals, once the goals have ended.
+
+    Attributes:
+        told: The goals whose results were given after the closing began.
+    """
+
+    def __init__(self, server: LocalActionServer, name: str, tasks: Tasks) -> None:
+        super().__init__(server, name, tasks)
+        self.told: set[bytes] = set()
 
     def find_type(self) -> Any:  # noqa: ANN401  # a service class
         return self._implied.get_result
@@ -566,6 +582,8 @@ class _GetResult(_ActionService):
         return self._end(goal)
 
     def _end(self, goal: Goal) -> Reply:
+        if not self.server.is_open:
+            self.told.add(goal.id)
         result: Any = goal.result
         message = self._implied.get_result.Response(status=int(goal.status), result=result)
         if goal.reason or goal.log.count:

@@ -205,10 +205,7 @@ class GoalStatus(IntEnum):
 
 def status_of(number: int) -> GoalStatus:
     """Return the state with that number, or UNKNOWN if there is none."""
-    return _BY_NUMBER.get(number, GoalStatus.UNKNOWN)
-
-
-_BY_NUMBER: Final = {int(status): status for status in GoalStatus}
+    return GoalStatus(number) if 0 <= number <= 6 else GoalStatus.UNKNOWN
 
 
 class GoalEvent(IntEnum):
