@@ -76,8 +76,6 @@ async def test_a_built_in_action_makes_way_across_the_graph_and_comes_back(tmp_p
         await first.flush()
         second = await enter(open_zenoh(mode="peer", connect=[here]))
         lab = await stack.enter_async_context(open_node("lab", transport=second))
-        # On a busy machine, the news of the built-in action and of its withdrawal may arrive
-        # together. Its own terminal then has nothing to say.
         await second.explore()
         server = lab.action_server(Fibonacci, "/fibonacci", mine)
         client = lab.action_client(Fibonacci, "/fibonacci")
@@ -87,7 +85,6 @@ async def test_a_built_in_action_makes_way_across_the_graph_and_comes_back(tmp_p
                 while not any(text in said for said in caplog.messages):
                     await anyio.sleep(0.01)
 
-        await logged("/fibonacci: the built-in action makes way for this one")
         await logged("/fibonacci is served by /lab now")
         assert (await client.send_goal(Fibonacci.Goal(order=2))).sequence == MINE
         await server.aclose()

@@ -13,7 +13,7 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 from turtleact.errors import InvalidGoal, InvalidMessage
 from turtleact.interfaces.definition import (
@@ -301,17 +301,10 @@ def wrong_length(field_type: FieldType, value: str) -> str:
 
 
 class Slot(NamedTuple):
-    """How to set one field of a message from a mapping.
+    """How to set one field of a message from a mapping."""
 
-    Attributes:
-        attribute: The field's name in Python.
-        convert: The function that converts the value in the mapping.
-        is_bytes: Whether the field is declared as ``bytes``.
-    """
-
-    attribute: str
+    field: Field
     convert: Callable[[object], object]
-    is_bytes: bool
 
 
 def plain(message: Message) -> dict[str, object]:
@@ -342,11 +335,9 @@ def filled(cls: type[M], value: object) -> M:
         slot = known.get(name) if isinstance(name, str) else None
         if slot is None:
             raise InvalidMessage("", f"unknown field {describe(name)}{instead(cls, name)}")
-        try:
-            content = slot.convert(item)
-        except InvalidMessage as inner:
-            raise InvalidMessage(f".{name}{inner.path}", inner.problem) from None
-        arguments[slot.attribute] = bytes(content) if slot.is_bytes else content  # type: ignore[call-overload]  # ints, as declared
+        content: Any = placed(slot.field, slot.convert, item)
+        is_bytes = name in cls._shape.bytes_fields
+        arguments[slot.field.attribute] = bytes(content) if is_bytes else content
     return cls(**arguments)
 
 
@@ -355,9 +346,8 @@ def slots(cls: type[Message]) -> dict[str, Slot]:
     """Return a `Slot` for each field of a class, by the field's ROS name."""
     return {
         field.name: Slot(
-            field.attribute,
+            field,
             converter(field.type, None if nested is None else functools.partial(filled, nested)),
-            field.name in cls._shape.bytes_fields,
         )
         for field, nested in zip(fields(cls), nested_classes(cls), strict=True)
     }

@@ -15,15 +15,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import msgspec
 
 from turtleact.interfaces.definition import type_name_pattern
-
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
-
 
 __all__ = [
     "BUILT_IN",
@@ -52,7 +48,7 @@ MOST_FOLDERS = 1000
 class Finder(Protocol):
     """One place where interfaces are looked for."""
 
-    def find(self, type_name: str) -> type | Traversable | None:
+    def find(self, type_name: str) -> type | Path | None:
         """Return an interface's class, or the file from which it can be made, or None."""
 
     def names(self) -> Iterable[str]:
@@ -70,7 +66,7 @@ class Files(msgspec.Struct, frozen=True):
     files: Mapping[str, Path] = {}
     on_use: Callable[[str, str], object] | None = None
 
-    def find(self, type_name: str) -> Traversable | None:
+    def find(self, type_name: str) -> Path | None:
         """Return an interface's file, or None."""
         return self.files.get(type_name)
 
@@ -88,7 +84,7 @@ class Workspace(msgspec.Struct, frozen=True):
 
     prefixes: tuple[str, ...] = ()
 
-    def find(self, type_name: str) -> Traversable | None:
+    def find(self, type_name: str) -> Path | None:
         """Return an interface's file in the first folder that has one, or None."""
         package, kind, name = type_name.split("/")
         places = [Path(prefix, "share", package, kind) for prefix in self.prefixes]
@@ -113,23 +109,13 @@ class BuiltIn(msgspec.Struct, frozen=True):
 
     def names(self) -> Iterable[str]:
         """Return the names of the files beside the generated classes."""
-        root = built_in_files()
-        kinds = [
-            (package.name, kind)
-            for package in root.iterdir()
-            if package.is_dir()
-            for kind in package.iterdir()
-            if kind.name in KINDS
-        ]
-        return {
-            f"{package}/{kind.name}/{file.name.removesuffix(f'.{kind.name}')}"
-            for package, kind in kinds
-            for file in kind.iterdir()
-        }
+        return {name_of(path) for path in files_in(FOLDER, "*")}
 
 
 BUILT_IN = "turtleact.interfaces.standard"
 """The package with the built-in interfaces."""
+
+FOLDER = Path(__file__).parent / "standard"
 
 
 class Finders(msgspec.Struct, frozen=True):
@@ -163,18 +149,11 @@ def built_in_class(type_name: str) -> type | None:
     return found
 
 
-def built_in_file(type_name: str) -> Traversable | None:
+def built_in_file(type_name: str) -> Path | None:
     """Return the built-in file of an interface, or None."""
     package, kind, name = type_name.split("/")
-    file = built_in_files().joinpath(package, kind, f"{name}.{kind}")
+    file = FOLDER / package / kind / f"{name}.{kind}"
     return file if file.is_file() else None
-
-
-def built_in_files() -> Traversable:
-    """Return the folder that contains the files of the built-in interfaces."""
-    from importlib import resources  # slow to import
-
-    return resources.files(BUILT_IN)
 
 
 def files_in(root: Path, *layouts: str) -> list[Path]:

@@ -48,7 +48,6 @@ from turtleact.interfaces.types import REGISTRY, Action, Message, Service, defin
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
-    from importlib.resources.abc import Traversable
     from typing import Any, ClassVar
 
     from turtleact.interfaces.definition import Definition
@@ -533,7 +532,7 @@ def found_by_finders(type_name: str, making: tuple[str, ...]) -> Interface | Non
 
 
 def made_from(
-    file: Traversable,
+    file: Path,
     type_name: str,
     making: tuple[str, ...],
     on_use: Callable[[str, str], object] | None,
@@ -643,7 +642,7 @@ def named(type_name: str, source: str) -> str:
     return type_name
 
 
-def read(file: Traversable) -> str:
+def read(file: Path) -> str:
     """Read the text of a file."""
     try:
         return file.read_text(encoding="utf-8")

@@ -98,21 +98,6 @@ class Rivals:
             return self._node
         return self.first()
 
-    def has_built_in(self, *, is_local: bool | None = None) -> bool:
-        """Whether a built-in action serves the name.
-
-        A built-in action gives up its name when this server opens. ``is_local=True`` asks only
-        about this process, ``is_local=False`` only about other processes. To ask about other
-        processes, call this method before this server opens. After this server has opened, a
-        built-in action of the same type in another process counts as local.
-        """
-        return self._node != BUILT_INS_NODE and BUILT_INS_NODE in self._nodes(is_local=is_local)
-
-    @property
-    def discovery_ends(self) -> float:
-        """Until this time, discovery may not have found all existing servers (event loop time)."""
-        return self._transport.discovery_ends
-
     async def wait_until_free(self) -> None:
         """Wait until this node can serve the action. Cancelling: safe.
 
@@ -223,15 +208,6 @@ class ServedName:
         self._running.append(Background(running, f"{name} {self._server.name}"))
 
     def _begin(self) -> None:
-        # Before the endpoints are open: afterwards a built-in action of the same type would count
-        # as one of this process.
-        if self._rivals.has_built_in(is_local=False):
-            self._tell_of_built_in()
-        elif not self._rivals.has_built_in():
-            # On a graph that was opened a moment ago, it may not have been discovered yet.
-            rest = self._rivals.discovery_ends - anyio.current_time()
-            if rest > 0:
-                self._keep(self._look_for_built_in(rest), "looking for a built-in of")
         self._endpoints.open()
         self._restore()
         self.is_serving = True
@@ -241,18 +217,6 @@ class ServedName:
         self._server.is_open = False
         self.is_serving = False
         self._turned.fire()
-
-    async def _look_for_built_in(self, seconds: float) -> None:
-        """Log a warning if discovery finds a built-in action of this name within ``seconds``.
-
-        Cancelling: safe.
-        """
-        with anyio.move_on_after(seconds):
-            await self._rivals.wait_until(self._rivals.has_built_in)
-            self._tell_of_built_in()
-
-    def _tell_of_built_in(self) -> None:
-        logger.warning("%s: the built-in action makes way for this one", self._server.name)
 
     async def _serve_once_free(self) -> None:
         """Wait until no other node serves the name, and then serve it."""
