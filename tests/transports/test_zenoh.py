@@ -428,7 +428,7 @@ async def test_a_request_of_ros_is_answered_with_its_own_number_and_gid(address)
     [
         (REQUEST, b"", "attachment: expected 33 bytes, got 0"),
         (b"", write_attachment(1, 0, GID), "message: not plain CDR"),
-        (REQUEST[:6], write_attachment(1, 0, GID), "numbers"),
+        (REQUEST[:6], write_attachment(1, 0, GID), "these 6 bytes are not of type"),
     ],
     ids=["attachment", "nothing", "cut"],
 )

@@ -87,22 +87,6 @@ class ActionKind:
         end = self._node.endpoint("service", name, type_name)
         return self._node.connection.serve(end, handler)
 
-    def has_built_in(self) -> bool:
-        """Whether a built-in action has this name.
-
-        A built-in action gives up its name when another server uses the same name.
-        """
-        nodes = {
-            each.node
-            for each in self._node.connection.endpoints(self.names.send_goal)
-            if each.kind == "service"
-        }
-        if not nodes:
-            return False
-        from turtleact.node.conflicts import BUILT_INS_NODE  # slow to import
-
-        return BUILT_INS_NODE in nodes
-
     def join(self, service: str) -> CallEnd:
         """Open a client of one of the action's services."""
         name = getattr(self.names, service)

@@ -285,10 +285,6 @@ class ActionServer(Introspected, Waitable):
         self.register_handle_accepted_callback(handle_accepted_callback)
         self.register_cancel_callback(cancel_callback)
         self.register_execute_callback(execute_callback)
-        if self._kind.has_built_in():
-            node.get_logger().info(
-                f"{self._kind.names.name}: the built-in action makes way for this one"
-            )
         self._feedback = self._kind.advertise_feedback(feedback_pub_qos_profile)
         self._status = StatusTopic(node, self._kind, status_pub_qos_profile, self._held)
         services = ("cancel_goal", "get_result", "send_goal")
